@@ -29,7 +29,7 @@ from .subject import Subject
 # How fast touches are expected to change: a force that wanders by this in a second. Chosen on the virtual people: three
 # times as fast takes more of the body's waves for touches. [N/cm^2 / sqrt(s)]
 TOUCH_RATE = 0.1
-# Modes: random walks of the touch of these times the usual rate, each kept for so long on average. [1, s]
+# Modes: random walks of the touch of these times the usual rate, each lasting so long on average. [1, s]
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # Correlation time of the error of readings that follows the blood's movement. [s]
 READING_CORRELATION_S = 0.4

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 LONGEST_STEP_S = 0.05
 # A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
 LEFT_AT_CLOSURE = 0.05
-# Pressures at which closure is looked for. [N/cm^2]
+# Pressures among which closure is searched. [N/cm^2]
 SEARCHED = np.linspace(0.0, 4.0, 401)
 # Pressures of either side at which a beat's effect is computed, and the change of arterial pressure by which. [Pa]
 PULSED, STEP_PA = 9, 200.0

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import xarray as xr
-from pydantic import AfterValidator, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ...errors import InputError
@@ -22,16 +22,11 @@ from .person import MOST_GAIN, TABLE, Array, Numbers, within
 # The logarithm of a reading is nearly linear in blood: polynomials of this degree in both zones' blood together.
 DEGREE = 3
 POWERS = tuple(p for p in itertools.product(range(DEGREE + 1), repeat=2) if sum(p) <= DEGREE)
+TERMS = len(POWERS)
 # Points along each zone's blood at which light is read for the table.
 NODES = 12
 # Which stream of random numbers the noise of a recording takes, beside those of the light and the body.
 _NOISE = 11
-
-
-def _same(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
-    if powers != POWERS:
-        raise ValueError("must be those of this version")
-    return powers
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -53,12 +48,10 @@ class ReadingTable:
     slope_stderr: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     noise_v: Annotated[Numbers, within(1e-12, MOST_VOLTS, np.positive)]
     range_v: Annotated[float, Field(ge=1e-3, le=MOST_VOLTS)]
-    powers: Annotated[tuple[tuple[int, ...], ...], AfterValidator(_same)] = POWERS
 
     def __post_init__(self) -> None:
         count = len(self.ln_volts)
-        shapes = {"coefficients": (count, len(POWERS)), "dark_v": (count,), "noise_v": (count,)}
-        shapes["slope_stderr"] = (count, 2)
+        shapes = {"dark_v": (count,), "noise_v": (count,), "slope_stderr": (count, 2), "coefficients": (count, TERMS)}
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")

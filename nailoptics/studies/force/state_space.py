@@ -65,7 +65,6 @@ class StateSpace:
         self.beat_weights, self.wave_weights = np.zeros(self.size), np.zeros(self.size)
         self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = 1.0
         self.wave_weights[self.waves.start : self.waves.stop : 2] = 1.0
-        self._linear: dict[float, tuple[Array, Array]] = {}
         highest = PAST_CLOSURE * self.person.closure()
         self.touch_bounds = np.full(2, LOWEST), highest
         self._pulsatile_gain = PulsatileGain(self.person, highest)

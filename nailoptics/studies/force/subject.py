@@ -34,7 +34,7 @@ from .person import (
     Person,
     within,
 )
-from .reading_table import ReadingTable
+from .reading_table import POWERS, ReadingTable
 
 # No calibration finds more: factors on the scene's constants, and newtons for each volt of a regression.
 MOST_FACTOR, MOST_WEIGHT = 100.0, 1e9
@@ -192,18 +192,15 @@ def _factor_values(table: Any) -> Any:
 
 def _covariance(matrix: Array) -> Array:
     """The matrix, if it is a covariance."""
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"has shape {matrix.shape}")
-    variance = np.diag(matrix)
+    variance = np.diag(matrix) if matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] else np.array(-1.0)
     if not ((variance >= 0) & (variance <= MOST_GAIN**2)).all():
-        raise ValueError("holds a variance that is none")
+        raise ValueError("must be square, with variances on its diagonal")
     scale = np.sqrt(np.where(variance > 0, variance, 1.0))
     correlation = matrix / np.outer(scale, scale)
     # A covariance is the inverse of a matrix whose numbers differ by many orders: it is symmetric but for rounding.
-    if np.abs(correlation - correlation.T).max() > ROUNDING:
-        raise ValueError("is not symmetric")
-    if np.linalg.eigvalsh(0.5 * (correlation + correlation.T)).min() < -ROUNDING:
-        raise ValueError("has a direction of negative variance")
+    asymmetry, mean = np.abs(correlation - correlation.T).max(), 0.5 * (correlation + correlation.T)
+    if asymmetry > ROUNDING or np.linalg.eigvalsh(mean).min() < -ROUNDING:
+        raise ValueError("must be symmetric and positive semidefinite")
     return matrix
 
 
@@ -282,16 +279,8 @@ class Subject:
 
     def reading_table(self) -> dict[str, dict[str, float]]:
         """Gain, offset and noise of every reading, by name."""
-        own = self.readings
         gain_stderr, offset_stderr_v, *_ = np.split(self.stderr[len(NAMES) :], LINEAR)
-        columns = {
-            "gain": own.gain,
-            "gain_stderr": gain_stderr,
-            "offset_v": own.offset_v,
-            "offset_stderr_v": offset_stderr_v,
-            "residual_rms_v": own.residual_rms_v,
-            "noise_v": own.noise_v,
-        }
+        columns = vars(self.readings) | {"gain_stderr": gain_stderr, "offset_stderr_v": offset_stderr_v}
         rows = zip(*(one.tolist() for one in columns.values()), strict=True)
         return {name: dict(zip(columns, row, strict=True)) for name, row in zip(self.light.names, rows, strict=True)}
 
@@ -304,6 +293,7 @@ def subject_toml(subject: Subject) -> str:
     import tomli_w
 
     tables = FILE.dump_python(subject, exclude_none=True)
+    tables["light"]["powers"] = POWERS
     return tomli_w.dumps(tables | {"factors": subject.factor_table(), "readings": subject.reading_table()})
 
 

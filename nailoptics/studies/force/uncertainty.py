@@ -49,7 +49,7 @@ def fit_curve(closure: float, time_s: Array, estimated: Array, applied: Array) -
     return Curve(bends, np.maximum.accumulate(np.maximum(factor, 0.1) * bends))
 
 
-# Held touches of either side at which the error is found, in parts of closure.
+# Held touches of either side at which the error is computed, in parts of closure.
 PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
 # Steps of derivatives: of the factors' logarithms, and of pressures in N/cm^2.
 STEP_LN, STEP = 0.05, 0.02

@@ -11,7 +11,7 @@ TRUE = 1.0 - np.cos(2 * np.pi * 0.05 * TIME_S)
 NONE = (np.empty(0),) * 3
 
 
-def test_what_is_told_too_high_is_brought_down_and_the_other_side_is_left_alone() -> None:
+def test_overestimates_are_corrected_on_their_own_side_alone() -> None:
     told = 1.25 * TRUE + 0.08 * np.random.default_rng(0).normal(size=TRUE.size)
     found = Correction(fit_curve(2.6, TIME_S, told, TRUE), fit_curve(2.0, *NONE))
     asked = np.array([[0.4, 1.0, 2.0], [0.4, 1.0, 1.5]])

@@ -127,7 +127,7 @@ def test_the_person_is_found_within_the_stated_errors(subject: Subject) -> None:
 
 
 @pytest.mark.parametrize("site", ["proximal", "distal"])
-def test_a_touch_that_was_not_calibrated_is_told_with_an_interval_that_covers_it(
+def test_the_interval_of_a_touch_that_was_not_calibrated_covers_it(
     subject: Subject, table: ReadingTable, site: str
 ) -> None:
     told = predict(subject, _record(table, _steps(), site, seed=8, pulse_pa=500.0))
@@ -154,9 +154,7 @@ def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subjec
     assert any("have no upper bound" in one for one in open_above["warnings"])
 
 
-def test_a_calibration_that_is_wrong_of_its_own_touches_says_so_here_and_later(
-    subject: Subject, table: ReadingTable
-) -> None:
+def test_a_calibration_with_large_errors_warns_here_and_in_predictions(subject: Subject, table: ReadingTable) -> None:
     recorded = _record(table, _cycle(2.0), "proximal", seed=0)
     assert not any("off" in one for one in _warnings(subject, [recorded]))
     wrong = replace(subject, quality=replace(subject.quality, rms_n=0.238))
@@ -193,7 +191,7 @@ def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) ->
     assert (told.force_low_n.values[later] == 0).all()
 
 
-def test_readings_that_are_a_little_off_while_the_blood_moves_are_no_outliers() -> None:
+def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     time_s = np.arange(0.0, 8.0, made_sensor.STEP_S)
     force = np.interp(time_s, [0.0, 1.0, 1.16, 3.0, 3.16, 5.0, 5.16, 7.0, 7.16], [0, 0, 0.5, 0.5, 0, 0, 1.5, 1.5, 0])
     recorded = made_sensor.record(force, "proximal", seed=4)
@@ -321,7 +319,7 @@ def test_a_recording_that_cannot_calibrate_is_refused_in_one_line(table: Reading
 
 
 @pytest.mark.long
-def test_readings_that_know_one_zone_alone_as_in_the_papers_optics_are_calibrated(table: ReadingTable) -> None:
+def test_readings_that_depend_on_one_zone_alone_are_calibrated(table: ReadingTable) -> None:
     alone = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     coefficients = table.coefficients.copy()
     for zone, power in enumerate(((1, 0), (0, 1))):

@@ -28,7 +28,7 @@ def subject() -> Subject:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
-def test_steps_of_a_person_whom_the_model_does_not_know_are_told_better_than_by_regression(subject, side):
+def test_steps_of_an_unmodelled_person_beat_linear_regression(subject, side):
     told = predict(subject, recording(TOUCHES["steps"], side, 7))
     inside = (told.force_low_n <= told.known_force_n) & (told.known_force_n <= told.force_high_n)
     # Measured: 0.08 N on the proximal and 0.09 N on the distal side, 4.0 and 2.2 times as good as linear regression;
