@@ -30,7 +30,7 @@ def readings(alpha_d2, diameter_m=DIAMETER_M):
 
 
 @pytest.mark.parametrize("alpha_d2", [1e-3, 1e-2, 0.06, 0.5, 5.0])
-def test_beer_lambert_constants_come_back_from_the_paper_s_1e_2_up_to_strong_absorption(alpha_d2):
+def test_beer_lambert_constants_come_back_up_to_strong_absorption(alpha_d2):
     fit = fit_beer_lambert(DIAMETER_M, readings(alpha_d2))
     exact = {"v0_v": V0_V, "v1_v": V1_V, "alpha_per_m2": alpha_d2 / 1e-10}
     assert fit.constants == pytest.approx(exact, rel=1e-5)

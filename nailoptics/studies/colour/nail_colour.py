@@ -63,7 +63,7 @@ def colour(
     gloss : whether what the surface mirrors is part of the colour.
     tolerance, change_tolerance : standard errors that every place's colour must reach, and every change. [CIEDE2000]
         What is not given of all these the scene's [colour] says.
-    stores : where rays are looked for and, in the first, kept; that of the user if not given.
+    stores : where rays are read from and, in the first, written; that of the user if not given.
     requested : as for `trace`, but relative_error; photons are rays of all wavelengths together.
 
     Returns: Dataset over state (force), place, band (L*, a*, b*) and wavelength: reflectance, Lab, sRGB, difference to
@@ -74,8 +74,8 @@ def colour(
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
     options = with_scenes_effort(TraceOptions(**requested), scene)
-    asked = dict(forces_n=forces_n, illuminant=illuminant, observer=observer, lit_by=lit_by, gloss=gloss)
-    viewing = _viewing(scene, options, **asked, tolerance=tolerance, change_tolerance=change_tolerance)
+    given = dict(forces_n=forces_n, illuminant=illuminant, observer=observer, lit_by=lit_by, gloss=gloss)
+    viewing = _viewing(scene, options, **given, tolerance=tolerance, change_tolerance=change_tolerance)
     viewer = Viewer(viewing.illuminant, viewing.observer)
     cpu, begin = time.process_time(), time.perf_counter()
     chosen = backend.choose_jit(options.backend, "colour")

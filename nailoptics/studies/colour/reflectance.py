@@ -98,10 +98,10 @@ class ColourRays:
 
 
 def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:
-    """Light of which one ray in so many is kept, and counts for all of them."""
-    kept = np.random.default_rng(part).random(len(light.patch)) * part < 1
+    """Light of which one ray in so many is left, and counts for all of them."""
+    chosen = np.random.default_rng(part).random(len(light.patch)) * part < 1
     names = ("patch", "group", "weight", "path_mm", "cosine", "gloss")
-    thin = replace(light, **{name: getattr(light, name)[kept] for name in names})
+    thin = replace(light, **{name: getattr(light, name)[chosen] for name in names})
     return replace(thin, weight=thin.weight * np.float32(part))
 
 
@@ -124,7 +124,7 @@ def _sums(light: ReflectedLight, mu_a: Array, patches: np.ndarray) -> Array:
     cell = light.group.astype(int) * len(patches) + place[light.patch]
     chosen = (place[light.patch] >= 0) & (light.weight > 0)
     order = np.flatnonzero(chosen)[np.argsort(cell[chosen], kind="stable")]
-    # float32 halves the time of the exponentials; sums over the rays of a group and a patch are kept in float64.
+    # float32 halves the time of the exponentials; sums over the rays of a group and a patch are taken in float64.
     change = (mu_a - light.mu_a).reshape(-1, mu_a.shape[-1]).astype(np.float32)
     sums = np.zeros((GROUPS * len(patches), len(change)))
     for start in range(0, len(order), CHUNK):

@@ -263,7 +263,7 @@ def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
     assert share[0.09]["missed"] > 0.95 and share[0.01]["met"] > 0.8
 
 
-def test_the_worst_reading_is_named_where_all_are_far_within_the_tolerance():
+def test_the_worst_reading_is_named_where_all_are_within_the_tolerance():
     """Rationale: all of them then meet it with a probability of 1, to the last bit. Expected: still the largest error,
     and within the interval that is printed beside it."""
     dims = ("sweep", "led", "photodiode", "way", "model", "point")

@@ -59,7 +59,7 @@ def test_the_fastest_within_an_error():
     assert fastest([cheap, FORMULA], 0.02) is None
 
 
-def test_the_usual_level_stays_unless_another_is_cheaper_beyond_the_noise_of_costs():
+def test_the_usual_level_stays_within_the_noise_of_costs():
     near, cheap, own = level("near", noise=0.096), level("cheap", noise=0.05), level(OWN, noise=0.098)
     assert fastest([near, FULL], 0.02).level is FULL
     assert fastest([near, cheap, FULL], 0.02).level is cheap

@@ -78,7 +78,7 @@ def test_the_barrier_matters_and_the_lines_width_does_not(found):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_far_finger_returns_less_than_1e_4_of_a_reading_and_the_pulp_more(found):
+def test_the_far_finger_returns_less_than_1e_4_and_the_pulp_more(found):
     ends = [e for e in found.effects if e.name.startswith("finger past")]
     assert len(ends) == 2 and all(0 < e.bound < 1e-4 and e.matters == "no" for e in ends)
     pulp = next(e for e in found.effects if e.name == "light back from the pulp")
@@ -87,7 +87,7 @@ def test_the_far_finger_returns_less_than_1e_4_of_a_reading_and_the_pulp_more(fo
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_what_is_not_needed_is_told_as_scene_lines_and_makes_the_scene_that_is_required(found):
+def test_the_lines_that_leave_out_the_needless_make_the_required_scene(found):
     """Expected: the lines, pasted under their tables, make the required scene, which reads as the whole one does."""
     lines = lines_of(merged(found.needless))
     assert all(f"  {line}" in explanation_lines(found) for line in lines)
@@ -277,7 +277,7 @@ def made_up(scene: Scene, paths_mm: tuple[float, float], weight: float, photons:
 
 
 @pytest.mark.parametrize("paths_mm", [(4.0, 0.0), (1.0, 3.0)])
-def test_bloods_own_scattering_is_judged_by_the_signal_and_replaces_dermis(paths_mm):
+def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
     """Rationale: at rest it is part of the bed's measured scattering, so that it moves the touch's change alone; blood
     scatters less than the dermis whose place it takes. Expected: the slope of ln reading by ln mu_s', here 2, times the
     relative change of mu_s' along the path, as a part of the signal; beyond a tolerance of 2 % it matters."""

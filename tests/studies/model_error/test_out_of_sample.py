@@ -62,7 +62,7 @@ def studied(chosen_jit, request) -> tuple[str, Scene, Tradeoff]:
     return request.param, scene, tradeoff(scene, photons=PHOTONS, seed=1)
 
 
-def test_what_keeps_a_tolerance_does_so_with_other_seeds_and_ten_times_the_photons(studied):
+def test_a_tolerance_holds_with_other_seeds_and_ten_times_the_photons(studied):
     """Rationale: the bias of a level is bounded with few photons; the bound must hold for photons it has not seen.
     Expected: no photodiode's bias exceeds the tolerance by more than three standard errors, which are smaller; and a
     reading of the full model to the error that was named for 5 and 2 %, of another seed, is off by no more."""

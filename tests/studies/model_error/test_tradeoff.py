@@ -73,7 +73,7 @@ def test_the_sentence_names_a_time_for_each_error():
     ]
 
 
-def test_the_tolerance_is_said_to_be_one_standard_error_or_that_of_all_at_once():
+def test_the_tolerance_is_one_standard_error_or_that_of_all_at_once():
     """Rationale: 2 % as one standard error of the worst photodiode is no bound on every reading and signal: of 19 runs
     two were within it. Expected: it is named so, with what holding all of them takes; requested, that is the choice."""
     found = made(DIFFUSION)
@@ -108,7 +108,7 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
     assert sentence(found) in page and "model(scene)" in page and "relative_error = 0.02" in page
 
 
-def test_where_too_few_photons_came_to_judge_any_level_the_picture_is_empty():
+def test_the_picture_is_empty_where_no_level_could_be_judged():
     found = made(level("biased", np.inf))
     found = replace(found, levels=tuple(replace(one, reading_noise=np.inf) for one in found.levels))
     (axes,) = tradeoff_page.draw(found).axes
@@ -121,7 +121,7 @@ def found(chosen_jit):
 
 
 @pytest.mark.jit
-def test_what_is_named_is_within_the_tolerance_and_the_full_model_always_is(found):
+def test_the_chosen_level_is_within_the_tolerance(found):
     by_name = {one.name: one for one in found.levels}
     expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices", "layered diffusion"}
     assert expected | {f"{name}, literature" for name in FORMULAS} <= by_name.keys()

@@ -49,7 +49,7 @@ def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneles
 
 
 @pytest.mark.slow
-def test_the_difference_of_traces_with_common_photons_is_that_of_independent_ones(whole, boneless):
+def test_paired_and_independent_differences_agree(whole, boneless):
     """Expected: over several seeds, paired differences and independent ones agree within their errors."""
     paired, other = [], []
     for seed in range(20, 24):
