@@ -190,31 +190,31 @@ def _dataset(
     release_n: float,
 ) -> xr.Dataset:
     time_s, over = recording.time_s, "time"
-    named = {
-        "force_n": ("force, estimated from the readings", "N"),
-        "force_low_n": ("lower bound of the force, 95 %", "N"),
-        "force_high_n": ("upper bound of the force, 95 %; infinite where the vessels are closed", "N"),
-        "proximal_share": ("proximal share of the force", "1"),
-        "proximal_share_low": ("lower bound of the proximal share, 95 %", "1"),
-        "proximal_share_high": ("upper bound of the proximal share, 95 %", "1"),
-    }
-    data = dict[str, Any]()
-    for (name, (text, units)), values in zip(named.items(), estimate.columns(), strict=True):
+    known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
+    nis, outlier = (np.array([getattr(one, name) for one in estimates]) for name in ("nis", "outlier"))
+    forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
+    high = "upper bound of the force, 95 %; infinite where the vessels are closed"
+    columns = [
+        ("force_n", estimate.force_n, "force, estimated from the readings", "N"),
+        ("force_low_n", estimate.low_n, "lower bound of the force, 95 %", "N"),
+        ("force_high_n", estimate.high_n, high, "N"),
+        ("proximal_share", estimate.share, "proximal share of the force", "1"),
+        ("proximal_share_low", estimate.share_low, "lower bound of the proximal share, 95 %", "1"),
+        ("proximal_share_high", estimate.share_high, "upper bound of the proximal share, 95 %", "1"),
+        ("arterial_change_pa", [one.arterial_pa for one in estimates], "arterial pressure less its mean", "Pa"),
+        ("surprise", nis, "normalized innovation squared of the readings (NIS)", "1"),
+        ("outlier", outlier, "NIS too large to be chance", "1"),
+        ("known_force_n", known, "known force", "N"),
+    ]
+    columns += [
+        (f"force_{name}_n", one, f"force by regression, {REGRESSIONS[name]}", "N") for name, one in forces.items()
+    ]
+    data = _event_variables(time_s, estimate.force_n, known, press_n=press_n, release_n=release_n)
+    for name, values, text, units in columns:
         data |= variable(name, over, values, text, units=units)
     for k, side in enumerate(("proximal", "distal")):
-        values, error = N_PER_CM2 * estimate.pressure[k], N_PER_CM2 * estimate.pressure_stderr[k]
-        data |= variable(f"{side}_pressure_pa", over, values, f"{side} touch pressure", units="Pa", stderr=error)
-    arterial = [one.arterial_pa for one in estimates]
-    data |= variable("arterial_change_pa", over, arterial, "arterial pressure less its mean", units="Pa")
-    nis, outlier = (np.array([getattr(one, name) for one in estimates]) for name in ("nis", "outlier"))
-    data |= variable("surprise", over, nis, "normalized innovation squared of the readings (NIS)")
-    data |= variable("outlier", over, outlier, "NIS too large to be chance")
-    forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
-    for name, force in forces.items():
-        data |= variable(f"force_{name}_n", over, force, f"force by regression, {REGRESSIONS[name]}", units="N")
-    known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
-    data |= variable("known_force_n", over, known, "known force", units="N")
-    data |= _event_variables(time_s, estimate.force_n, known, press_n=press_n, release_n=release_n)
+        pressure_pa, error = N_PER_CM2 * estimate.pressure[k], N_PER_CM2 * estimate.pressure_stderr[k]
+        data |= variable(f"{side}_pressure_pa", over, pressure_pa, f"{side} touch pressure", units="Pa", stderr=error)
     misfit = _misfit(subject, recording, estimates, estimate.force_n)
     inside = (known >= estimate.low_n) & (known <= estimate.high_n)
     judged = np.isfinite(known)
@@ -248,9 +248,8 @@ def _event_variables(
     latency = [
         time - max((t for t, other in true if other == kind and t <= time), default=np.nan) for time, kind in switched
     ]
-    data = variable(
-        "event_time_s", "event", np.array([t for t, _ in switched], float), "when the switch acts", units="s"
-    )
+    at_s = np.array([time for time, _ in switched], float)
+    data = variable("event_time_s", "event", at_s, "when the switch acts", units="s")
     data |= variable("event_kind", "event", np.array([kind for _, kind in switched], dtype=str), "press or release")
     text = "time from the known force to the switch"
     return data | variable("event_latency_s", "event", np.array(latency, float), text, units="s")
@@ -290,10 +289,9 @@ def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recordin
     return replace(recording, volts=np.where(saturated, np.nan, recording.volts)), warnings
 
 
-def _mean(values: NDArray[np.bool_]) -> float:
+def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
 def _rms(off: Array) -> float:
-    valid = np.isfinite(off)
-    return float(np.sqrt(np.mean(off[valid] ** 2))) if valid.any() else float("nan")
+    return float(np.sqrt(_mean(off[np.isfinite(off)] ** 2)))

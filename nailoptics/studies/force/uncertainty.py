@@ -56,67 +56,6 @@ STEP_LN, STEP = 0.05, 0.02
 # Prior of a pressure, where readings hardly depend on it. [N/cm^2]
 PRESSURE_PRIOR = 0.5
 AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
-
-
-class CalibrationUncertainty:
-    """Errors of estimated pressures and contact areas by errors of a calibration: factors, gains, offsets, slopes.
-
-    A person who is not quite the calibrated one gives other readings under a held touch; the pressures that explain
-    them best, beside drift and noise, are off by so much.
-    """
-
-    def __init__(self, subject: Subject) -> None:
-        self._subject, noise_v2 = subject, np.diag(subject.readings.noise_v**2)
-        self._bends = subject.person.closure()[:, None] * PARTS
-        self._information = np.linalg.inv(
-            np.outer(subject.rest_v, subject.rest_v) * subject.drift_covariance + noise_v2
-        )
-        values, vectors = np.linalg.eigh(subject.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        sides = [[self._jacobian(side, pressure) @ root for pressure in self._bends[side]] for side in range(2)]
-        self._root = np.array(sides)
-
-    def covariance(self, pressure: Array) -> Array:
-        """Covariance (T, 4, 4) of estimated pressures (2, T) and of the logarithms of the contact's areas."""
-        part = pressure[0] / np.maximum(pressure.sum(0), 1e-9)
-        root = np.zeros((pressure.shape[1], *self._root.shape[2:]))
-        for side, weight in enumerate((part, 1.0 - part)):
-            at = np.interp(pressure.sum(0), self._bends[side], np.arange(PARTS.size))
-            low = np.minimum(at.astype(int), PARTS.size - 2)
-            between = (at - low)[:, None, None]
-            here = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
-            root += weight[:, None, None] * here
-        return np.asarray(root @ np.moveaxis(root, 1, 2))
-
-    def _jacobian(self, side: int, pressure: float) -> Array:
-        """Derivatives (4, P + 4 R) of the estimate of a held touch by all parameters of the calibration."""
-        subject, count = self._subject, len(NAMES)
-        held = np.where(np.arange(2) == side, pressure, 0.0)[:, None]
-        steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
-        moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
-        by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
-        around = np.maximum(held + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0)
-        near, steeper = self._risen_v(subject.person, around)
-        slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
-        by_gain = np.diag(near[:, 4] / subject.readings.gain)
-        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
-        by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
-        weighted = slopes.T @ self._information
-        by_touch = -np.linalg.solve(weighted @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighted @ by_parameter)
-        return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
-
-    def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
-        """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S).
-
-        And what steeper slopes by the blood of either zone add to them, (2, R, S).
-        """
-        width, light = who.steady_widths(pressure), self._subject.light
-        blood, rest = who.blood(width), who.blood(np.ones_like(width))
-        volts = light.volts(blood)
-        risen = self._subject.readings.gain[:, None] * (volts - light.volts(rest))
-        return risen, volts * (blood - rest)[:, None]
-
-
 # Points that stand for the Gaussian of both pressures: quantiles to some 2 % of a spread.
 POINTS = 256
 QUANTILES = (0.025, 0.975)
@@ -156,12 +95,14 @@ class ForceInterval:
     """Forces with 95 % intervals of the filter's estimates, for one sample or many."""
 
     def __init__(self, subject: Subject) -> None:
-        self.person, self.correction = subject.person, subject.correction
+        self.subject, self.person, self.correction = subject, subject.person, subject.correction
         self.areas_cm2 = float(self.person.area_cm2) * np.array([float(self.person.proximal_area), 1.0])
         self.scale = INTERVAL_SCALE * subject.quality.coverage_factor
         closure = self.person.closure()
-        self._closed = self.correction.apply(closure[:, None])
-        self._calibration = CalibrationUncertainty(subject)
+        self._closed, self._bends = self.correction.apply(closure[:, None]), closure[:, None] * PARTS
+        values, vectors = np.linalg.eigh(subject.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        self._root = np.array([[self._jacobian(side, one) @ root for one in self._bends[side]] for side in range(2)])
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
         covariance = self._calibration_covariance(np.diag(closure))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
@@ -214,8 +155,50 @@ class ForceInterval:
 
         An error of an area is one of the pressure, too, the other way: forces were known.
         """
-        known = self._calibration.covariance(pressure) * self.scale**2
-        jacobian = np.zeros((pressure.shape[1], 2, 4))
+        part, total = pressure[0] / np.maximum(pressure.sum(0), 1e-9), pressure.sum(0)
+        root = np.zeros((total.size, *self._root.shape[2:]))
+        for side, weight in enumerate((part, 1.0 - part)):
+            at = np.interp(total, self._bends[side], np.arange(PARTS.size))
+            low = np.minimum(at.astype(int), PARTS.size - 2)
+            between = (at - low)[:, None, None]
+            here = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
+            root += weight[:, None, None] * here
+        known = root @ np.moveaxis(root, 1, 2) * self.scale**2
+        jacobian = np.zeros((total.size, 2, 4))
         jacobian[:, [0, 1], [0, 1]] = 1.0
         jacobian[:, 0, 2], jacobian[:, 0, 3], jacobian[:, 1, 2] = pressure[0], pressure[0], pressure[1]
         return jacobian @ known @ np.moveaxis(jacobian, 1, 2), known[:, :2, :2]
+
+    def _jacobian(self, side: int, pressure: float) -> Array:
+        """Derivatives of the estimate of a held touch by all parameters of the calibration, (4, P + 4 R) float.
+
+        Of both pressures and of the logarithms of the contact's areas. A person who is not quite the calibrated one
+        gives other readings; the pressures that explain them best, beside drift and noise, are off by so much.
+        """
+        subject, count = self.subject, len(NAMES)
+        held = np.where(np.arange(2) == side, pressure, 0.0)[:, None]
+        steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
+        moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
+        by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
+        around = np.maximum(held + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0)
+        near, steeper = self._risen_v(subject.person, around)
+        slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
+        by_gain = np.diag(near[:, 4] / subject.readings.gain)
+        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
+        by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
+        rest_v = subject.rest_v
+        noise_v2 = np.outer(rest_v, rest_v) * subject.drift_covariance + np.diag(subject.readings.noise_v**2)
+        weighted = slopes.T @ np.linalg.inv(noise_v2)
+        by_touch = -np.linalg.solve(weighted @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighted @ by_parameter)
+        return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
+
+    def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
+        """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S).
+
+        And what steeper slopes by the blood of either zone add to them, (2, R, S).
+        """
+        width, light = who.steady_widths(pressure), self.subject.light
+        blood, rest = who.blood(width), who.blood(np.ones_like(width))
+        volts = light.volts(blood)
+        risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
+        return risen, volts * (blood - rest)[:, None]
