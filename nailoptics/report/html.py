@@ -132,15 +132,14 @@ def escaped(text: object) -> str:
     return html.escape("".join(seen))
 
 
-def _definitions(rows: Iterable[tuple[str, str]]) -> str:
-    inside = "".join(f"<div><dt>{escaped(name)}</dt><dd>{escaped(value)}</dd></div>" for name, value in rows)
-    return f"<dl>{inside}</dl>" if inside else ""
-
-
 def _provenance(attributes: Mapping[str, Any]) -> str:
-    found = {label: attributes[name] for name, label in PROVENANCE.items() if name in attributes}
-    rows = [(label, significant(value) if isinstance(value, float) else value) for label, value in found.items()]
-    lines = ["<section class='provenance'><h2>Reproduce this result</h2>", _definitions(rows)]
+    lines = ["<section class='provenance'><h2>Reproduce this result</h2>"]
+    found = [(label, attributes[name]) for name, label in PROVENANCE.items() if name in attributes]
+    shown = [(label, significant(value) if isinstance(value, float) else value) for label, value in found]
+    if shown:
+        lines.append(
+            "<dl>" + "".join(f"<div><dt>{escaped(a)}</dt><dd>{escaped(b)}</dd></div>" for a, b in shown) + "</dl>"
+        )
     if "scene" in attributes:
         scene = escaped(attributes["scene"])
         lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")

@@ -1,7 +1,6 @@
 """Figures in space: the board on the nail from above, and the finger cut lengthwise with the light's paths."""
 
 import json
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -199,12 +198,13 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
 def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
     """Where light passes, over three decades, and the densest places that hold half and 90 % of it."""
     from matplotlib.colors import LogNorm
+    from scipy.ndimage import gaussian_filter
 
     inside = density[density > 0]
     if not inside.size:
         return
     # Single photons far from the board are noise; some smoothing joins them.
-    smooth = _blurred(density, 1.5)
+    smooth = gaussian_filter(density, 1.5)
     relative = smooth / float(np.quantile(inside, 0.9995))
     faded = np.clip(np.log10(np.maximum(relative, 1e-9)) / DECADES + 1, 0, 1)
     image = axes.imshow(
@@ -228,17 +228,6 @@ def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
         if level is not None:
             look: dict[str, Any] = {"colors": ["#38d6c4"], "linewidths": 1.3, "linestyles": dashes}
             axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
-
-
-def _blurred(image: np.ndarray, pixels: float) -> np.ndarray:
-    """An image blurred by a Gaussian of this standard deviation; beyond its edges it goes on as in a mirror."""
-    reach = math.ceil(4 * pixels)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / pixels) ** 2)
-    for axis in range(image.ndim):
-        wide = np.moveaxis(np.pad(image, [(reach * (k == axis),) * 2 for k in range(image.ndim)], "symmetric"), axis, 0)
-        parts = (weight * wide[k : k + image.shape[axis]] for k, weight in enumerate(kernel / kernel.sum()))
-        image = np.moveaxis(np.asarray(sum(parts)), 0, axis)
-    return image
 
 
 def _regions(axes: "Axes", cut: _Cut) -> None:

@@ -13,7 +13,6 @@ from ...scene.catalogue import LedPart, load_part
 from .. import style
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _WIDTH_IN = 9.5
@@ -112,7 +111,7 @@ def _figure_12(r: Responses) -> "Figure":
 
 def _cycle(r: Responses, side: int) -> "Figure":
     """One reading over a cycle of force on its own side: loading and unloading."""
-    figure, axis = _panel()
+    figure, axis = style.panels(6.5, 4.2)
     axis.axvline(1.0, **_VEINS_SHUT)
     for branch, line, label in zip(r.cycle[side], ("-", "--"), ("loading", "unloading"), strict=True):
         axis.plot(CURVE_PA / N_PER_CM2, branch, color=style.ZONES[side], ls=line, label=label)
@@ -126,7 +125,7 @@ def _cycle(r: Responses, side: int) -> "Figure":
 
 def _press(time_s: np.ndarray, force_n: np.ndarray, readings: np.ndarray, side: int) -> "Figure":
     """One reading over time, with the force on its own side."""
-    figure, axis = _panel()
+    figure, axis = style.panels(6.5, 4.2)
     axis.plot(time_s, readings[side], color=style.ZONES[side], label="reading")
     axis.plot([], [], color=style.INK, lw=1.0, ls=":", label="force")
     axis.set(title="Dynamic", xlabel="time [s]", ylabel=_READING, xlim=(time_s[0], time_s[-1]))
@@ -138,13 +137,6 @@ def _press(time_s: np.ndarray, force_n: np.ndarray, readings: np.ndarray, side: 
     beside.spines["right"].set_visible(True)
     axis.legend()
     return figure
-
-
-def _panel() -> "tuple[Figure, Axes]":
-    figure: Figure
-    axis: Axes
-    figure, axis = style.panels(6.5, 4.2)
-    return figure, axis
 
 
 OXYGENATED, DEOXYGENATED = "#c0303b", "#3a55b0"

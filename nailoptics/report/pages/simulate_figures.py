@@ -21,6 +21,14 @@ SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
 PANELS = 16
 WITH_LEGENDS_BELOW = style.Room(left=0.65, bottom=0.8, across=0.75)
+DASHED = (0, (4, 2.5))
+# Name, scale, title and label of what the vessels do.
+VESSELS = (
+    ("capillary_diameter_m", 1e6, "Capillaries", "diameter [µm]"),
+    ("vein_diameter_m", 1e6, "Vein of the pulp", "diameter [µm]"),
+    ("blood_fraction", 100, "Blood in the nail bed", "blood fraction [%]"),
+    ("so2", 100, "Its oxygen", "saturation [%]"),
+)
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -32,27 +40,24 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 @style.drawing()
 def touch(result: xr.Dataset) -> "Figure":
     """The touch: force, and the pressures on the veins and on the distal capillaries; arterial pressure if it moves."""
-    beats = "arterial_pressure_pa" in result
+    beats, thin = "arterial_pressure_pa" in result, _thin(result)
     figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, room_in=WITH_LEGENDS_BELOW, sharex=True)
     left, right = panels[:2]
-    seen = _thin(result)
-    _line(left, seen, seen.force_n, color=style.INK, label="normal")
-    if "shear_n" in seen:
-        _line(left, seen, seen.shear_n, color=style.VEIN, linestyle=(0, (4, 2.5)), label="shear, towards the tip")
+    _line(left, thin, thin.force_n, color=style.INK, label="normal")
+    if "shear_n" in thin:
+        _line(left, thin, thin.shear_n, color=style.VEIN, linestyle=DASHED, label="shear, towards the tip")
         _legend_below(left)
-    names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", (0, (4, 2.5))))
+    names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", DASHED))
     for zone, (name, label, dashes) in enumerate(names):
-        pressure = seen[f"{name}_pressure_pa"] / 1e3
-        _line(right, seen, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
-    left.set(title="Force on the fingertip", ylabel="force [N]")
-    right.set(title="Pressure that it makes", ylabel="pressure [kPa]")
-    for axes in (left, right):
-        axes.set_ylim(min(0.0, float(result.get("shear_n", result.force_n).min())) if axes is left else 0, None)
+        pressure = thin[f"{name}_pressure_pa"] / 1e3
+        _line(right, thin, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
+    _over_time(left, result, "Force on the fingertip", "force [N]")
+    _over_time(right, result, "Pressure that it makes", "pressure [kPa]")
+    left.set_ylim(min(0.0, float(result.get("shear_n", result.force_n).min())), None)
+    right.set_ylim(0, None)
     if beats:
-        _line(panels[2], seen, seen.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
-        panels[2].set(title="Arterial pressure", ylabel="pressure [kPa]")
-    for axes in panels:
-        _time_axis(axes, result)
+        _line(panels[2], thin, thin.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
+        _over_time(panels[2], result, "Arterial pressure", "pressure [kPa]")
     _legend_below(right, ncols=1 if beats else 2)
     return figure
 
@@ -60,29 +65,24 @@ def touch(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def vessels(result: xr.Dataset) -> "Figure":
     """What the touch does to the blood: capillary and vein diameters, the bed's blood fraction, and its oxygen."""
+    fields = [field for field in VESSELS if field[0] in result]
     # A legend of many zones takes more room.
     room = WITH_LEGENDS_BELOW if result.sizes["zone"] <= 2 else None
-    figure, panels = style.panels(9.2, 2.9, 1, 3 + ("so2" in result), room_in=room, sharex=True)
-    capillary, vein, blood, *oxygen = panels
-    seen = _thin(result)
-    for i, (zone, colour) in enumerate(zip(result.zone.values, style.place_colours(result.sizes["zone"]), strict=True)):
-        # Curves that lie on one another are all seen.
-        look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", (0, (4, 2.5)))[i % 2]}
-        _line(capillary, seen, seen.capillary_diameter_m.isel(zone=i) * 1e6, **look)
-        _line(blood, seen, seen.blood_fraction.isel(zone=i) * 100, **look)
-        for axes in oxygen:
-            _line(axes, seen, seen.so2.isel(zone=i) * 100, **look)
-    _line(vein, seen, seen.vein_diameter_m * 1e6, color=style.VEIN)
-    capillary.set(title="Capillaries", ylabel="diameter [µm]")
-    vein.set(title="Vein of the pulp", ylabel="diameter [µm]")
-    blood.set(title="Blood in the nail bed", ylabel="blood fraction [%]")
-    for axes in oxygen:
-        axes.set(title="Its oxygen", ylabel="saturation [%]")
-    for axes in panels:
-        _time_axis(axes, result)
+    figure, panels = style.panels(9.2, 2.9, 1, len(fields), room_in=room, sharex=True)
+    thin, colours = _thin(result), style.place_colours(result.sizes["zone"])
+    for axes, (name, scale, title, label) in zip(panels, fields, strict=True):
+        values = scale * thin[name]
+        if "zone" not in values.dims:
+            _line(axes, thin, values, color=style.VEIN)
+        else:
+            for i, (zone, colour) in enumerate(zip(result.zone.values, colours, strict=True)):
+                # Curves that lie on one another are all visible.
+                look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", DASHED)[i % 2]}
+                _line(axes, thin, values.isel(zone=i), **look)
+        _over_time(axes, result, title, label)
         _not_too_close(axes)
-    _legend_below(capillary)
-    _legend_below(blood)
+        if name in ("capillary_diameter_m", "blood_fraction"):
+            _legend_below(axes)
     return figure
 
 
@@ -92,18 +92,18 @@ def bed(result: xr.Dataset, scene: Scene) -> "Figure":
     from matplotlib.colors import LinearSegmentedColormap
 
     assert scene.finger is not None
-    half_mm, seen = scene.finger.nail_length_mm / 2, _thin(result)
-    part = seen.blood_fraction.to_numpy() / scene.blood.rest_blood_fraction
+    half_mm, thin = scene.finger.nail_length_mm / 2, _thin(result)
+    part = thin.blood_fraction.to_numpy() / scene.blood.rest_blood_fraction
     figure, axes = style.panels(9.2, 2.8)
     colours = LinearSegmentedColormap.from_list("blood", BLOOD)
     edges_mm, most = [-half_mm, *scene.zone_edges_mm, half_mm], max(2.0, float(part.max()))
-    time_s = seen.time.to_numpy()
+    time_s = thin.time.to_numpy()
     borders = np.concatenate([time_s[:1], (time_s[1:] + time_s[:-1]) / 2, time_s[-1:]])
     image = axes.pcolormesh(borders, edges_mm, part, cmap=colours, vmin=0, vmax=most, rasterized=True)
-    _line(axes, seen, half_mm - seen.white_band_mm, color=style.DARK_INK, lw=1.2, linestyle=(0, (4, 2.5)))
-    axes.set(title="Blood along the nail", ylabel="towards the tip [mm]", ylim=(-half_mm, half_mm))
+    _line(axes, thin, half_mm - thin.white_band_mm, color=style.DARK_INK, lw=1.2, linestyle=DASHED)
+    _over_time(axes, result, "Blood along the nail", "towards the tip [mm]")
+    axes.set_ylim(-half_mm, half_mm)
     axes.grid(False)
-    _time_axis(axes, result)
     figure.colorbar(image, ax=axes, label="blood, of that at rest [1]")
     return figure
 
@@ -118,9 +118,9 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     room = style.Room(left=0.7, right=min(0.1 + legend_in, 4.5), top=0.1, down=0.4)
     how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
     figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)
-    seen = _thin(result)
-    _line(top, seen, seen.force_n, color=style.INK)
-    top.fill_between(seen.time, 0, seen.force_n, color=style.MUTED, alpha=0.15, lw=0)
+    thin = _thin(result)
+    _line(top, thin, thin.force_n, color=style.INK)
+    top.fill_between(thin.time, 0, thin.force_n, color=style.MUTED, alpha=0.15, lw=0)
     top.set(ylabel="force [N]", ylim=(0, None))
     for axes in panels[1:]:
         axes.sharey(panels[0])
@@ -137,17 +137,16 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
     scale, letter = prefix(_largest(one for of_led in change for one in of_led))
-    seen = _thin(result)
+    thin = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
         moved = f"{significant(float(change[led, j, hold]) / scale, 3, sign=True)} {letter}V"
         moved = "saturated" if result.saturated[led, j].any() else moved
         label = f"{result.photodiode.values[j]}  {moved}"
-        _line(axes, seen, seen.volts_change[led, j] / scale, color=colour, label=style.plain(label))
+        _line(axes, thin, thin.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
-    axes.set(title=style.plain(led_name(result, led)), ylabel=f"change from rest [{letter}V]")
+    _over_time(axes, result, style.plain(led_name(result, led)), f"change from rest [{letter}V]")
     _not_too_close(axes)
-    _time_axis(axes, result)
     handles, labels = axes.get_legend_handles_labels()
     # From the tip down, as on the nail.
     axes.legend(
@@ -183,11 +182,11 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     each = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
     missed_v = [float(np.abs(model - traced).max()) for model, traced in each]
     missed_scale, missed_letter = prefix(max(*missed_v, _largest(result.volts_noise_rms[led])))
-    seen, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
+    thin, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
-        one = seen.isel(photodiode=j)
+        one = thin.isel(photodiode=j)
         scale, letter = prefix(float(np.abs(one.volts).max()))
         middle, noise_v = one.volts.to_numpy() / scale, one.volts_noise_rms.to_numpy()
         below.axhline(0, color=style.MUTED, lw=0.7)
@@ -216,7 +215,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         axes.set_visible(False)
     grid[0, 0].locator_params("x", nbins=6)
     for axes in grid[-1]:
-        _time_axis(axes, result)
+        _over_time(axes, result)
     style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
     return figure
 
@@ -240,8 +239,8 @@ def _line(axes: "Axes", over: xr.Dataset, values: object, **look: Any) -> None:
     axes.plot(over.time.to_numpy(), np.asarray(values), **look)
 
 
-def _time_axis(axes: "Axes", result: xr.Dataset) -> None:
-    axes.set_xlabel("time [s]")
+def _over_time(axes: "Axes", result: xr.Dataset, title: str = "", ylabel: str = "") -> None:
+    axes.set(xlabel="time [s]", title=title or axes.get_title("left"), ylabel=ylabel or axes.get_ylabel())
     if result.sizes["time"] > 1:
         axes.set_xlim(float(result.time[0]), float(result.time[-1]))
 
