@@ -41,18 +41,18 @@ def number(name: str, value: ArrayLike) -> float:
 def not_negative(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one is negative or not finite."""
     array = np.asarray(value, dtype=float)
-    wrong = ~(np.isfinite(array) & (array >= 0))
-    if wrong.any():
-        raise InputError(f"{name} = {array[wrong].flat[0]:g} must be finite and not negative; correct it")
-    return array
+    return _where(np.isfinite(array) & (array >= 0), name, array, "must be finite and not negative; correct it")
 
 
 def fraction(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one lies outside 0 to 1."""
     array = np.asarray(value, dtype=float)
-    outside = ~((array >= 0) & (array <= 1))
-    if outside.any():
-        raise InputError(f"{name} = {array[outside].flat[0]:g} is not a fraction; choose from 0 to 1")
+    return _where((array >= 0) & (array <= 1), name, array, "is not a fraction; choose from 0 to 1")
+
+
+def _where(valid: NDArray[np.bool_], name: str, array: Array, rule: str) -> Array:
+    if not valid.all():
+        raise InputError(f"{name} = {array[~valid].flat[0]:g} {rule}")
     return array
 
 
@@ -103,10 +103,10 @@ def _fields_at(model: "type[BaseModel]", location: tuple[int | str, ...]) -> lis
         if isinstance(part, int):
             continue
         annotation = current.model_fields[part].annotation if part in current.model_fields else None
-        found = _models_in(annotation)
-        if not found:
+        models = _models_in(annotation)
+        if not models:
             return []
-        current = found[0]
+        current = models[0]
     return list(current.model_fields)
 
 

@@ -155,7 +155,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How the colour of a nail is seen, in place of what the scene's [colour] says."""
+    """How the colour of a nail is viewed, in place of what the scene's [colour] says."""
 
     forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None
     """Held forces, the first to compare with. May be repeated. [N]"""
@@ -292,12 +292,12 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     _check_suffix(output, ".html", "a page")
     loaded, _ = _load(scene, options)
     _check_files(output)
-    found, unmet = _traced(study, loaded, options=options)
+    result, unmet = _traced(study, loaded, options=options)
     make_folder(output.parent)
-    write_exploration(found, output)
-    summary = {name: found.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
+    write_exploration(result, output)
+    summary = {name: result.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
     summary["bytes"] = size = output.stat().st_size
-    line = f"{summary['photons']} photons at {len(found.colours)} wavelengths, {size / 1e6:.1f} MB"
+    line = f"{summary['photons']} photons at {len(result.colours)} wavelengths, {size / 1e6:.1f} MB"
     _finish(summary, [line], {"page": output}, options.json, unmet, output)
 
 
@@ -370,9 +370,9 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
     loaded, _ = _load(scene, options)
     if output is not None:
         _check_files(output, output.with_suffix(".html"))
-    found, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
-    paths = write_explanation(found, output) if output else {}
-    _show(EXPLANATION, found, paths, options.json, unmet)
+    result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
+    paths = write_explanation(result, output) if output else {}
+    _show(EXPLANATION, result, paths, options.json, unmet)
 
 
 @app.command
@@ -391,8 +391,8 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, simultaneous: Flag = 
 
     loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, TRADEOFF)
-    found, unmet = _traced(study, loaded, tolerance=tolerance, simultaneous=simultaneous, options=options)
-    _show(TRADEOFF, found, TRADEOFF.write(found, folder), options.json, unmet, folder)
+    result, unmet = _traced(study, loaded, tolerance=tolerance, simultaneous=simultaneous, options=options)
+    _show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
 
 
 @app.command
@@ -424,8 +424,8 @@ def check(
             report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions)}
             report["triangles"] = len(mesh.triangles)
             if verbose:
-                found = check_watertight(mesh, crossings=100_000)
-                report |= {**vars(found), "valid": bool(found.passed)}
+                result = check_watertight(mesh, crossings=100_000)
+                report |= {**vars(result), "valid": bool(result.passed)}
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
     _finish(report, check_lines(report), {}, json_)
@@ -475,8 +475,8 @@ def compare_with(file: Path, *, options: Traced = TRACED) -> None:
     """
     from .exports.other_program import compare_with as study
 
-    found, unmet = _traced(study, file, options=options)
-    _finish(found.as_dict(), found.lines(), {}, options.json, unmet)
+    result, unmet = _traced(study, file, options=options)
+    _finish(result.as_dict(), result.lines(), {}, options.json, unmet)
 
 
 @app.command
@@ -625,6 +625,8 @@ def oximeter(
     loaded, _ = _load(scene, options)
     given = None if readings is None else read_for(loaded, readings)
     folder = _results(options.output, scene, OXIMETER, recording)
+    if given is not None:
+        check_writable(folder, *OXYGEN.files)
     result, unmet = _traced(study, loaded, options=options)
     paths = OXIMETER.write(result, folder)
     if recording is not None:
@@ -636,9 +638,9 @@ def oximeter(
     for line in result.attrs["warnings"]:
         say(line)
     oxygen = spo2_over_time(given, result, loaded)
-    summary, found = OXIMETER.summary(result), OXYGEN.summary(oxygen)
+    summary, over_time = OXIMETER.summary(result), OXYGEN.summary(oxygen)
     paths |= OXYGEN.write(oxygen, folder)
-    _finish(summary | {"recording": found}, OXYGEN.lines(oxygen, found), paths, options.json, unmet, folder)
+    _finish(summary | {"recording": over_time}, OXYGEN.lines(oxygen, over_time), paths, options.json, unmet, folder)
 
 
 @app.command

@@ -285,7 +285,7 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memor
 def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, "np.ndarray"]]:
     """Header and arrays; raises CorruptError unless every byte is as it was written.
 
-    arrays : whether they are wanted; the header alone takes a tenth of the time.
+    arrays : whether they are read; the header alone takes a tenth of the time.
     """
     import numpy as np
 
@@ -295,14 +295,14 @@ def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, 
     try:
         with np.load(BytesIO(data), allow_pickle=False) as file:
             header = json.loads(file["header"].tobytes())
-            found = {name: file[name] for name in file.files if arrays and name != "header"}
+            read = {name: file[name] for name in file.files if arrays and name != "header"}
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
     if not isinstance(header, dict):
         raise CorruptError("its header is no table")
-    if others := [name for name, array in found.items() if array.dtype.kind not in _NUMBERS]:
-        raise CorruptError(f"it is no archive of numbers ({others[0]} holds {found[others[0]].dtype})")
-    return header, found
+    if others := [name for name, array in read.items() if array.dtype.kind not in _NUMBERS]:
+        raise CorruptError(f"it is no archive of numbers ({others[0]} holds {read[others[0]].dtype})")
+    return header, read
 
 
 def _refused(path: Path, error: OSError, *, size: int = 0) -> WriteError:

@@ -28,8 +28,8 @@ PROVENANCE = {
     "wall_seconds": "Time taken [s]",
     "references": "After",
 }
-# Unicode's categories of characters that nobody sees: they control, turn the writing round, or are no text at all.
-UNSEEN = ("Cc", "Cf", "Cs")
+# Unicode's categories of invisible characters: they control, turn the writing round, or are no text at all.
+INVISIBLE = ("Cc", "Cf", "Cs")
 
 
 def document(
@@ -127,15 +127,15 @@ def small(text: str) -> str:
 
 
 def escaped(text: object) -> str:
-    """Plain words as HTML; characters that nobody sees, such as one that turns the writing round, are written out."""
-    seen = (c if c in "\n\t" or category(c) not in UNSEEN else ascii(c)[1:-1] for c in str(text))
-    return html.escape("".join(seen))
+    """Plain words as HTML; invisible characters, such as one that turns the writing round, are written out."""
+    shown = (c if c in "\n\t" or category(c) not in INVISIBLE else ascii(c)[1:-1] for c in str(text))
+    return html.escape("".join(shown))
 
 
 def _provenance(attributes: Mapping[str, Any]) -> str:
     lines = ["<section class='provenance'><h2>Reproduce this result</h2>"]
-    found = [(label, attributes[name]) for name, label in PROVENANCE.items() if name in attributes]
-    shown = [(label, significant(value) if isinstance(value, float) else value) for label, value in found]
+    given = [(label, attributes[name]) for name, label in PROVENANCE.items() if name in attributes]
+    shown = [(label, significant(value) if isinstance(value, float) else value) for label, value in given]
     if shown:
         lines.append(
             "<dl>" + "".join(f"<div><dt>{escaped(a)}</dt><dd>{escaped(b)}</dd></div>" for a, b in shown) + "</dl>"

@@ -51,17 +51,15 @@ def body_words(scene: Scene) -> str:
     body = scene.body
     if body is None:
         return ""
-    parts = []
-    if body.recorded_time_s is not None:
-        parts.append(f"arterial pressure recorded in {body.file}")
-    for name, wave in body.waves.items():
-        rate = getattr(wave, "rate_per_min", None)
-        parts.append(name if rate is None else f"{name}, {rate:g} a minute")
-    if body.drift is not None:
-        parts.append("drift")
-    if body.motion is not None:
-        parts.append("motion of the sensor")
-    return ", ".join(parts)
+    parts = [
+        f"arterial pressure recorded in {body.file}" if body.recorded_time_s is not None else "",
+        f"heartbeat, {body.heartbeat.rate_per_min:g} a minute" if body.heartbeat else "",
+        f"breathing, {body.breathing.rate_per_min:g} a minute" if body.breathing else "",
+        "vasomotion" if body.vasomotion else "",
+        "drift" if body.drift else "",
+        "motion of the sensor" if body.motion else "",
+    ]
+    return ", ".join(filter(None, parts))
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:

@@ -174,7 +174,7 @@ LAMPS = {"D65": "daylight D65", "A": "incandescent light A", "LED-B3": "white LE
 
 
 def seen_by(result: xr.Dataset) -> str:
-    """By which light and observer the colours are seen, in words."""
+    """By which light and observer the colours are shown, in words."""
     lit = {"sky": "from all sides", "lamp": "at 45° all round"}[result.attrs["lit_by"]]
     gloss = "included" if result.attrs["gloss"] else "excluded"
     lamp = LAMPS[result.attrs["illuminant"]]
@@ -331,7 +331,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         places = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
         band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
         states.append({"force_n": force_n, "places": places, **band})
-    found: dict[str, Any] = {
+    summed: dict[str, Any] = {
         **{name: result.attrs[name] for name in ("illuminant", "observer")},
         "states": states,
         "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
@@ -342,14 +342,14 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     }
     if "refill_s" in result and not np.isnan(result.refill_s).all():
         slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
-        found |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
+        summed |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
     if "beat_delta_e_2000" in result:
         moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-        found |= {name: float(moved[name]) for name in ("beat_delta_e_2000", "beat_delta_e_2000_stderr")}
+        summed |= {name: float(moved[name]) for name in ("beat_delta_e_2000", "beat_delta_e_2000_stderr")}
     if "lab_spread" in result:
         spread = result.lab_spread.transpose("site", "band").values.tolist()
-        found["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
-    return found | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
+        summed["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
+    return summed | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
 
 
 def lines(summary: dict[str, Any]) -> list[str]:

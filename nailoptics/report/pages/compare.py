@@ -66,10 +66,10 @@ def _led_section(result: xr.Dataset, led: int) -> str:
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
-    found = paper_claim(result)["bed_alpha_d2"]["at_start"]
+    claim = paper_claim(result)["bed_alpha_d2"]["at_start"]
     sweep = str(result.sweep.values[0])
     words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
-    cards = [(f"{significant(found['least'], 2)} – {significant(found['largest'], 2)}", words)]
+    cards = [(f"{significant(claim['least'], 2)} – {significant(claim['largest'], 2)}", words)]
     for within in (0.01, 0.05):
         taylor, exact = (verdict(result, within, model=model) for model in ("taylor", "beer_lambert"))
         words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {100 * within:g} % of their swing "
@@ -305,9 +305,9 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     places = np.ndindex(*(result.sizes[name] for name in _DIMS))
     rows = [_row(result.isel(dict(zip(_DIMS, at, strict=True)))) for at in places]
     names = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    found = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
-    found |= {"reused": bool(result.attrs.get("reused", 0))}
-    return found | {name: result.attrs[name] for name in names}
+    whole = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
+    whole |= {"reused": bool(result.attrs.get("reused", 0))}
+    return whole | {name: result.attrs[name] for name in names}
 
 
 def _row(one: xr.Dataset) -> dict[str, Any]:
@@ -339,14 +339,14 @@ def _limit(here: xr.Dataset) -> dict[str, Any]:
 def paper_claim(result: xr.Dataset) -> dict[str, Any]:
     """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
     first = result.isel(sweep=0)
-    found: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
+    claim: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
     for name in _ALPHA_D2:
         ends = {}
         for key, values in (("at_start", first[name].isel(point=0)), ("over_sweep", first[name])):
             ends[key] = {"least": float(values.min()), "largest": float(values.max())}
         ends["at_start"]["stderr"] = float(first[f"{name}_stderr"].isel(point=0).max())
-        found[name] = ends
-    return found
+        claim[name] = ends
+    return claim
 
 
 def _with_stderr(one: xr.Dataset, name: str) -> dict[str, float]:

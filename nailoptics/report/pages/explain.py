@@ -36,36 +36,36 @@ NOTE = (
 )
 
 
-def _files(found: Explanation) -> tuple[Any, ...]:
-    return scene_text(found.required, found.attributes), lambda _: page(found)
+def _files(result: Explanation) -> tuple[Any, ...]:
+    return scene_text(result.required, result.attributes), lambda _: page(result)
 
 
-def write_explanation(found: Explanation, path: Path) -> dict[str, Path]:
+def write_explanation(result: Explanation, path: Path) -> dict[str, Path]:
     """Write the scene with only what it requires, and the page beside it; returns their paths. Raises WriteError."""
-    return write_files(path.parent, dict(zip((path.name, path.with_suffix(".html").name), _files(found), strict=True)))
+    return write_files(path.parent, dict(zip((path.name, path.with_suffix(".html").name), _files(result), strict=True)))
 
 
-def page(found: Explanation) -> str:
+def page(result: Explanation) -> str:
     """The page of an explanation."""
-    known = [one for one in found.effects if math.isfinite(one.change)]
+    known = [one for one in result.effects if math.isfinite(one.change)]
     head = ["Effect", "In scene", "Change of reading<br>[%]", "of", "Upper bound<br>[%]", "Signal, upper<br>bound [%]"]
-    rows = [[escaped(cell) for cell in _cells(one)] for one in _all(found)]
+    rows = [[escaped(cell) for cell in _cells(one)] for one in _all(result)]
     effects = table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
     required = [
         f"<p>{escaped(text)}</p>" + (f"<pre>{escaped(lines)}</pre>" if lines else "")
-        for text, lines in _requires(found)
+        for text, lines in _requires(result)
     ]
     return document(
         kicker="effects on the readings",
         title=_title(known),
-        lead=f"Each of {len(found.effects)} parts, effects and unknown parameters was changed by itself, with "
-        f"common random numbers. Changes of a reading by more than {100 * found.tolerance:g} % matter.",
-        cards=_cards(found, known),
+        lead=f"Each of {len(result.effects)} parts, effects and unknown parameters was changed by itself, with "
+        f"common random numbers. Changes of a reading by more than {100 * result.tolerance:g} % matter.",
+        cards=_cards(result, known),
         body=[
-            section("Effects on the readings", figure(draw(found), "effects", CAPTION) if known else "", effects),
+            section("Effects on the readings", figure(draw(result), "effects", CAPTION) if known else "", effects),
             section("What the scene requires", *required),
         ],
-        attributes=found.attributes,
+        attributes=result.attributes,
     )
 
 
@@ -82,16 +82,16 @@ def _change(one: Effect) -> str:
     return with_error(100 * one.change, 100 * one.stderr, sign=True)
 
 
-def _cards(found: Explanation, known: list[Effect]) -> list[tuple[str, str]]:
+def _cards(result: Explanation, known: list[Effect]) -> list[tuple[str, str]]:
     """The largest of each kind, and the effect of leaving out all that is not needed."""
     cards = []
     for kind in KINDS:
         if ofkind := [one for one in known if _kind(one) == kind]:
             one = ofkind[0]
             cards.append((f"{_change(one)} %", f"{one.name}, the largest {kind}: on {one.photodiode}"))
-    if found.together:
+    if result.together:
         words = "upper bound, on any reading, of leaving out everything that is not needed"
-        cards.append((f"{significant(100 * found.together.bound, 2)} %", words))
+        cards.append((f"{significant(100 * result.together.bound, 2)} %", words))
     return cards
 
 
@@ -102,9 +102,9 @@ def _kind(one: Effect) -> str:
 
 
 @style.drawing()
-def draw(found: Explanation) -> "Figure":
+def draw(result: Explanation) -> "Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
-    shown = [one for one in found.effects if math.isfinite(one.change) and one.bound > 0]
+    shown = [one for one in result.effects if math.isfinite(one.change) and one.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
     for row, one in enumerate(shown):
         colour, change, spread = KINDS[_kind(one)], 100 * abs(one.change), 100 * Z95 * one.stderr
@@ -114,7 +114,7 @@ def draw(found: Explanation) -> "Figure":
         axes.plot(ends[2], row, "|", color=colour, ms=9, mew=1.6)
         if change > LEAST:
             axes.plot(change, row, "o", color=colour, ms=5)
-    axes.axvline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
+    axes.axvline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
     axes.set(xscale="log", xlim=(LEAST, MOST), ylim=(len(shown) - 0.4, -0.6), xlabel="change of a reading [%]")
     style.plain_log(axes.xaxis)
     axes.set_yticks(range(len(shown)), [style.plain(one.name) for one in shown])
@@ -125,9 +125,9 @@ def draw(found: Explanation) -> "Figure":
     return drawing
 
 
-def _all(found: Explanation) -> list[Effect]:
+def _all(result: Explanation) -> list[Effect]:
     """All effects, the largest first, and what leaving out all that is not needed does."""
-    return [*found.effects, *([found.together] if found.together else [])]
+    return [*result.effects, *([result.together] if result.together else [])]
 
 
 def _cells(one: Effect) -> list[str]:
@@ -140,45 +140,45 @@ def _cells(one: Effect) -> list[str]:
     return [one.name, modelled, *change, most, signal, one.matters, one.changed_to]
 
 
-def _requires(found: Explanation) -> list[tuple[str, str]]:
+def _requires(result: Explanation) -> list[tuple[str, str]]:
     """What can be left out, what is missing, and what needs more photons: sentences, and lines of a scene with them."""
     out = [("All that the scene models matters, or may matter.", "")]
-    if found.needless:
-        lines = "\n".join(lines_of(merged(found.needless)))
+    if result.needless:
+        lines = "\n".join(lines_of(merged(result.needless)))
         out = [("Not needed, each by itself; these lines leave all of it out:", lines)]
-    if found.together:
-        most = significant(100 * found.together.bound, 2)
+    if result.together:
+        most = significant(100 * result.together.bound, 2)
         out.append((f"Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).", ""))
-    if found.missing:
-        names = (one.name + (" (of the signal)" if one.of == "signal" else "") for one in found.missing)
+    if result.missing:
+        names = (one.name + (" (of the signal)" if one.of == "signal" else "") for one in result.missing)
         out.append((f"Left out, though it matters: {', '.join(names)}.", ""))
-    if unsure := [one.name for one in found.effects if one.matters == "cannot tell"]:
+    if unsure := [one.name for one in result.effects if one.matters == "cannot tell"]:
         out.append((f"Undecided, more photons are needed: {', '.join(unsure)}.", ""))
     return out
 
 
-def summary(found: Explanation) -> dict[str, Any]:
+def summary(result: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
 
     def row(effect: Effect) -> dict[str, Any]:
         return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
 
     return {
-        "effects": [row(e) for e in found.effects],
-        "not_needed": [e.name for e in found.needless],
-        "missing": [e.name for e in found.missing],
-        "together": found.together and row(found.together),
-    } | {name: getattr(found, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
+        "effects": [row(e) for e in result.effects],
+        "not_needed": [e.name for e in result.needless],
+        "missing": [e.name for e in result.missing],
+        "together": result.together and row(result.together),
+    } | {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
 
 
-def lines(found: Explanation) -> list[str]:
+def lines(result: Explanation) -> list[str]:
     """The table of effects and what the scene requires, for the terminal."""
     head = ["effect", "in scene", "change of reading [%]", "of", "at most [%]", "signal [%]", "matters", "changed to"]
-    out = [f"Changes of a reading by more than {100 * found.tolerance:g} % matter."]
-    out += aligned([head, *map(_cells, _all(found))], left=(0, 1, 3, 6, 7))
-    for text, scene_lines in _requires(found):
+    out = [f"Changes of a reading by more than {100 * result.tolerance:g} % matter."]
+    out += aligned([head, *map(_cells, _all(result))], left=(0, 1, 3, 6, 7))
+    for text, scene_lines in _requires(result):
         out += [text, *(f"  {line}" for line in scene_lines.splitlines())]
     return out
 
 
-EXPLANATION = Report(("required.toml", "required.html"), _files, summary, lambda found, _: lines(found))
+EXPLANATION = Report(("required.toml", "required.html"), _files, summary, lambda result, _: lines(result))

@@ -68,20 +68,20 @@ log = logging.getLogger(__name__)
 def page(result: xr.Dataset) -> str:
     """The page of what `studies.simulate` returns; path density and section may be missing."""
     scene = _scene(result)
-    found = photodiode_readings(result, scene)
+    readings = photodiode_readings(result, scene)
     touch = figure(figures.touch(result), "touch", TOUCH)
     vessels = figure(figures.vessels(result), "vessels", VESSELS)
     return document(
         kicker="touch to volts",
         title=_title(scene),
         lead=_sentence(scene, result),
-        warnings=_warnings(found, result),
-        cards=_cards(found, result),
+        warnings=_warnings(readings, result),
+        cards=_cards(readings, result),
         body=[
-            _readings_section(result, scene, found),
+            _readings_section(result, scene, readings),
             section("The touch and the blood", touch, vessels, _bed(result, scene)),
             _space_section(result, scene),
-            _models_section(result, scene, found),
+            _models_section(result, scene, readings),
             spread_section(result),
         ],
         attributes=result.attrs,
@@ -96,11 +96,11 @@ def _bed(result: xr.Dataset, scene: Scene | None) -> str:
     return figure(figures.bed(result, scene), "bed", text)
 
 
-def _readings_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
+def _readings_section(result: xr.Dataset, scene: Scene | None, readings: list[Reading]) -> str:
     return section(
         "Readings of the photodiodes",
         figure(figures.overview(result, scene), "overview", OVERVIEW),
-        _readings_table(found, float(result.time[hold_end(result)])),
+        _readings_table(readings, float(result.time[hold_end(result)])),
         small(READINGS),
     )
 
@@ -115,7 +115,7 @@ def _space_section(result: xr.Dataset, scene: Scene | None) -> str:
     return section("The sensor on the finger", board, cut, ends)
 
 
-def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading]) -> str:
+def _models_section(result: xr.Dataset, scene: Scene | None, readings: list[Reading]) -> str:
     lines, text = [MODELS], VOLTS
     if result.sizes["photodiode"] > figures.PANELS:
         text += f" {figures.PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
@@ -123,8 +123,8 @@ def _models_section(result: xr.Dataset, scene: Scene | None, found: list[Reading
         if result.sizes["led"] > 1:
             lines.append(f"<h3>LED {escaped(led)}, {significant(float(result.wavelength_nm[i]))} nm</h3>")
         lines.append(figure(figures.volts(result, scene, led=i), f"volts{i}", text))
-    lines += ["<h3>Constants of Beer–Lambert (8) and Taylor (9)</h3>", _fit_table(result, found)]
-    if paths := _path_table(result, found):
+    lines += ["<h3>Constants of Beer–Lambert (8) and Taylor (9)</h3>", _fit_table(result, readings)]
+    if paths := _path_table(result, readings):
         lines += ["<h3>Mean path of the detected light</h3>", MEAN_PATH, paths]
     return section("Traced light beside the reduced optics", *lines)
 
@@ -166,61 +166,61 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
     return f"{text}. Light traced to: {accuracy}." if accuracy else f"{text}."
 
 
-def _cards(found: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
+def _cards(readings: Sequence[Reading], result: xr.Dataset) -> list[tuple[str, str]]:
     """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
-    found = [r for r in found if not r.saturated]
-    name = {id(r): f"{r.photodiode} under {r.led}" if result.sizes["led"] > 1 else r.photodiode for r in found}
+    readings = [r for r in readings if not r.saturated]
+    name = {id(r): f"{r.photodiode} under {r.led}" if result.sizes["led"] > 1 else r.photodiode for r in readings}
     for sign, word in ((-1, "fall"), (1, "rise")):
-        if moved := [r for r in found if sign * r.change_v > 0]:
+        if moved := [r for r in readings if sign * r.change_v > 0]:
             r = max(moved, key=lambda r: abs(r.change_v))
             ratio = f"signal-to-noise ratio {significant(r.signal_to_noise)}"
             words = f"largest {word}: {name[id(r)]}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.change_v, "V", sign=True), words))
-    if resolved := [r for r in found if 0 < r.resolution_n < math.inf]:
+    if resolved := [r for r in readings if 0 < r.resolution_n < math.inf]:
         r = min(resolved, key=lambda r: r.resolution_n)
         words = f"best force resolution of one sample (noise / slope): {name[id(r)]}"
         lines.append((quantity(r.resolution_n, "N"), words))
-    if any(r.change_v for r in found):
-        lines.append(_signs(found, result))
+    if any(r.change_v for r in readings):
+        lines.append(_signs(readings, result))
     if "white_band_mm" in result:
         words = "width of the white band at the tip at the end of the hold, with less than half its blood"
         lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
     # How far the models are from the traced light at worst, beside the noise.
     usable = ~result.saturated.any("time")
     worst = [float(result[f"{model}_residual_rms_v"].where(usable).max()) for model in ("beer_lambert", "taylor")]
-    noise_v = max((r.noise_rms_v for r in found), default=0.0)
+    noise_v = max((r.noise_rms_v for r in readings), default=0.0)
     exact, taylor, noise = (quantity(value, "V", digits=2) for value in (*worst, noise_v))
     words = f"largest rms residual of Beer–Lambert (8); Taylor (9): {taylor}; noise of one sample: {noise}"
     return [*lines, (exact, words)]
 
 
-def _warnings(found: Sequence[Reading], result: xr.Dataset) -> list[str]:
+def _warnings(readings: Sequence[Reading], result: xr.Dataset) -> list[str]:
     """What the reader must know before trusting the numbers."""
     lines = []
-    full = [f"{r.photodiode} under {r.led}" for r in found if r.saturated]
+    full = [f"{r.photodiode} under {r.led}" for r in readings if r.saturated]
     if full:
         lines.append(
             f"The converter is at its limit: {_list(full)}. These volts do not measure the light; lower "
             "electronics.feedback_ohm or the LED's flux_mw, or raise electronics.adc_range_v."
         )
-    if len(full) < len(found) and not any(r.change_v for r in found if not r.saturated):
+    if len(full) < len(readings) and not any(r.change_v for r in readings if not r.saturated):
         lines.append("No reading changes: the force does not change within the simulated time, or no blood moves.")
     return lines
 
 
-def _signs(found: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
+def _signs(readings: Sequence[Reading], result: xr.Dataset) -> tuple[str, str]:
     """Whether readings change as in the paper: down over the proximal half of the zones, up over the distal."""
     zones = [str(name) for name in result.zone.values]
-    right = [r for r in found if np.sign(r.change_v) == (1 if 2 * zones.index(r.zone) >= len(zones) else -1)]
+    right = [r for r in readings if np.sign(r.change_v) == (1 if 2 * zones.index(r.zone) >= len(zones) else -1)]
     words = "readings change as in the paper: proximal ones fall, distal ones rise"
     least = min((r.sigmas for r in right), default=math.nan)
     if math.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
-    wrong = [r.photodiode for r in found if r not in right]
+    wrong = [r.photodiode for r in readings if r not in right]
     if right and 0 < len(wrong) < 4:
         words += f"; not {_list(wrong)}"
-    return f"{len(right)} of {len(found)}", words
+    return f"{len(right)} of {len(readings)}", words
 
 
 def _list(words: Sequence[str]) -> str:
@@ -235,9 +235,11 @@ STRAIGHT = 0.01
 LEAST_PATH_MM = 1e-3
 
 
-def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
+def _readings_table(readings: Sequence[Reading], hold_s: float) -> str:
     """The readings of every photodiode, LED by LED."""
-    largest = (max((abs(getattr(r, name)) for r in found), default=0.0) for name in ("rest_v", "peak_v", "noise_rms_v"))
+    largest = (
+        max((abs(getattr(r, name)) for r in readings), default=0.0) for name in ("rest_v", "peak_v", "noise_rms_v")
+    )
     (volts, letter), (change, change_letter), (noise, noise_letter) = map(prefix, largest)
     columns: dict[str, Callable[[Reading], tuple[float, str]]] = {
         f"At rest<br>[{letter}V]": lambda r: (r.rest_v, with_error(r.rest_v / volts, r.rest_stderr_v / volts)),
@@ -254,10 +256,10 @@ def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
         "SNR<br>[1]": lambda r: (r.signal_to_noise, significant(r.signal_to_noise)),
         "Resolution<br>[mN]": lambda r: (r.resolution_n, significant(r.resolution_n * 1e3)),
     }
-    if not any(math.isfinite(r.rest_spread) for r in found):
+    if not any(math.isfinite(r.rest_spread) for r in readings):
         columns = {name: cell for name, cell in columns.items() if not name.startswith("Prior")}
     rows = []
-    for r, name in zip(found, _names(found), strict=True):
+    for r, name in zip(readings, _names(readings), strict=True):
         cells = [escaped(r.zone), number(r.distance_mm, significant(r.distance_mm))]
         if r.saturated:
             at_limit = number(r.rest_v, significant(r.rest_v / volts))
@@ -265,10 +267,10 @@ def _readings_table(found: Sequence[Reading], hold_s: float) -> str:
         else:
             rows.append([name, *cells, *(number(*cell(r)) for cell in columns.values())])
     head = ["Photodiode", "Blood<br>zone", "Distance<br>to LED [mm]", *columns]
-    return table(head, rows, kind="readings dense", groups=_groups(found))
+    return table(head, rows, kind="readings dense", groups=_groups(readings))
 
 
-def _path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
+def _path_table(result: xr.Dataset, readings: Sequence[Reading]) -> str:
     """Mean path of the detected light at rest in every absorber; empty where the engine records no paths."""
     mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
     if not np.isfinite(mean).any():
@@ -278,7 +280,7 @@ def _path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     names = {bed_zone_name(k): f"bed, {escaped(zone)}" for k, zone in enumerate(result.zone.values)}
     head = ["Photodiode", *(f"{names.get(str(a), escaped(a))}<br>[mm]" for a in mean.absorber.values)]
     rows = []
-    for r, name in zip(found, _names(found), strict=True):
+    for r, name in zip(readings, _names(readings), strict=True):
         here = {"led": r.led_index, "photodiode": r.photodiode_index}
         cells = [name]
         for value, error in zip(mean.isel(here).values.tolist(), stderr.isel(here).values.tolist(), strict=True):
@@ -287,10 +289,10 @@ def _path_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
                 number(value, "< 0.001" if 0 <= value + 2 * error < LEAST_PATH_MM else with_error(value, error))
             )
         rows.append(cells)
-    return table(head, rows, kind="paths", groups=_groups(found))
+    return table(head, rows, kind="paths", groups=_groups(readings))
 
 
-def _fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
+def _fit_table(result: xr.Dataset, readings: Sequence[Reading]) -> str:
     """Constants of Beer-Lambert (8) and Taylor (9) as fitted, with their misfit; below, what they could not determine.
 
     Where the readings do not bend, V0, V1 and alpha of (8) are not known one by one: such a fit is shown as straight.
@@ -307,7 +309,7 @@ def _fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     ]
     rows = []
     marks: dict[str, str] = {}
-    for r, name in zip(found, _names(found), strict=True):
+    for r, name in zip(readings, _names(readings), strict=True):
         if r.saturated:
             rows.append([name + SATURATED, *["–"] * len(fields)])
             continue
@@ -331,19 +333,19 @@ def _fit_table(result: xr.Dataset, found: Sequence[Reading]) -> str:
     )
     notes += "".join(small(f"<sup>{mark}</sup> {escaped(note)}") for note, mark in marks.items())
     head = ["Photodiode", *(title for _, title, _ in fields)]
-    return table(head, rows, kind="fits", groups=_groups(found)) + notes
+    return table(head, rows, kind="fits", groups=_groups(readings)) + notes
 
 
-def _groups(found: Sequence[Reading]) -> list[str]:
-    return [f"LED {r.led}" for r in found]
+def _groups(readings: Sequence[Reading]) -> list[str]:
+    return [f"LED {r.led}" for r in readings]
 
 
-def _names(found: Sequence[Reading]) -> list[str]:
+def _names(readings: Sequence[Reading]) -> list[str]:
     """The photodiode of every reading, beside the colour of its place along the nail."""
-    order = list(dict.fromkeys(r.photodiode_index for r in found))
+    order = list(dict.fromkeys(r.photodiode_index for r in readings))
     colours = dict(zip(order, style.place_colours(len(order)), strict=True))
     swatch = '<span class="swatch" style="background:{}"></span>'
-    return [swatch.format(colours[r.photodiode_index]) + escaped(r.photodiode) for r in found]
+    return [swatch.format(colours[r.photodiode_index]) + escaped(r.photodiode) for r in readings]
 
 
 SIMULATION = Report(

@@ -39,54 +39,54 @@ NOTE = (
 )
 
 
-def page(found: Tradeoff, drawing: "Figure") -> str:
+def page(result: Tradeoff, drawing: "Figure") -> str:
     """The page around what `draw` drew."""
-    choice = found.chosen
-    selected = "<br>".join(map(escaped, found.lines)) or escaped(choice.level.call) or "none is needed"
+    choice = result.chosen
+    selected = "<br>".join(map(escaped, result.lines)) or escaped(choice.level.call) or "none is needed"
     body = section(
         "Error against time",
         figure(drawing, "time", CAPTION),
-        _levels(found),
-        small(escaped(NOTE.format(meaning(found)))),
-        f"<p>{escaped(chosen_line(found))} What selects it: <code>{selected}</code></p>",
-        f"<p>{escaped(simultaneous_line(found))}</p>",
+        _levels(result),
+        small(escaped(NOTE.format(meaning(result)))),
+        f"<p>{escaped(chosen_line(result))} What selects it: <code>{selected}</code></p>",
+        f"<p>{escaped(simultaneous_line(result))}</p>",
         "<h3>What each level needs</h3>",
-        _needs(found),
+        _needs(result),
         "<h3>The fastest answer within an error</h3>",
-        _within(found),
+        _within(result),
     )
     return document(
         kicker="speed against accuracy",
-        title=f"Within {100 * found.tolerance:g} %: {choice.level.name}",
-        lead=f"{sentence(found)} Every level of model on this scene, against the full one, measured in "
-        f"{found.wall_seconds:.0f} s.",
-        cards=[(choice.level.name, meaning(found)), (duration(choice.seconds), "of processor time to the answer")],
+        title=f"Within {100 * result.tolerance:g} %: {choice.level.name}",
+        lead=f"{sentence(result)} Every level of model on this scene, against the full one, measured in "
+        f"{result.wall_seconds:.0f} s.",
+        cards=[(choice.level.name, meaning(result)), (duration(choice.seconds), "of processor time to the answer")],
         body=[body],
-        attributes=found.attributes,
+        attributes=result.attributes,
     )
 
 
 @style.drawing()
-def draw(found: Tradeoff) -> "Figure":
+def draw(result: Tradeoff) -> "Figure":
     """Error of every level against the time to its answer."""
     drawing, axes = style.panels(8.0, 5.0)
     axes.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel="error of the worst photodiode [%]")
     axes.set(xscale="log", xlabel="processor time to the answer [s]")
     style.plain_log(axes.yaxis)
     ends, marks = [], []
-    for level in found.levels:
-        curve = _curve(level, found.coverage)
+    for level in result.levels:
+        curve = _curve(level, result.coverage)
         if len(curve) and level.traces:
             axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
             ends.append((level.name, curve[-1]))
         elif len(curve):
             axes.plot(*curve[-1], "o", ms=5, color=style.MUTED, markerfacecolor=style.PAPER, zorder=3)
             marks.append((level.name, curve[-1]))
-    answers = [found.fastest(error) for error in GRID]
+    answers = [result.fastest(error) for error in GRID]
     points = [(a.seconds, 100 * error) for a, error in zip(answers, GRID, strict=True) if a]
     best = np.array(points).reshape(-1, 2).T
     axes.plot(*best, color=style.INK, lw=2.2, zorder=2, label="the best of all")
-    axes.axhline(100 * found.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
+    axes.axhline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
     # Where no level could be judged there is nothing to fit them to.
     low, high = axes.get_xlim() if marks or ends else axes.set_xlim(*NO_TIMES)
     _names(axes, marks, x=None, room=(high / low) ** 0.02)
@@ -94,8 +94,8 @@ def draw(found: Tradeoff) -> "Figure":
     axes.set_xticks([tick for tick in axes.get_xticks() if low <= tick <= high])
     axes.set_xlim(low, high * (high / low) ** 0.4)
     _names(axes, ends, x=high, room=(high / low) ** 0.02)
-    seconds = found.chosen.seconds
-    axes.plot(seconds, 100 * found.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
+    seconds = result.chosen.seconds
+    axes.plot(seconds, 100 * result.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
     axes.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
     return drawing
 
@@ -130,19 +130,19 @@ def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float |
         )
 
 
-def _levels(found: Tradeoff) -> str:
+def _levels(result: Tradeoff) -> str:
     head = ["Level", "Bias of reading<br>[%]", "upper bound<br>[%]", "Bias of signal<br>[%]", "upper bound<br>[%]"]
     rows = []
-    for one in found.levels:
-        name, *cells = _cells(found, one)
-        name = escaped(name) + (" <b>✓</b>" if one.name == found.chosen.level.name else "")
+    for one in result.levels:
+        name, *cells = _cells(result, one)
+        name = escaped(name) + (" <b>✓</b>" if one.name == result.chosen.level.name else "")
         rows.append([name, *cells])
     return table([*head, "Answer within<br>the tolerance"], rows)
 
 
-def _cells(found: Tradeoff, level: Level) -> list[str]:
+def _cells(result: Tradeoff, level: Level) -> list[str]:
     """A level in the columns of the table, on the page and in the terminal: its biases, and its answer's time."""
-    answer = level.within(found.tolerance, found.coverage)
+    answer = level.within(result.tolerance, result.coverage)
     return [level.name, *_bias(level.reading), *_bias(level.signal), duration(answer.seconds) if answer else "–"]
 
 
@@ -153,41 +153,41 @@ def _bias(bias: Bias | None) -> list[str]:
     return [with_error(100 * bias.value, 100 * bias.stderr, sign=True), significant(100 * bias.bound, 2)]
 
 
-def _needs(found: Tradeoff) -> str:
+def _needs(result: Tradeoff) -> str:
     """What must be known for each level, and what selects it."""
     rows = []
-    for one in found.levels:
+    for one in result.levels:
         how = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines or ([one.call] if one.call else []))
         rows.append([escaped(one.name), escaped(one.beforehand) or "–", how or "the scene as it is"])
     head = ["Level", "Must be known beside the scene", "Scene lines, or the call that gives it"]
     return table(head, rows, kind="words")
 
 
-def _within(found: Tradeoff) -> str:
+def _within(result: Tradeoff) -> str:
     """The fastest answers, one row per error, in both senses."""
     rows = []
     for error in ERRORS:
         row = [f"{100 * error:g}"]
         for simultaneous in (False, True):
-            answer = found.fastest(error, simultaneous=simultaneous)
+            answer = result.fastest(error, simultaneous=simultaneous)
             row += [escaped(answer.level.name), duration(answer.seconds)] if answer else ["–", "–"]
         rows.append(row)
     head = ["Error<br>[%]", "One standard error of<br>the worst photodiode", "", "All at once,<br>95 % sure", ""]
     return table(head, rows)
 
 
-def meaning(found: Tradeoff) -> str:
+def meaning(result: Tradeoff) -> str:
     """What the tolerance is the error of, in words."""
-    part = f"{100 * found.tolerance:g} %"
-    if found.simultaneous:
+    part = f"{100 * result.tolerance:g} %"
+    if result.simultaneous:
         return f"all readings at rest and all changes by touch, of the largest, within {part} with 95 % probability"
     of = "of the reading at rest, or of the change by touch as a part of the largest change of any photodiode"
     return f"{part} as one standard error of the worst photodiode, {of}"
 
 
-def sentence(found: Tradeoff) -> str:
+def sentence(result: Tradeoff) -> str:
     """What a designer needs: how long each error takes."""
-    answers = [found.fastest(error) for error in SENTENCE_ERRORS]
+    answers = [result.fastest(error) for error in SENTENCE_ERRORS]
     every = f"For {100 * SENTENCE_ERRORS[0]:g} %"
     full = all(answer and answer.level.name in (OWN, REFERENCE) for answer in answers)
     parts: list[str] = []
@@ -198,33 +198,33 @@ def sentence(found: Tradeoff) -> str:
     return f"{start}{', '.join(parts)}."
 
 
-def simultaneous_line(found: Tradeoff) -> str:
+def simultaneous_line(result: Tradeoff) -> str:
     """What it takes to hold all readings and changes to the tolerance at once; empty where it is that already."""
-    other = found.fastest(found.tolerance, simultaneous=True)
-    if found.simultaneous or other is None or not other.photon_seconds:
+    other = result.fastest(result.tolerance, simultaneous=True)
+    if result.simultaneous or other is None or not other.photon_seconds:
         return ""
-    part = f"All readings and changes within {100 * found.tolerance:g} % at once, with 95 % probability"
-    times = f"{found.coverage_factor**2:.1f} times the photons of one standard error"
+    part = f"All readings and changes within {100 * result.tolerance:g} % at once, with 95 % probability"
+    times = f"{result.coverage_factor**2:.1f} times the photons of one standard error"
     return f"{part} ({times}): {duration(other.seconds)}, {other.level.name}."
 
 
-def chosen_line(found: Tradeoff) -> str:
+def chosen_line(result: Tradeoff) -> str:
     """The level to take."""
-    if math.isinf(found.chosen.error):
-        return f"Too few photons to judge any level: take {found.chosen.level.name}."
-    answer = f"{found.chosen.level.name}, {duration(found.chosen.seconds)} of processor time"
+    if math.isinf(result.chosen.error):
+        return f"Too few photons to judge any level: take {result.chosen.level.name}."
+    answer = f"{result.chosen.level.name}, {duration(result.chosen.seconds)} of processor time"
     return f"Fastest within the tolerance: {answer}."
 
 
-def summary(found: Tradeoff) -> dict[str, Any]:
+def summary(result: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
     names = ("tolerance", "simultaneous", "wall_seconds", "cut_off", "lines", "coverage_factor")
     return (
-        {name: getattr(found, name) for name in names}
-        | {name: found.attributes[name] for name in ("digest", "photons")}
-        | {"chosen": found.chosen.level.name, "answer": _answer(found.chosen), "sentence": sentence(found)}
-        | {"levels": [_level(found, one) for one in found.levels]}
-        | {"fastest_within": {str(error): _answer(found.fastest(error)) for error in ERRORS}}
+        {name: getattr(result, name) for name in names}
+        | {name: result.attributes[name] for name in ("digest", "photons")}
+        | {"chosen": result.chosen.level.name, "answer": _answer(result.chosen), "sentence": sentence(result)}
+        | {"levels": [_level(result, one) for one in result.levels]}
+        | {"fastest_within": {str(error): _answer(result.fastest(error)) for error in ERRORS}}
     )
 
 
@@ -235,37 +235,37 @@ def _answer(answer: Answer | None) -> dict[str, Any] | None:
     return {"level": answer.level.name, **names, "relative_error": answer.relative_error}
 
 
-def _level(found: Tradeoff, level: Level) -> dict[str, Any]:
+def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
     row = asdict(level) | {"lines": level.lines, "changes": level.changes or {}}
     row["first"] = {"fixed": row.pop("setup_seconds"), "per_second": float(level.traces)}
-    return row | {"within_tolerance": _answer(level.within(found.tolerance, found.coverage))}
+    return row | {"within_tolerance": _answer(level.within(result.tolerance, result.coverage))}
 
 
-def lines(found: Tradeoff) -> list[str]:
+def lines(result: Tradeoff) -> list[str]:
     """The table of levels and the one to take, for the terminal."""
     head = ["level", "bias of reading [%]", "at most", "of signal [%]", "at most", "answer", "must be known"]
-    out = aligned([head, *([*_cells(found, one), one.beforehand] for one in found.levels)], left=(0, 6))
-    out += [f"Tolerance: {meaning(found)}.", chosen_line(found), sentence(found)]
-    out += filter(None, [simultaneous_line(found)])
-    if found.chosen.level.call:
-        return [*out, f"No line of a scene selects it: {found.chosen.level.call} gives it."]
-    if found.lines:
-        return [*out, "Scene lines that select it:", *(f"  {line}" for line in found.lines)]
+    out = aligned([head, *([*_cells(result, one), one.beforehand] for one in result.levels)], left=(0, 6))
+    out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
+    out += filter(None, [simultaneous_line(result)])
+    if result.chosen.level.call:
+        return [*out, f"No line of a scene selects it: {result.chosen.level.call} gives it."]
+    if result.lines:
+        return [*out, "Scene lines that select it:", *(f"  {line}" for line in result.lines)]
     return [*out, "The scene is that already: no line needs to change."]
 
 
-def _files(found: Tradeoff) -> tuple[Any, ...]:
-    drawing = draw(found)
-    text = page(found, drawing)
+def _files(result: Tradeoff) -> tuple[Any, ...]:
+    drawing = draw(result)
+    text = page(result, drawing)
     # Once is enough to find room for the labels.
     drawing.set_layout_engine("none")
-    data = to_json(summary(found)) + "\n", found.dataset()
-    return *data, text, drawing, scene_text(found.scene, found.attributes)
+    data = to_json(summary(result)) + "\n", result.dataset()
+    return *data, text, drawing, scene_text(result.scene, result.attributes)
 
 
 TRADEOFF = Report(
     ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml"),
     _files,
     summary,
-    lambda found, _: lines(found),
+    lambda result, _: lines(result),
 )
