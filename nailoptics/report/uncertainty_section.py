@@ -123,7 +123,7 @@ def spread_section(result: xr.Dataset) -> str:
             escaped(row["name"]),
             f"{significant(row['low'])} to {significant(row['high'])}",
             *(_percent(row[f"{kind}_spread"], row[f"{kind}_spread_stderr"]) for kind in kinds),
-            row["how"],
+            escaped(row["how"]),
         ]
         for row in rows
     ]

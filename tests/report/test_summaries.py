@@ -1,10 +1,12 @@
 """What commands print: the numbers of the page, and saturated readings by their name."""
 
 import numpy as np
+import pytest
+from hostile_names import HOSTILE, assert_text_alone
 
 from nailoptics.report.readings import hold_end, photodiode_readings, simulation_lines, simulation_summary
 from nailoptics.report.scene_description import check_lines
-from nailoptics.report.uncertainty_section import conclusions
+from nailoptics.report.uncertainty_section import conclusions, spread_section
 
 
 def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
@@ -59,6 +61,14 @@ def test_the_spread_names_what_is_not_in_it_and_claims_no_sign(make):
 def test_a_prior_with_most_effect_on_readings_and_changes_is_named_once(make):
     line = conclusions(with_priors(make(section=False), 0.0))[0]
     assert line.endswith("(one standard deviation), most by plate absorption.")
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("field", ["prior", "prior_how", "prior_source"])
+def test_a_prior_with_a_hostile_name_is_text(make, name, field):
+    result = with_priors(make(section=False), 0.0)
+    result[field] = result[field].dims, np.array([name])
+    assert_text_alone(spread_section(result), name)
 
 
 def test_a_saturated_reading_has_no_spread(make):
