@@ -70,7 +70,7 @@ def calibrate(
     model : "network" fits the vessels on the traced light; "paper" offset and scale of (9) and time constants alone.
 
     Returns: Dataset of the recordings beside what was fitted, over sample and reading; its attribute `subject` is the
-    text of the subject's file, from which `predict` tells force.
+    text of the subject's file, from which `predict` estimates force.
 
     Raises: InputError for recordings that cannot calibrate this board; NotReachedError, with the Dataset as result,
     where the trace falls short of what is required; KeyboardInterrupt if it was interrupted.
@@ -122,7 +122,7 @@ def calibrate_with(
     model: Model = "network",
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
-    """What `calibrate` returns, from a table of light that is already there and recordings that were checked."""
+    """What `calibrate` returns, from a table of traced light and checked recordings."""
     stage = StageProgress(progress)
 
     def report(done: float) -> None:

@@ -97,7 +97,7 @@ class Fit:
         self.volts = np.concatenate([one.volts for one in self.averaged], axis=1)
         self.valid = np.isfinite(self.volts)
         swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
-        # Of each reading's residuals; weights of samples; samples that hang together and count as one.
+        # Of each reading's residuals; weights of samples; correlated samples that count as one.
         self.variance = (FIRST_MISFIT * swing) ** 2 + table.noise_v**2
         self.weight, self.memory = np.ones(self.volts.shape[1]), 1.0
         self.prior, self.prior_spread = self._linear_prior()
@@ -220,7 +220,7 @@ class Fit:
         white = residual / np.sqrt(self.variance)[:, None]
         rms = np.sqrt((white**2).mean(0))
         self.weight = np.minimum(1.0, HUBER / np.maximum(rms, 1e-12))
-        # Samples that hang together count as one: the integrated autocorrelation, up to where it first vanishes.
+        # Correlated samples count as one: the integrated autocorrelation, up to where it first vanishes.
         power = np.abs(np.fft.rfft(white, 2 * samples)) ** 2
         lagged = np.fft.irfft(power).mean(0)[:samples]
         lagged = lagged / lagged[0]
@@ -275,7 +275,7 @@ class Fit:
         by_sample = jacobian.reshape(readings, -1, len(spread))
         white = white.reshape(readings, -1)
         wave = np.einsum("rtp,rt->tp", by_sample, self._wave(white, response))
-        # Residuals hang together over time, too, and more where the model misses: blocks of time, each as it fell out.
+        # Residuals are correlated over time, too, and more where the model misses: blocks of time, as they came out.
         score = np.einsum("rtp,rt->tp", by_sample, white)
         blocks = np.add.reduceat(score, np.arange(0, len(score), max(1, len(score) // BLOCKS)), axis=0)
         sandwich = bread @ (wave.T @ wave + blocks.T @ blocks + np.diag(1 / spread**2)) @ bread
