@@ -32,7 +32,7 @@ LONG = {"cluster", "colour", "oximetry", "taylor", "tradeoff"}
 # Which have photons of their own that --photons does not decide, and many pictures: the slow tests take and draw them.
 MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
-    "colour.colour_spread.OWN_PHOTONS": 2000,
+    "colour.nail_colour.OWN_PHOTONS": 2000,
     "oximetry.oxygen.LEAST_NAIL_PHOTONS": 1 << 12,
     # So many, on any machine, in place of as many as there is time for.
     "model_error.paired.LEAST_PHOTONS": 1 << 16,
