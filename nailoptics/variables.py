@@ -76,4 +76,4 @@ def from_record(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> "xr.Da
     for name, entry in header["variables"].items():
         values = arrays[name] if name in arrays else np.array(entry["text"], dtype=str).reshape(entry["shape"])
         (coords if entry["coord"] else data)[name] = (tuple(entry["dims"]), values, entry["attrs"])
-    return xr.Dataset(data, coords=coords, attrs=header["attrs"])
+    return xr.Dataset(data, coords=coords, attrs=dict(header["attrs"]))

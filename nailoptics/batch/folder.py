@@ -169,8 +169,7 @@ class Folder:
             if header["made"] != made.model_dump():
                 return "foreign", None
             result = Result(header, from_record(header, arrays))
-            if not result.dataset.data_vars or not header.keys() >= {"photons_per_led", "relative_error", "reached"}:
-                raise CorruptError("it is no result")
+            _check(result)
             return "done", result
         except FileNotFoundError:
             pass
@@ -203,6 +202,19 @@ class Folder:
     def claimed(self, digest: str) -> AbstractContextManager[bool]:
         """Whether this process is the only one that works on what has this digest."""
         return claimed(self.root / ".claims", int(digest[:15], 16))
+
+
+def _check(result: Result) -> None:
+    """Raise ValueError, TypeError or KeyError where a file that is whole holds what no run writes."""
+    header, data = result.header, result.dataset
+    error = header["relative_error"]
+    if not math.isfinite(header["photons_per_led"]) or not (error is None or math.isfinite(error)):
+        raise ValueError("its photons or their error are not finite")
+    if not isinstance(header["reached"], bool) or not data.data_vars:
+        raise ValueError("it does not say whether it reached its accuracy, or holds no variable")
+    # NaN is neither.
+    if "detected_fraction_rest" in data and not bool((data.detected_fraction_rest >= 0.0).all()):
+        raise ValueError("detected_fraction_rest is negative or not a number")
 
 
 def meets(header: dict[str, Any], required: Accuracy) -> bool:

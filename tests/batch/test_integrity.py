@@ -157,15 +157,23 @@ def bits_of_files(folder: Path) -> dict[str, bytes]:
 
 
 def test_results_of_wrong_content_and_a_right_checksum_are_made_again(calm, used):
-    header, _ = unpack(results_of(used)[0].read_bytes())
+    header, arrays = unpack(results_of(used)[0].read_bytes())
     name = "detected_fraction_rest"
-    entry = header["variables"][name]
+    fraction, entry = arrays[name], header["variables"][name]
     mutants = [
+        ({"photons_per_led": "many"}, {}),
+        ({"photons_per_led": None}, {}),
+        ({"relative_error": [1]}, {}),
+        ({"reached": "yes"}, {}),
         ({"variables": {}}, {}),
         ({"variables": [name]}, {}),
+        ({"attrs": None}, {}),
         ({"variables": header["variables"] | {name: {"dims": entry["dims"]}}}, {}),
         ({"variables": header["variables"] | {name: entry | {"dims": ["led"]}}}, {}),
+        ({}, {name: np.full_like(fraction, np.nan)}),
+        ({}, {name: -fraction}),
         ({}, {name: np.zeros((1, 7))}),
+        ({}, {"energy": np.zeros(1)}),
     ]
     for path, (about, others) in zip(results_of(used), mutants, strict=False):
         old, whole = unpack(path.read_bytes())
