@@ -2,7 +2,8 @@
 
 `WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
 their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
-them. A further wave is one more entry here; what users set of it is a `WaveTable` in scene/body.py.
+them. A further wave is one more entry here, and what users set of it is a `WaveTable` and a field of `Body` in
+scene/body.py; nothing else lists them.
 """
 
 from collections.abc import Callable

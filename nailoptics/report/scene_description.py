@@ -53,9 +53,10 @@ def body_words(scene: Scene) -> str:
         return ""
     parts = [
         f"arterial pressure recorded in {body.file}" if body.recorded_time_s is not None else "",
-        f"heartbeat, {body.heartbeat.rate_per_min:g} a minute" if body.heartbeat else "",
-        f"breathing, {body.breathing.rate_per_min:g} a minute" if body.breathing else "",
-        "vasomotion" if body.vasomotion else "",
+        *(
+            f"{name}, {rate:g} a minute" if (rate := getattr(wave, "rate_per_min", None)) else name
+            for name, wave in body.waves.items()
+        ),
         "drift" if body.drift else "",
         "motion of the sensor" if body.motion else "",
     ]

@@ -124,8 +124,10 @@ def stage_noise(current_a: ArrayLike, photodiode: Photodiode, amplifier: Electro
 
 
 def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArray[np.bool_]]:
-    """What the converter reads of the stage's output [V], and where it is at its limit; of any shape."""
-    return np.asarray(np.minimum(amplified_v, amplifier.adc_range_v)), np.asarray(amplified_v >= limit_v(amplifier))
+    """Saturation: what the converter reads of the stage's output [V], within 0 and its range, and where it is at its
+    limit; of any shape."""
+    within = np.clip(amplified_v, 0.0, amplifier.adc_range_v)
+    return np.asarray(within), np.asarray(amplified_v >= limit_v(amplifier))
 
 
 def read(

@@ -123,7 +123,7 @@ def record(scene: Scene, result: xr.Dataset, *, seed: int) -> Recording:
     lsb = electronics.lsb_v(scene.electronics)
     analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
     volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
-    volts = np.clip(np.round(volts / lsb) * lsb, 0.0, scene.electronics.adc_range_v)
+    volts, _ = electronics.converted(np.round(volts / lsb) * lsb, scene.electronics)
     return Recording(
         "simulated", names, result.time.values, volts, result.force_n.values, np.full(volts.shape[1], site_of(scene))
     )

@@ -85,7 +85,7 @@ def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecordi
         slots, _ = front_end.slot_volts(fraction)
         variance = np.sum(list(front_end.slot_noise_v2(fraction.mean(0)).values()), axis=0)
         noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
-        noisy = np.clip(noisy, 0.0, electronics.limit_v(scene.electronics))
+        noisy, _ = electronics.converted(noisy, scene.electronics)
         volts.append(noisy[:, places].T)
         dark.append(noisy[:, first.slot_names.index(DARK)] if first.has_dark_slot else np.zeros(len(time_s)))
     names = tuple(str(name) for name in result.photodiode.values)
