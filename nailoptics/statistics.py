@@ -42,6 +42,12 @@ def known_from(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
     return np.where(effective_count(total, square) < FEW_TERMS, np.nan, stderr)
 
 
+def covariance_root(covariance: Array) -> Array:
+    """Columns (..., n, n) whose outer products add up to covariances (..., n, n); rounding below 0 is cut off."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+
+
 def upper_limit_95(count: int) -> float:
     """Largest probability of an event that, with 95 % confidence, none of so many independent trials show; 3 / count.
 

@@ -45,8 +45,8 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         beat=None if body.heartbeat is None else _beat(body.heartbeat, subject.person),
         drift_per_min=drift.reading_per_rt_min if drift else 1e-6,
         led_drift_per_min=drift.led_per_rt_min if drift else 1e-6,
-        moved_error=0.0,
-        held_error=0.0,
+        dynamic_error=0.0,
+        static_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
     quality = replace(subject.quality, coverage_factor=1.0)

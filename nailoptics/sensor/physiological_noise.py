@@ -9,6 +9,7 @@ from ..hemodynamics.for_scene import blood_by_arterial_pressure
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Scene
 from ..scene.body import Drift
+from ..statistics import covariance_root
 
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
@@ -56,8 +57,8 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
     each, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
     leds = len(scene.leds)
     return PhysiologicalNoise(
-        blood=_root(_blood_covariance(scene, force_n) if body.moves else np.zeros((2, 2))),
-        led_gain=_root(each**2 * np.eye(leds) + all_leds**2),
+        blood=covariance_root(_blood_covariance(scene, force_n) if body.moves else np.zeros((2, 2))),
+        led_gain=covariance_root(each**2 * np.eye(leds) + all_leds**2),
         reading_gain=float(drift.reading_per_rt_min * np.sqrt(minutes)),
     )
 
@@ -73,9 +74,3 @@ def _blood_covariance(scene: Scene, force_n: float) -> Array:
     slow = frequency_hz <= scene.electronics.bandwidth_hz
     gain = blood_by_arterial_pressure(scene, frequency_hz[slow], force_n)
     return np.asarray(np.real(np.einsum("if,f,jf->ij", gain, variance_pa2[slow], gain.conj())))
-
-
-def _root(covariance: Array) -> Array:
-    """Columns whose outer products add up to a covariance."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

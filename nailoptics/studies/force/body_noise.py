@@ -36,6 +36,8 @@ REST_FORCE_N = 0.05
 USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
 # The misfit of a held touch is taken for a polynomial of this degree in the force.
 MISFIT_DEGREE = 4
+# Of a Gaussian the median of |x| is this part of the standard deviation.
+MEDIAN_OF_GAUSSIAN = 0.6745
 # Spectra are of windows as long as two of the slowest waves. [s]
 WINDOW_S = 40.0
 
@@ -164,7 +166,6 @@ def _slow_waves(person: Person, frequency: Array, power: Array) -> Iterator[Damp
 
 def _white(residual: Array) -> Array:
     """White noise of each row, rms: from third differences, which take out what moves slowly."""
-    # Robust: the median of |x| of a Gaussian is 0.6745 of its standard deviation; third differences have 20 variances.
-    # Across a gap they are those of the samples beside it.
+    # Robust; third differences have 20 variances. Across a gap they are those of the samples beside it.
     third = [np.median(np.abs(np.diff(row[np.isfinite(row)], n=3))) for row in residual]
-    return np.array(third) / 0.6745 / np.sqrt(20.0)
+    return np.array(third) / MEDIAN_OF_GAUSSIAN / np.sqrt(20.0)

@@ -25,30 +25,28 @@ from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted, Profile, profile_of
 from .kalman import estimate_pressures
 from .person import N_PER_CM2, NAMES, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
-from .predict import TOUCH_N
+from .predict import TOUCH_N, rms
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table, site_of
 from .state_space import touch_pressure
 from .subject import Correction, Model, Quality, Readings, Regression, Subject, subject_toml
 from .uncertainty import ForceInterval, fit_curve, no_correction
 
-# The table of light reaches so far beyond the scene's blood at rest: pooling doubles it, people differ by two more.
+# Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
-# Recordings must begin or pause untouched for so long in all. [s]
-REST_S = 1.0
-# And they must press so hard at least and at most. [N]
-LEAST_TOUCH_N, MOST_TOUCH_N = 0.2, 20.0
-# Samples that lie further apart do not show how the vessels move; a longer pause is a recording's end. [s]
+# Least time at rest in a recording [s], and its largest force, at least and at most [N].
+REST_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 0.2, 20.0
+# Longest usual step from sample to sample, and longest pause. [s]
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
-# A reading must have so many samples at rest, and in this part of all.
+# Least number of a reading's samples at rest, and least valid part of all.
 LEAST_AT_REST, LEAST_PART = 10, 0.1
-# This part of the samples of the calibration's touches lies within intervals as they are, or, as such touches are few,
-# within so many times as much by chance; where more is needed the model misses something, and they are made wider.
+# Intervals are widened unless this part of the calibration's own errors lies within them, or, as touches are few and
+# errors correlated, within so many times as much.
 COVERED, BY_CHANCE = 0.95, 1.2
-# Parts of a calibration's time that its fit and its profile likelihoods take, more or less.
+# Parts of a calibration's time that its fit and its profile likelihoods take.
 FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]
 QUICKLY_S = 0.2
-# Principal components that hold this part of the readings' variance are regressed on.
+# Part of the readings' variance that the principal components of the regression hold.
 COMPONENT_VARIANCE = 0.999
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
@@ -91,11 +89,7 @@ def calibrate(
 
 
 def open_table(
-    scene: Scene,
-    *,
-    model: Model = "network",
-    progress: ProgressCallback | None = None,
-    **requested: Unpack[Requested],
+    scene: Scene, *, model: Model = "network", progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> tuple[Scene, ReadingTable]:
     """The scene as it is fitted, and its readings over blood, traced: what calibrations of many people share.
 
@@ -154,6 +148,13 @@ def calibrate_with(
     )
 
 
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """All samples of recordings with force and site, one after the other; times begin anew with each."""
+    force_n, site = ([np.asarray(getattr(one, name)) for one in recordings] for name in ("force_n", "site"))
+    parts = [one.time_s for one in recordings], [one.volts for one in recordings], force_n, site
+    return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
+
+
 def _nominal_finger(scene: Scene, model: Model) -> NominalFinger:
     """The scene's finger, with the usual pulp where the scene states none; the paper's model has no pulp."""
     touch, pulp = scene.touch, USUAL_PULP
@@ -175,22 +176,20 @@ def _free(scene: Scene, recordings: Sequence[Recording], model: Model) -> NDArra
     fixed = set() if model == "network" else set(NAMES) - set(PAPER_FACTORS)
     fixed |= set() if scene.touch.creep is None else {"creep"}
     fixed |= set() if scene.touch.distal_relaxation_s is None else {"distal_recovery"}
-    even = any(one.site is not None and np.isnan(one.site).any() for one in recordings)
-    return np.array([name not in fixed and (even or name != "proximal_share") for name in NAMES])
+    fixed |= set() if np.isnan(np.asarray(joined(recordings).site)).any() else {"proximal_share"}
+    return np.array([name not in fixed for name in NAMES])
 
 
 def _subject(scene: Scene, model: Model, fit: Fit, fitted: Fitted) -> Subject:
     """The subject as fitted, before its own force was estimated; raises ValidationError or InputError."""
-    recordings, person = fit.recordings, fit.finger.person(fitted.factors_ln)
-    volts = np.concatenate([one.volts for one in recordings], axis=1)
-    force_n = np.concatenate([np.asarray(one.force_n) for one in recordings])
-    rest_v = np.nanmedian(volts[:, force_n < REST_FORCE_N], axis=1)
-    noise_v, noise = estimate_noise(person, fitted.table, fitted.gain, recordings, fitted.residual_v, rest_v)
+    person, every = fit.finger.person(fitted.factors_ln), joined(fit.recordings)
+    force_n, site = np.asarray(every.force_n), np.asarray(every.site)
+    rest_v = np.nanmedian(every.volts[:, force_n < REST_FORCE_N], axis=1)
+    noise_v, noise = estimate_noise(person, fitted.table, fitted.gain, fit.recordings, fitted.residual_v, rest_v)
     residual_rms_v = np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1))
-    sites = np.concatenate([np.asarray(one.site) for one in recordings])
-    at_site = {"proximal": sites == 1.0, "distal": sites == 0.0, "even": np.isnan(sites)}
+    at_site = {"proximal": site == 1.0, "distal": site == 0.0, "even": np.isnan(site)}
     most_n = {name: float(force_n[at].max()) for name, at in at_site.items() if at.any()}
-    bridged = np.concatenate([_bridged(one.volts) for one in recordings], axis=1)
+    bridged = np.concatenate([_bridged(one.volts) for one in fit.recordings], axis=1)
     complete = np.isfinite(bridged).all(0)
     return Subject(
         model=model,
@@ -217,7 +216,7 @@ def _bridged(volts: Array) -> Array:
 
 
 def regressions(volts: Array, force_n: Array) -> dict[str, Regression]:
-    """What the literature does without a model: least squares on (R, T) volts, and on their principal components.
+    """Regressions without a model: least squares on volts (R, T), and on their principal components.
 
     References: Grieve, Hollerbach, Mascaro 2015, which takes components for fingernail images.
     """
@@ -239,8 +238,8 @@ def regressions(volts: Array, force_n: Array) -> dict[str, Regression]:
 
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
-    """What a user should know of a calibration before trusting it."""
-    warnings, who, quality = [], subject.person, subject.quality
+    """Limits of a calibration, for its user."""
+    warnings, who, quality, every = [], subject.person, subject.quality, joined(recordings)
     reach_n = who.closure() * who.area_cm2 * np.array([float(who.proximal_area), 1.0])
     for side, closed_n in zip(("proximal", "distal"), reach_n, strict=True):
         most_n = quality.most_force_n.get(side, quality.most_force_n.get("even", 0.0))
@@ -264,9 +263,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
             f"the refill rate of the vessels is not identifiable, estimates of quick touches rely on priors: {advice}."
         )
     if quality.is_wrong:
-        linear = subject.baselines["linear"]
-        off = np.concatenate([linear.force_n(one.volts) - np.asarray(one.force_n) for one in recordings])
-        linear_n = np.sqrt(np.nanmean(off**2))
+        linear_n = rms(subject.baselines["linear"].force_n(every.volts) - np.asarray(every.force_n))
         warnings.append(
             f"the force of the calibration's own touches is {1e3 * quality.rms_n:.0f} mN off (rms; linear regression "
             f"{1e3 * linear_n:.0f} mN): this subject does not fit them; check scene, sites and units."
@@ -287,7 +284,7 @@ def _released_quickly(recording: Recording) -> bool:
 
 
 def _two_balances_n(subject: Subject) -> dict[str, Array]:
-    """Forces at which the person's vessels could rest in two states, by the sites of touches that reach them."""
+    """Calibrated forces at which the person's vessels have two stable states, by site."""
     constants = {name: float(value) for name, value in subject.scene.vessels_of(subject.factors_ln).items()}
     forces = {}
     for side, most_n in subject.quality.most_force_n.items():
@@ -300,19 +297,19 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject, float]:
-    """The subject with what its own recordings add: a correction, the force's error, intervals that cover it.
+    """The subject with its correction, its rms error of the force and its coverage factor, from its own recordings.
 
-    And the median half width of these intervals over touches, infinite where most have no upper bound. [N]
+    And the median half width of the intervals over touches, infinite where most have no upper bound. [N]
     """
+    every = joined(recordings)
+    force_n, site = np.asarray(every.force_n), np.asarray(every.site)
     estimates = [estimate for one in recordings for estimate in estimate_pressures(subject, one.time_s, one.volts)]
-    closure, time_s = subject.person.closure(), np.concatenate([one.time_s for one in recordings])
-    force_n = np.concatenate([np.asarray(one.force_n) for one in recordings])
-    site = np.concatenate([np.asarray(one.site) for one in recordings])
     estimated = touch_pressure(np.array([one.touch for one in estimates]).T)
-    applied = subject.person.pressures(force_n, site)
-    curves = []
-    for side, at in enumerate((site == 1.0, site == 0.0)):
-        curves.append(fit_curve(closure[side], time_s[at], estimated[side, at], applied[side, at]))
+    applied, closure = subject.person.pressures(force_n, site), subject.person.closure()
+    curves = [
+        fit_curve(closure[side], every.time_s[at], estimated[side, at], applied[side, at])
+        for side, at in enumerate((site == 1.0, site == 0.0))
+    ]
     subject = replace(subject, correction=Correction(*curves))
     force = ForceInterval(subject).of(estimates)
     half_width_n = 0.5 * float(np.median((force.high_n - force.low_n)[force_n >= TOUCH_N]))
@@ -324,7 +321,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     half = np.where(error < 0, (force.high_n - force.force_n)[judged], (force.force_n - force.low_n)[judged])
     ratio = np.abs(error)[half > 0] / half[half > 0]
     factor = max(1.0, float(np.quantile(ratio, COVERED)) / BY_CHANCE) if ratio.size else 1.0
-    quality = replace(subject.quality, rms_n=float(np.sqrt(np.mean(error**2))), coverage_factor=factor)
+    quality = replace(subject.quality, rms_n=rms(error), coverage_factor=factor)
     return replace(subject, quality=quality), half_width_n * factor
 
 
@@ -340,70 +337,53 @@ def _checked(recording: Recording, scene: Scene) -> Recording:
 
 def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
     """Why a recording cannot calibrate: no force, no rest, times too far apart, readings saturated or missing."""
-    force_n, steps_s = recording.force_n, np.diff(recording.time_s)
+    force_n, time_s, steps_s = recording.force_n, recording.time_s, np.diff(recording.time_s)
     if force_n is None:
         yield ": has no column force_n; calibrating needs the force in newtons."
         return
-    if np.isnan(force_n).any():
-        line = int(np.flatnonzero(np.isnan(force_n))[0]) + 2
-        yield f" line {line}: force_n is empty; calibrating needs it in every row."
-    if np.ptp(force_n) == 0:
-        yield f": force_n is constant at {force_n[0]:g} N; press the finger."
-    if not LEAST_TOUCH_N <= force_n.max() <= MOST_TOUCH_N:
-        yield (
-            f": force_n reaches {force_n.max():.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, "
-            "and give it in newtons."
-        )
-    untouched = force_n < REST_FORCE_N
-    if (rest_s := float(steps_s[untouched[1:]].sum())) < REST_S:
-        yield (
-            f": the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; "
-            f"record at least {REST_S:g} s without a touch."
-        )
-    usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
-    if usual_s > LONGEST_STEP_S:
-        yield (
-            f": samples lie {usual_s:.2g} s apart; record at {1 / LONGEST_STEP_S:g} Hz or faster, "
-            "with time_s in seconds."
-        )
-    if steps_s[longest] > LONGEST_PAUSE_S:
-        yield (
-            f": nothing was recorded for {steps_s[longest]:.3g} s after time_s = {recording.time_s[longest]:g}; "
-            "split the recording there."
-        )
-    if usual_s * len(steps_s) < 0.5 * steps_s.sum():
-        yield (
-            f": {len(steps_s) + 1} samples, mostly {usual_s:.2g} s apart, span {steps_s.sum():.3g} s; "
-            "record at an even rate (empty cells are gaps)."
-        )
+    if (empty := np.isnan(force_n)).any():
+        yield f" line {int(np.argmax(empty)) + 2}: force_n is empty; calibrating needs it in every row."
+    rest, most_n = force_n < REST_FORCE_N, force_n.max()
+    rest_s, usual_s, longest = float(steps_s[rest[1:]].sum()), float(np.median(steps_s)), int(np.argmax(steps_s))
+    faults = {
+        f"force_n is constant at {force_n[0]:g} N; press the finger.": np.ptp(force_n) == 0,
+        f"force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, and give it in "
+        "newtons.": not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N,
+        f"the finger rests (force_n below {REST_FORCE_N:g} N) for {rest_s:.2g} s; record at least {REST_S:g} s without "
+        "a touch.": rest_s < REST_S,
+        f"samples lie {usual_s:.2g} s apart; record at {1 / LONGEST_STEP_S:g} Hz or faster, with time_s in "
+        "seconds.": usual_s > LONGEST_STEP_S,
+        f"nothing was recorded for {steps_s[longest]:.3g} s after time_s = {time_s[longest]:g}; split the recording "
+        "there.": steps_s[longest] > LONGEST_PAUSE_S,
+        f"{len(time_s)} samples, mostly {usual_s:.2g} s apart, span {steps_s.sum():.3g} s; record at an even rate "
+        "(empty cells are gaps).": usual_s * len(steps_s) < 0.5 * steps_s.sum(),
+    }
     for title, volts in zip(recording.names, recording.volts, strict=True):
         at_limit, valid = int(np.sum(volts >= SATURATED * limit_v)), np.isfinite(volts)
-        if at_limit > 0.01 * len(volts):
-            yield f": column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power."
-        if valid.mean() < LEAST_PART or valid[untouched].sum() < LEAST_AT_REST:
-            yield (
-                f": column {title!r} has {int(valid.sum())} of {len(volts)} samples, "
-                f"{int(valid[untouched].sum())} of them without a touch; record it throughout."
-            )
+        faults |= {
+            f"column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power.": (
+                at_limit > 0.01 * len(volts)
+            ),
+            f"column {title!r} has {valid.sum()} of {len(volts)} samples, {valid[rest].sum()} of them without a touch; "
+            "record it throughout.": valid.mean() < LEAST_PART or valid[rest].sum() < LEAST_AT_REST,
+        }
+    yield from (f": {message}" for message, met in faults.items() if met)
 
 
 def _dataset(recordings: Sequence[Recording], fitted: Fitted, profile: Profile) -> xr.Dataset:
-    """The recordings beside what was fitted, one after the other, and the factors' profile likelihoods."""
-    which = np.concatenate([np.full(len(one.time_s), k) for k, one in enumerate(recordings)])
-    force = np.concatenate([np.asarray(one.force_n) for one in recordings])
-    site = np.concatenate([np.asarray(one.site) for one in recordings])
-    data = variable("recording", "sample", which, "number of the recording")
-    data |= variable("time_s", "sample", np.concatenate([one.time_s for one in recordings]), "time", units="s")
-    data |= variable("force_n", "sample", force, "known force", units="N")
-    data |= variable("site", "sample", site, "1 proximal, 0 distal, NaN even")
-    over = ("reading", "sample")
-    volts = np.concatenate([one.volts for one in recordings], axis=1)
-    data |= variable("volts", over, volts, "recorded voltage", units="V")
-    data |= variable("volts_fitted", over, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", units="V")
-    along = ("factor", "place")
-    text = "factor held there, all others fitted"
-    data |= variable("profile_factor", along, np.exp(profile.factors_ln), text)
-    data |= variable("profile_deviance", along, profile.deviance, "squared residuals beyond those of the best fit")
-    text = "the same were the fit quadratic"
-    data |= variable("profile_quadratic", along, profile.offset**2, text)
-    return xr.Dataset(data, {"reading": list(recordings[0].names), "factor": list(profile.names)})
+    """The recordings beside their fit, one after the other, and the factors' profile likelihoods."""
+    every, reading, along = joined(recordings), ("reading", "sample"), ("factor", "place")
+    which = np.repeat(np.arange(len(recordings)), [len(one.time_s) for one in recordings])
+    columns: list[tuple[str, Any, Any, str, str]] = [
+        ("recording", "sample", which, "number of the recording", "1"),
+        ("time_s", "sample", every.time_s, "time", "s"),
+        ("force_n", "sample", every.force_n, "known force", "N"),
+        ("site", "sample", every.site, "1 proximal, 0 distal, NaN even", "1"),
+        ("volts", reading, every.volts, "recorded voltage", "V"),
+        ("volts_fitted", reading, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", "V"),
+        ("profile_factor", along, np.exp(profile.factors_ln), "factor held there, all others fitted", "1"),
+        ("profile_deviance", along, profile.deviance, "squared residuals beyond those of the best fit", "1"),
+        ("profile_quadratic", along, profile.offset**2, "the same were the fit quadratic", "1"),
+    ]
+    data = {name: one for *column, units in columns for name, one in variable(*column, units=units).items()}
+    return xr.Dataset(data, {"reading": list(every.names), "factor": list(profile.names)})

@@ -13,6 +13,7 @@ J. Econometrics 60:1.
 """
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -23,17 +24,15 @@ from scipy import stats
 from scipy.linalg import cho_factor, cho_solve
 
 from .person import LONGEST_STEP_S, Array
-from .state_space import ACTING, LEAST_WIDTH, PULP, TOUCH, WIDTHS, StateSpace, touch_pressure
+from .state_space import ACTING, LEAST_WIDTH, PULP, READING_CORRELATION_S, TOUCH, WIDTHS, StateSpace, touch_pressure
 from .subject import Subject
 
-# How fast touches are expected to change: a force that wanders by this in a second. Chosen on the virtual people: three
-# times as fast takes more of the body's waves for touches. [N/cm^2 / sqrt(s)]
+# Process noise of the touch: random walk in a second. Chosen on the virtual people: three times as much takes more of
+# the body's waves for touches. [N/cm^2 / sqrt(s)]
 TOUCH_RATE = 0.1
-# Modes: random walks of the touch of these times the usual rate, each lasting so long on average. [1, s]
+# Modes: random walks of the touch of these times the usual rate, and their mean durations. [1, s]
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
-# Correlation time of the error of readings that follows the blood's movement. [s]
-READING_CORRELATION_S = 0.4
-# Iterations of the update at most, each of which moves a coordinate no further than this; they end below the last.
+# Most iterations of the update, largest step of a coordinate in one, and the step below which they end.
 ITERATIONS, FARTHEST, CONVERGED = 5, 0.3, 1e-3
 # A finger rests as often as it touches, with pressures of this range on either side: prior of rest. [N/cm^2]
 TOUCH_RANGE = 0.5
@@ -41,11 +40,9 @@ TOUCH_RANGE = 0.5
 ZERO_STDERR = 0.025
 # A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
 OUTLIER = 0.999
-# After gaps longer than this the filter starts anew. [s]
-LONGEST_GAP_S = 5.0
-# So does one that diverged: widths over rest that are known no better than this. A soft vein past closure is known to
-# no more than 2, and must not be taken for one: to start anew is to take it for rest.
-DIVERGED = 5.0
+# The filter restarts, at rest, after gaps longer than this [s], and where a width over rest has a larger standard error
+# than this: a soft vein past closure is known to no more than 2, and must not be taken for diverged.
+LONGEST_GAP_S, DIVERGED = 5.0, 5.0
 # What rounding adds to a predicted variance in the smoother, in parts of it.
 ROUNDING = 1e-12
 
@@ -54,12 +51,11 @@ ROUNDING = 1e-12
 class PressureEstimate:
     """Estimate of one sample.
 
-    touch : (2,) float. Coordinates of both pressures; `touch_pressure` makes pressures of them. [N/cm^2]
-    covariance : (2, 2) float. Of these, were the person known exactly.
-    arterial_pa : float. By how much P_H is off its mean. [Pa]
-    nis : float. Normalized innovation squared of the readings.
-    count : int. Readings that the sample has.
-    outlier : bool. Whether the NIS is too large to be chance.
+    touch : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
+    covariance : (2, 2) float. Of these, for an exact calibration.
+    arterial_pa : float. Deviation of P_H from its mean. [Pa]
+    nis : float. Normalized innovation squared. count : int. Valid readings.
+    outlier : bool. Whether the NIS exceeds the gate.
     """
 
     touch: Array
@@ -71,25 +67,25 @@ class PressureEstimate:
 
 
 def mode_transition(since_s: float) -> Array:
-    """Probabilities (M, M) with which a touch of one mode is in each a while later."""
+    """Mode transition probabilities Pi (M, M) over a time."""
     stay = np.exp(-since_s / MODE_DURATION_S)
     leave = (1.0 - stay) / (len(MODE_RATE) - 1)
     return np.asarray(np.diag(stay - leave) + leave[:, None])
 
 
 def rest_odds(touch: Array, covariance: Array) -> Array:
-    """Odds (...) of a resting finger over one that touches, for estimates (..., 2) of covariances (..., 2, 2)."""
+    """Odds (...) of rest over touch, for estimates (..., 2) with covariances (..., 2, 2)."""
     mahalanobis2 = np.einsum("...i,...ij,...j->...", touch, np.linalg.inv(covariance), touch)
     density = np.exp(-0.5 * mahalanobis2) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
     return np.asarray(TOUCH_RANGE**2 * density)
 
 
 class KalmanFilter:
-    """Estimates the touch from readings, one sample after the other.
+    """Estimates the touch from readings, sample by sample.
 
     state, covariance : merged over modes. mode_probability : (M,) float.
     mode_covariance : (M, size, size) float. Predicted, of each mode.
-    creep : (2,) float. Pressures that the creeping pulp has followed so far. [N/cm^2]
+    creep : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -97,10 +93,10 @@ class KalmanFilter:
         self.restart()
 
     def restart(self) -> None:
-        """Start anew, from an untouched finger."""
+        """Return to the prior of an untouched finger."""
         self.state, self.covariance = self.model.initial()
         self.creep = np.zeros(2)
-        # Part of the readings that the blood makes, and how far it has just moved. [V]
+        # Readings less drift, and their recent change. [V]
         self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.subject.rest_v))
         self.mode_probability = np.full(len(MODE_RATE), 1.0 / len(MODE_RATE))
         self.mode_covariance = np.repeat(self.covariance[None], len(MODE_RATE), axis=0)
@@ -128,7 +124,7 @@ class KalmanFilter:
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(steps):
                 transition = self._predict_step(since_s / steps) @ transition
-        # Readings of another person can drive a filter out of all bounds: it then knows nothing.
+        # Readings of another person can make a filter diverge.
         variance = np.einsum("mii->mi", self.mode_covariance)
         if not (np.isfinite(variance).all() and (variance[:, WIDTHS] < DIVERGED**2).all()):
             self.restart()
@@ -150,7 +146,8 @@ class KalmanFilter:
     def update(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Update the prediction by a sample (R,) [V], so long after the one before it."""
         valid = np.isfinite(volts)
-        nis = self._update(volts, valid, self._measurement_variance(since_s))
+        variance = self.model.measurement_noise(self._blood_v, self._moved_v, since_s)
+        nis = self._update(volts, valid, variance)
         self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
         blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
         self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
@@ -162,15 +159,6 @@ class KalmanFilter:
             count=int(valid.sum()),
             outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER),
         )
-
-    def _measurement_variance(self, since_s: float | None) -> Array:
-        """Measurement noise of each reading, (R,) float: white noise, and what the model misses of the blood. [V^2]"""
-        noise, readings = self.subject.noise, self.subject.readings
-        # Samples within the correlation time count as one.
-        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
-        held_v = self._blood_v - readings.offset_v - self.subject.rest_v
-        misfit_v2 = (noise.moved_error * self._moved_v) ** 2 + (noise.held_error * held_v) ** 2
-        return np.asarray(readings.noise_v**2 + correlated * misfit_v2)
 
     def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
         """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
@@ -224,54 +212,46 @@ def estimate_pressures(
     kalman = KalmanFilter(subject)
     samples = zip(volts.T, [None, *np.diff(time_s)], strict=True)
     if smooth:
-        return _smoothed_estimates(kalman, [_forward_step(kalman, *sample) for sample in samples])
+        return _smoothed_estimates([_forward_step(kalman, *sample) for sample in samples])
     return [kalman.update_sample(*sample) for sample in samples]
 
 
 class FilterStep(NamedTuple):
-    """A sample of the forward pass.
+    """A sample of the forward pass: the filter as predicted, and as updated by its readings.
 
-    estimate, state, covariance, probability : after the update by its readings.
     transition : F from the sample before; None where the filter restarted. since_s : time from it. [s]
-    predicted, mode_covariance, predicted_probability : before the update.
     """
 
     estimate: PressureEstimate
-    state: Array
-    covariance: Array
-    probability: Array
+    predicted: KalmanFilter
+    updated: KalmanFilter
     transition: Array | None
     since_s: float
-    predicted: Array
-    mode_covariance: Array
-    predicted_probability: Array
 
 
 def _forward_step(kalman: KalmanFilter, volts: Array, since_s: float | None) -> FilterStep:
     transition = None if since_s is None else kalman.predict(since_s)
-    predicted = kalman.state, kalman.mode_covariance, kalman.mode_probability
-    estimate = kalman.update(volts, since_s)
-    updated = kalman.state, kalman.covariance, kalman.mode_probability
-    return FilterStep(estimate, *updated, transition, since_s or 0.0, *predicted)
+    predicted = copy(kalman)
+    return FilterStep(kalman.update(volts, since_s), predicted, copy(kalman), transition, since_s or 0.0)
 
 
-def _smoothed_estimates(kalman: KalmanFilter, steps: list[FilterStep]) -> list[PressureEstimate]:
+def _smoothed_estimates(steps: list[FilterStep]) -> list[PressureEstimate]:
     """Fixed-interval smoothing: a backward pass over the linearised steps.
 
-    The covariance predicted for a sample is no less than what the step made of that before it, so that a difference
-    shrinks on its way back: the pass is stable.
+    The predicted covariance is no less than the propagated one of the sample before, so that the pass is stable.
     """
-    model, estimates, later = kalman.model, list[PressureEstimate](), None
+    estimates, later = list[PressureEstimate](), None
     for one in reversed(steps):
+        updated, model = one.updated, one.updated.model
         if later is None or later.transition is None:
-            state, covariance, probability = one.state, one.covariance, one.probability
+            state, covariance, probability = updated.state, updated.covariance, updated.mode_probability
         else:
             state, covariance, probability = _rts_step(one, later, later.transition, (state, covariance, probability))
             state = model.bound_touch(state, covariance)
         later = one
-        touch = one.estimate.touch + state[TOUCH] - one.state[TOUCH]
-        own, arterial_pa = covariance[TOUCH, TOUCH].copy(), model.arterial_pa(state)
-        estimates.append(replace(one.estimate, touch=touch, covariance=own, arterial_pa=arterial_pa))
+        touch, arterial_pa = one.estimate.touch + state[TOUCH] - updated.state[TOUCH], model.arterial_pa(state)
+        smoothed = replace(one.estimate, touch=touch, covariance=covariance[TOUCH, TOUCH], arterial_pa=arterial_pa)
+        estimates.append(smoothed)
     return estimates[::-1]
 
 
@@ -279,16 +259,16 @@ def _rts_step(
     one: FilterStep, later: FilterStep, transition: Array, smoothed: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
     """Smoothed state, covariance and mode probabilities of a sample from those of the sample after it."""
-    later_state, later_covariance, later_probability = smoothed
-    predicted_covariance = np.einsum("m,mij->ij", later_probability, later.mode_covariance)
-    # In standard deviations: pascals and widths lie far apart.
+    (later_state, later_covariance, later_probability), updated = smoothed, one.updated
+    predicted_covariance = np.einsum("m,mij->ij", later_probability, later.predicted.mode_covariance)
+    # In standard deviations: pascals and widths differ by orders of magnitude.
     scale = np.sqrt(np.diag(predicted_covariance))
     correlation = predicted_covariance / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
-    gain = cho_solve(cho_factor(correlation), (transition @ one.covariance) / scale[:, None]).T / scale
-    state = one.state + gain @ (later_state - later.predicted)
-    covariance = one.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
-    ratio = later_probability / np.maximum(later.predicted_probability, 1e-300)
-    probability = one.probability * (mode_transition(later.since_s) @ ratio)
+    gain = cho_solve(cho_factor(correlation), (transition @ updated.covariance) / scale[:, None]).T / scale
+    state = updated.state + gain @ (later_state - later.predicted.state)
+    covariance = updated.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
+    ratio = later_probability / np.maximum(later.predicted.mode_probability, 1e-300)
+    probability = updated.mode_probability * (mode_transition(later.since_s) @ ratio)
     return state, covariance, probability / probability.sum()
 
 

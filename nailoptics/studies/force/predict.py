@@ -221,9 +221,9 @@ def _dataset(
     touching = (estimate.force_n if recording.force_n is None else known) >= TOUCH_N
     half_width = 0.5 * (estimate.high_n - estimate.low_n)[touching]
     attributes = {
-        "rms_n": _rms(estimate.force_n - known),
+        "rms_n": rms(estimate.force_n - known),
         "coverage_95": _mean(inside[judged]),
-        "touch_rms_n": _rms((estimate.force_n - known)[touching]),
+        "touch_rms_n": rms((estimate.force_n - known)[touching]),
         "touch_coverage_95": _mean(inside[touching & judged]),
         "half_width_n": float(np.median(half_width)) if half_width.size else float("nan"),
         "touch_open_above": _mean(np.isinf(half_width)),
@@ -234,7 +234,7 @@ def _dataset(
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
     } | code_attributes()
-    attributes |= {f"rms_{name}_n": _rms(force - known) for name, force in forces.items()}
+    attributes |= {f"rms_{name}_n": rms(force - known) for name, force in forces.items()}
     return xr.Dataset(data, variable("time", over, time_s, "time", units="s"), attributes)
 
 
@@ -293,5 +293,7 @@ def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def _rms(off: Array) -> float:
-    return float(np.sqrt(_mean(off[np.isfinite(off)] ** 2)))
+def rms(error: Array) -> float:
+    """Root mean square of the finite values; NaN of none."""
+    valid = np.isfinite(error)
+    return float(np.sqrt(np.mean(error[valid] ** 2))) if valid.any() else float("nan")

@@ -12,24 +12,25 @@ from ...hemodynamics.rosenbrock import step
 from .person import NAMES, Array, PulsatileGain, touch_on_walls
 from .subject import Subject
 
-# Below this a pressure bends smoothly to 0, so that the filter always has a slope to follow. [N/cm^2]
+# Below this a pressure bends smoothly to 0, so that its derivative never vanishes. [N/cm^2]
 SOFTNESS = 0.002
 # Past closure touches cannot be distinguished: the estimate is bounded at this part of it, from where it can return.
 PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
 LOWEST = -0.01
-# Steps of the numerical Jacobian: of diameters over rest, of pressures in N/cm^2, of P_H in Pa. Between these limits
-# they are the standard deviations of the state.
+# Limits of the numerical Jacobian's steps, else the state's standard deviations: diameters over rest, pressures in
+# N/cm^2; and the step of P_H in Pa.
 LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
 SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02]), 200.0
 # Process noise of the walls, of their diameters at rest per step. [1]
 WALL_NOISE = 1e-4
-# Process noise: walls move faster or slower than the model's by this part of each step, correlated over this time.
-# Chosen on the virtual people: without it a touch that is released past closure is estimated for seconds. [1]
-SPEED_ERROR = 0.2
-SPEED_CORRELATION_S = 0.3
+# Process noise: error of the walls' velocity as a part of it, and its correlation time. Chosen on the virtual people:
+# without it a touch that is released past closure is estimated for seconds. [1, s]
+SPEED_ERROR, SPEED_CORRELATION_S = 0.2, 0.3
 # Process noise of the distal pulp. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
+# Correlation time of the model's error in the measurement noise. [s]
+READING_CORRELATION_S = 0.4
 # Standard deviations of a state of which nothing is known but that the finger rests: diameters [1], pressures [N/cm^2].
 INITIAL_WIDTH, INITIAL_PRESSURE = 1e-2, 0.1
 # Least diameter over rest that the measurement takes.
@@ -61,7 +62,7 @@ class StateSpace:
         self.waves = slice(self.beat.stop, self.beat.stop + 2 * len(noise.waves))
         self.drift = slice(self.waves.stop, self.waves.stop + len(subject.rest_v))
         self.size = self.drift.stop
-        # Their products with the state are the pressure of the beat and that of all slower waves.
+        # Weights of the state that give the pressure of the beat and that of the slow waves.
         self.beat_weights, self.wave_weights = np.zeros(self.size), np.zeros(self.size)
         self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = 1.0
         self.wave_weights[self.waves.start : self.waves.stop : 2] = 1.0
@@ -82,7 +83,7 @@ class StateSpace:
         if subject.noise.beat:
             variance[self.beat] = subject.noise.beat.initial_variance()
         variance[self.waves] = np.repeat([one.rms_pa**2 for one in subject.noise.waves], 2)
-        # Readings at rest are known as well as they were calibrated.
+        # Uncertainty of the calibration at rest.
         count, factors, blood = len(subject.rest_v), len(NAMES), self.person.blood(np.ones(2))
         volts, by_blood = subject.light.slopes(blood)
         jacobian = np.zeros((count, len(subject.covariance)))
@@ -106,7 +107,7 @@ class StateSpace:
         """State after a step, its Jacobian F and the process noise Q, that of the touch left out.
 
         stderr : (6,) float. Standard deviations of the states that act on the walls.
-        creep : (2,) float. Pressures that the creeping pulp has followed so far. [N/cm^2]
+        creep : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
         """
         (transition, noise), many, person = self._linear_process(step_s), self._many, self.person
         high = person.arterial_pa + self.wave_weights @ state
@@ -118,7 +119,7 @@ class StateSpace:
         highs = np.full(count, high)
         highs[first : first + 2] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
         touch = np.maximum(touch_pressure(around[TOUCH]) - (person.creep * creep)[:, None], 0.0)
-        # The distal pulp follows a touch at once where it presses more, else slowly.
+        # The distal pulp follows a rising touch at once, a falling one slowly.
         remaining = np.exp(-step_s / np.maximum(person.recovery_s, SHORTEST_S))
         touch[1] = np.maximum(touch[1], touch[1] + (around[PULP] - touch[1]) * remaining)
         before_m = np.maximum(around[WIDTHS] * many.rest_m, self._closed_m)
@@ -152,12 +153,20 @@ class StateSpace:
         jacobian[readings, self.drift.start + readings] = subject.rest_v
         return own.offset_v + own.gain * volts + subject.rest_v * state[self.drift], jacobian
 
-    def bound_touch(self, state: Array, covariance: Array) -> Array:
-        """The likeliest state whose touch lies within its bounds and whose drift is the given one's.
+    def measurement_noise(self, blood_v: Array, moved_v: Array, since_s: float | None) -> Array:
+        """Diagonal of the measurement noise covariance R, (R,) float: white noise and the model's error. [V^2]
 
-        Were the drift to follow, every touch that is released would push it the same way, and rest would end up far
-        from 0.
+        blood_v, moved_v : (R,) float. Readings less drift, and their recent change. since_s : time of a sample. [s]
         """
+        readings, noise = self.subject.readings, self.subject.noise
+        # Samples within the correlation time count as one.
+        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
+        from_rest_v = blood_v - readings.offset_v - self.subject.rest_v
+        error_v2 = (noise.dynamic_error * moved_v) ** 2 + (noise.static_error * from_rest_v) ** 2
+        return np.asarray(readings.noise_v**2 + correlated * error_v2)
+
+    def bound_touch(self, state: Array, covariance: Array) -> Array:
+        """The likeliest state with its touch within bounds; the drift stays, as each release would bias it alike."""
         bounded = np.clip(state[TOUCH], *self.touch_bounds)
         outside = np.flatnonzero(bounded != state[TOUCH])
         if not outside.size:
@@ -169,7 +178,7 @@ class StateSpace:
         return np.asarray(moved)
 
     def sensed_touch(self, state: Array, creep: Array) -> Array:
-        """Coordinates of the touch where vessels feel it; 0 where the pulp has crept by more than it presses."""
+        """Coordinates of the touch less the relaxation of the pulp, 0 where that is larger."""
         lost = np.maximum(self.person.creep * creep, 1e-9)
         return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
 

@@ -5,15 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    AliasChoices,
-    BaseModel,
-    BeforeValidator,
-    Field,
-    TypeAdapter,
-    ValidationError,
-)
+from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from ...checks import explain
@@ -46,10 +38,10 @@ MOST_RMS_N = 0.15
 LINEAR = 4
 # A factor is informed by a calibration that leaves less than this part of the prior's standard deviation.
 INFORMED = 0.7
-# Nobody's readings quite follow the blood of two zones: while it moves they are off by so much of every change, while a
-# touch is held by so much of their distance from rest. Chosen on the virtual people, and on light known to 2 %: without
-# the first a touch let go past closure leads the filter far astray, without the second one that was held stays. [1]
-MOVED_ERROR, HELD_ERROR = 0.03, 0.01
+# Measurement noise by the model's error, as parts of a reading's recent change and of its distance from rest. Chosen on
+# the virtual people, and on light known to 2 %: without the first a touch released past closure leads the filter far
+# astray, without the second a held touch persists. [1]
+DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
 Model = Literal["network", "paper"]
 
 
@@ -73,6 +65,9 @@ class Quality:
     def is_wrong(self) -> bool:
         """Whether the force of the calibration's own touches came out so far off that no other can be trusted."""
         return self.rms_n > MOST_RMS_N
+
+
+READING_KEYS = ("gain", "gain_stderr", "offset_v", "offset_stderr_v", "residual_rms_v", "noise_v")
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -116,9 +111,9 @@ class Noise:
 
     drift_per_min : random walk of each reading in a minute, of its volts. [1]
     led_drift_per_min : that of all readings of an LED together. [1]
-    beat : the heart's; None where none was detected. waves : of the arterial pressure, beside the beat.
-    moved_error, held_error : errors of readings beyond the model, of how far they have just moved with the blood and of
-        how far they are from rest. They are the model's, not the person's, and not in the file. [1]
+    beat : the heart's; None where none was detected. waves : slower ones of the arterial pressure.
+    dynamic_error, static_error : of the model, as parts of a reading's recent change and of its distance from rest; not
+        in the file. [1]
     """
 
     drift_per_min: Fraction
@@ -131,8 +126,8 @@ class Noise:
     beat: Annotated[
         Annotated[CardiacOscillator, AfterValidator(_possible_beat)] | None, BeforeValidator(lambda beat: beat or None)
     ] = None
-    moved_error: Annotated[float, Field(exclude=True)] = MOVED_ERROR
-    held_error: Annotated[float, Field(exclude=True)] = HELD_ERROR
+    dynamic_error: Annotated[float, Field(exclude=True)] = DYNAMIC_ERROR
+    static_error: Annotated[float, Field(exclude=True)] = STATIC_ERROR
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -257,6 +252,12 @@ class Subject:
         """Covariance of the readings' drift in a minute, over the readings, (R, R) float."""
         led, noise = self.light.same_led(), self.noise
         return np.asarray(noise.drift_per_min**2 * np.eye(len(led)) + noise.led_drift_per_min**2 * led @ led.T)
+
+    @cached_property
+    def rest_covariance(self) -> Array:
+        """Covariance of readings at rest, (R, R) float: white noise and a minute's drift. [V^2]"""
+        drift = np.outer(self.rest_v, self.rest_v) * self.drift_covariance
+        return np.asarray(drift + np.diag(self.readings.noise_v**2))
 
     @property
     def stderr(self) -> Array:

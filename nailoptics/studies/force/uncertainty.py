@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm, qmc
 
+from ...statistics import covariance_root
 from .kalman import PressureEstimate, rest_odds
 from .person import NAMES, Array, Person
 from .state_space import touch_pressure
 from .subject import Correction, Curve, Subject
 
-# The curve bends at these parts of the pressure at closure.
-BENDS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0])
-# The curve is fitted to touches up to this part of closure.
-FITTED_TO = 0.8
-# Beforehand the network is trusted to this part of a pressure, and neighbouring bends differ by no more than that.
+# Nodes of the correction curve, and the largest fitted touch, in parts of the pressure at closure.
+BENDS, FITTED_TO = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0]), 0.8
+# Prior standard deviations of its factor on a pressure, and of the difference between neighbouring nodes.
 SPREAD, SMOOTHNESS = 0.3, 0.15
 # Noise of an estimated pressure and its correlation time. [N/cm^2, s]
 NOISE, CORRELATION_S = 0.1, 1.0
@@ -61,8 +60,8 @@ POINTS = 256
 QUANTILES = (0.025, 0.975)
 # Below this force, where pressures bend to 0, there may be no touch at all, and it has no place. [N]
 LEAST_FORCE_N = 0.03
-# Standard errors are this part of those of filter and calibration together, as both count some of what the model
-# misses: chosen on the virtual people, of whose touches the 95 % intervals otherwise cover 97 to 100 %.
+# Factor on the standard errors of filter and calibration, both of which count some of the model's error: chosen on the
+# virtual people, of whose touches the 95 % intervals otherwise cover 97 to 100 %.
 INTERVAL_SCALE = 0.82
 # An interval of the share as wide as this holds no information.
 UNKNOWN_SHARE = 0.9
@@ -100,19 +99,15 @@ class ForceInterval:
         self.scale = INTERVAL_SCALE * subject.quality.coverage_factor
         closure = self.person.closure()
         self._closed, self._bends = self.correction.apply(closure[:, None]), closure[:, None] * PARTS
-        values, vectors = np.linalg.eigh(subject.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        root, self._information = covariance_root(subject.covariance), np.linalg.inv(subject.rest_covariance)
         self._root = np.array([[self._jacobian(side, one) @ root for one in self._bends[side]] for side in range(2)])
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
         covariance = self._calibration_covariance(np.diag(closure))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
-        # The least force that closes the vessels on either side. [N]
-        self._least_closing_n = self.areas_cm2 * self._closed[:, 0] * np.exp(-2 * part)
-
-    @property
-    def saturated_above_n(self) -> dict[str, float]:
-        """Force of a touch on either side from which its interval may have no upper bound. [N]"""
-        return dict(zip(("proximal", "distal"), (self.areas_cm2 * self._closed[:, 0]).tolist(), strict=True))
+        # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
+        closing_n = self.areas_cm2 * self._closed[:, 0]
+        self.saturated_above_n = dict(zip(("proximal", "distal"), closing_n.tolist(), strict=True))
+        self._least_closing_n = closing_n * np.exp(-2 * part)
 
     def of(self, estimates: list[PressureEstimate]) -> ForceEstimate:
         """The forces of some samples."""
@@ -120,9 +115,7 @@ class ForceInterval:
         by_calibration, pressure_by_calibration = self._calibration_covariance(touch_pressure(touch.T))
         by_filter = np.array([one.covariance for one in estimates]) * self.scale**2
         covariance = by_filter + by_calibration
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-        cloud = np.einsum("tij,jp->itp", root, self._points)
+        cloud = np.einsum("tij,jp->itp", covariance_root(covariance), self._points)
         pressures = self.correction.apply(touch_pressure(touch.T[:, :, None] + cloud))
         force, share = self.person.force(pressures)
         low, high = np.quantile(force, QUANTILES, axis=1)
@@ -186,9 +179,7 @@ class ForceInterval:
         by_gain = np.diag(near[:, 4] / subject.readings.gain)
         by_slope = [np.diag(zone[:, 4]) for zone in steeper]
         by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
-        rest_v = subject.rest_v
-        noise_v2 = np.outer(rest_v, rest_v) * subject.drift_covariance + np.diag(subject.readings.noise_v**2)
-        weighted = slopes.T @ np.linalg.inv(noise_v2)
+        weighted = slopes.T @ self._information
         by_touch = -np.linalg.solve(weighted @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighted @ by_parameter)
         return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
 

@@ -37,8 +37,8 @@ def known() -> Subject:
             led_drift_per_min=1e-9,
             beat=None,
             waves=(),
-            moved_error=0.0,
-            held_error=0.0,
+            dynamic_error=0.0,
+            static_error=0.0,
         ),
     )
 

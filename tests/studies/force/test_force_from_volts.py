@@ -15,11 +15,12 @@ from nailoptics.report.pages.force import calibration_summary, prediction_summar
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
-from nailoptics.studies.force.kalman import DIVERGED, READING_CORRELATION_S, WIDTHS, KalmanFilter
+from nailoptics.studies.force.kalman import DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.predict import csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
-from nailoptics.studies.force.subject import MOVED_ERROR, Subject, parse_subject, subject_toml
+from nailoptics.studies.force.state_space import READING_CORRELATION_S, WIDTHS
+from nailoptics.studies.force.subject import DYNAMIC_ERROR, Subject, parse_subject, subject_toml
 
 # Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.
 SLOPES = np.array([[-16.0, -2.5], [-6.0, -1.6], [-1.9, -6.2], [-2.8, -17.0]])
@@ -199,7 +200,7 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     lagging = np.exp(-np.arange(time_s.size) * made_sensor.STEP_S / READING_CORRELATION_S)
     moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
     moved[:, time_s < 1.0] = 0.0
-    off = MOVED_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
+    off = DYNAMIC_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
     told = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
     assert told.outlier.values.mean() < 0.01
     assert told.attrs["consistent"]
