@@ -356,7 +356,7 @@ def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
 
 
 @pytest.mark.jit
-def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit):
+def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
     """No photon seen is no standard error known; it must not be told as 0, nor break the JSON."""
     assert run(["simulate", "prototype", "--photons", "1000", "-o", "few", "--json"]) == 0
     out, err = capfd.readouterr()
@@ -370,7 +370,7 @@ def test_a_photodiode_that_saw_nothing_is_told_as_such(folder, capfd, chosen_jit
 
 
 @pytest.mark.jit
-def test_the_error_of_a_few_photons_is_not_told(folder, capfd, chosen_jit):
+def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
     """One photon has no spread, and that of a few says nothing; neither must pass for exact, nor break the JSON."""
     (folder / "phantom.toml").write_text(PHANTOM)
     for photons in ("1", "4"):

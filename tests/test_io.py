@@ -261,7 +261,7 @@ for i in range(200):
 """
 
 
-def test_processes_that_write_one_file_at_once_leave_one_whole_at_any_time(tmp_path):
+def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
     path = tmp_path / "file"
     writers = [
         subprocess.Popen([sys.executable, "-c", WRITER, str(path), letter], env=here(), stderr=subprocess.PIPE)

@@ -113,7 +113,7 @@ def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, folder):
         assert code == 2 and "Permission denied" in said and "internal" not in said
 
 
-def test_what_cannot_be_read_is_told_in_one_line(folder):
+def test_unreadable_files_give_one_line(folder):
     for name in ("shut.toml", "shut.csv", "shut.npz"):
         (folder / name).touch(mode=0o000)
     (folder / "shut").mkdir(mode=0o000)

@@ -78,7 +78,7 @@ def test_every_label_has_the_media_of_its_region(scene, folder, session):
     assert rows[-1] == [0, 0, 1, 1] and volume[0, 0, 0] == len(rows) - 1
 
 
-def test_all_of_the_die_shines_from_the_epoxy_and_nothing_stands_before_it(scene, folder, session):
+def test_all_of_the_die_emits_into_the_epoxy_unobstructed(scene, folder, session):
     made = run_session.mcx_config(session, folder, photons=1, seed=1)
     source, sides = np.array(made["srcpos"]), np.array([made["srcparam1"][:3], made["srcparam2"][:3]])
     assert np.linalg.norm(sides, axis=1) * SIDE_MM == pytest.approx([0.25, 0.25])

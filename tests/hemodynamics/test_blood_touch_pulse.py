@@ -108,7 +108,7 @@ def test_the_pulp_yields_at_once_and_recovers_slowly():
         creeping_pressure(coarse, touches[0], relaxation_s=-1.0)
 
 
-def test_pulse_has_the_mean_height_and_rate_asked_for():
+def test_pulse_has_the_requested_mean_height_and_rate():
     time = np.arange(0.0, 60.0, 1e-3)
     wave = cardiac_pressure(time, mean_pressure_pa=1.2e4, pulse_pressure_pa=3e3, rate_per_min=72.0)
     assert wave.mean() == pytest.approx(1.2e4, rel=1e-6)

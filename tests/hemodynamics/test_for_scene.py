@@ -27,7 +27,7 @@ def scene_with(text, folder=None):
     return parse_scene(SMALL_FINGER_BEST + text, folder=folder)
 
 
-def test_recorded_pressures_drive_the_blood_and_their_force_is_that_on_both_areas(tmp_path):
+def test_recorded_pressures_drive_the_blood_and_give_the_force(tmp_path):
     (tmp_path / "touch.csv").write_text(
         "time_s,proximal_pressure_pa,distal_pressure_pa\n0,0,0\n0.5,8000,2000\n2,8000,2000\n"
     )
@@ -48,7 +48,7 @@ def test_recorded_pressures_go_before_the_force_beside_them(tmp_path):
     assert run.force_n[-1] == 2.0 and run.proximal_pressure_pa.max() == 0 and run.distal_pressure_pa[-1] == 5000.0
 
 
-def test_a_distal_cycle_leaves_the_proximal_vein_alone_and_shows_hysteresis():
+def test_a_distal_cycle_spares_the_vein_and_shows_hysteresis():
     text = '[touch]\nprofile = "cycle"\nforce_n = 0.8\nsite = "distal"\nstart_s = 0.0\nperiod_s = 2.0\ncycles = 3\n'
     run = blood_over_touch(scene_with(text + "sample_rate_hz = 50.0"))
     assert run.proximal_pressure_pa.max() == 0 and run.distal_pressure_pa.max() == pytest.approx(8e3)
@@ -69,7 +69,7 @@ def test_the_distal_pulp_recovers_with_its_time_constant_after_a_step():
     assert not blood_over_touch(proximal).proximal_pressure_pa.values[-150:].any()
 
 
-def test_a_heartbeat_beats_in_the_blood_and_is_off_unless_asked_for():
+def test_a_heartbeat_beats_in_the_blood_and_is_off_by_default():
     still, beating = (
         scene_with('[touch]\nprofile = "hold"\nforce_n = 0.0\n'),
         "[body.heartbeat]\nrate_variability = 0.0",
@@ -107,7 +107,7 @@ def test_blood_does_not_depend_on_how_often_results_are_sampled(touch):
     assert coarse == pytest.approx(fine, rel=1e-9)
 
 
-def test_a_beating_heart_is_followed_however_rarely_results_are_sampled_and_has_beaten_before():
+def test_a_heartbeat_does_not_depend_on_the_rate_of_results():
     beating = "[body.heartbeat]\n[touch]\n" + 'profile = "hold"\nforce_n = 0.0'
     coarse, fine = (blood_at(2.0, beating, rate) for rate in (2.0, 500.0))
     assert coarse == pytest.approx(fine, rel=1e-9)
@@ -123,7 +123,7 @@ def test_breath_and_slow_waves_add_to_the_beat_and_the_seed_decides():
     assert not np.allclose(runs[0].blood_fraction, runs[2].blood_fraction)
 
 
-def test_a_recorded_pulse_is_the_arterial_pressure_and_its_mean_that_of_rest(tmp_path):
+def test_a_recorded_pulse_is_the_arterial_pressure_with_its_mean_at_rest(tmp_path):
     (tmp_path / "pulse.csv").write_text("time_s,arterial_pressure_pa\n0,9000\n2,11000\n4,9000\n")
     scene = scene_with('[body]\nfile = "pulse.csv"\n', tmp_path)
     run = blood_over_touch(scene)
@@ -144,7 +144,7 @@ def test_two_zones_are_the_papers_and_eight_are_equal_parts_of_the_nail():
     assert scene_with("zones = 2").zone_edges_mm == (0.0,)
 
 
-def test_edges_cut_the_bed_where_they_say_and_equal_ones_share_their_light_with_a_number_of_zones():
+def test_edges_cut_the_bed_and_equal_ones_share_light_with_a_count():
     cut = capillary_zones(zoned(zone_text="zone_edges_mm = [-3.0, 3.0]"))
     assert cut.share == pytest.approx((0.5, 1.0, 0.5)) and cut.names == ["zone_1", "zone_2", "zone_3"]
     # P_F2 is the mean over the distal half, which holds half of the middle zone.
@@ -187,7 +187,7 @@ def test_the_white_band_ends_where_half_of_the_blood_is_left():
     assert blood_model(scene).white_band_mm(0.03 * part) == pytest.approx(expected)
 
 
-def test_shear_is_a_third_pressure_that_steady_states_at_two_pressures_leave_out():
+def test_shear_is_a_third_pressure_left_out_of_two_pressure_states():
     sheared = zoned("[touch]\nforce_n = 2.0\nshear_n = -1.0\n")
     run = blood_over_touch(sheared)
     assert run.shear_n.min() == -1.0 and run.shear_n[0] == 0.0
@@ -198,7 +198,7 @@ def test_shear_is_a_third_pressure_that_steady_states_at_two_pressures_leave_out
     assert steady_blood(sheared, [0.0])[0] == pytest.approx(np.full(8, 0.03), rel=1e-9)
 
 
-def test_blood_that_pools_is_arterial_and_what_is_squeezed_out_leaves_the_rest_as_it_was():
+def test_pooled_blood_is_arterial_and_squeezing_changes_no_saturation():
     run = blood_over_touch(scene_with("so2 = 0.95\nvenous_so2 = 0.85\n"))
     fraction, so2 = run.blood_fraction.values, run.so2.values
     assert so2[:, 0] == pytest.approx([0.9, 0.9])
@@ -226,13 +226,13 @@ def test_blood_that_cannot_be_is_refused_in_one_line(text, words):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_search_for_a_layout_refuses_more_than_its_two_zones_in_one_line():
+def test_place_refuses_more_than_two_zones_in_one_line():
     with pytest.raises(InputError, match="place judges layouts by two blood zones, and the scene has 8") as caught:
         nail.place(zoned())
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_touch_under_which_the_pulp_spreads_presses_as_one_that_is_lighter_in_the_end():
+def test_a_creeping_touch_ends_as_a_lighter_one():
     text = '[touch]\nprofile = "hold"\nforce_n = 0.5\nsite = "proximal"\n'
     creeping, lighter = scene_with(text + "creep = 0.2\ncreep_s = 0.5\n"), scene_with(text.replace("0.5", "0.4"))
     assert float(blood_over_touch(creeping).proximal_pressure_pa[-1]) == pytest.approx(4e3, rel=1e-3)

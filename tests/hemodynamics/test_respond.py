@@ -178,7 +178,7 @@ def test_a_response_ends_in_the_steady_state():
     assert last["vein_pressure_pa"].item() == pytest.approx(s.vein_pressure_pa, rel=1e-5)
 
 
-def test_start_is_untouched_unless_steady_is_asked_for():
+def test_start_is_untouched_unless_steady_is_requested():
     p = parameters("figures")
     rest, held = steady_state(p), steady_state(p, proximal_pressure_pa=5e3)
     step = respond(p, TIME, proximal_pressure_pa=5e3)

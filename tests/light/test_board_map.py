@@ -105,7 +105,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
 
 
 @pytest.mark.long
-def test_a_fresh_trace_with_more_blood_reads_what_the_map_foretells(scene, arrivals, chosen_jit):
+def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arrivals, chosen_jit):
     """No photon is shared: the map's reread reading beside a trace at 5 % blood in the bed."""
     areas = list(scene.layout.photodiode_areas)
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)

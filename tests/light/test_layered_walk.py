@@ -340,7 +340,7 @@ def test_standard_errors_are_honest(jit_backend):
         assert 1e-3 < stats.chi2(len(z)).cdf(np.sum(np.square(z))) < 1 - 1e-3, name
 
 
-def test_the_errors_of_readings_are_correlated_as_told(jit_backend):
+def test_the_errors_of_readings_are_correlated_as_stated(jit_backend):
     """Two apertures at one distance, one a little beyond, one far away: over 300 seeds, their readings vary together as
     each trace says."""
     places = {"right": (1.0, 0.0), "above": (0.0, 1.0), "beside": (1.4, 0.0), "far": (3.5, 0.0)}

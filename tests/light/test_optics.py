@@ -40,7 +40,7 @@ def test_a_factor_multiplies_the_bloodless_absorption(scene, part):
 
 
 @pytest.mark.parametrize("part", ["plate", "bed", "bone", "pulp"])
-def test_a_factor_on_scattering_multiplies_one_parts_mu_s_and_nothing_else(scene, part):
+def test_a_scattering_factor_scales_mu_s_of_one_part_alone(scene, part):
     before, after = (
         optics.finger_media(s, REGIONS, 800.0) for s in (scene, with_finger(scene, **{f"{part}_scattering": 0.5}))
     )

@@ -155,7 +155,7 @@ def rewritten(path: Path, change) -> None:
 
 
 @pytest.mark.jit
-def test_wrong_content_under_a_right_checksum_is_reported_and_traced_again(small_batches, store, caplog):
+def test_wrong_content_with_a_right_checksum_is_traced_again(small_batches, store, caplog):
     fresh = nail.trace(slab(), photons=PHOTONS, seed=3)
     files = sorted(store.glob("*/*.dat"))
     for k, (what, change) in enumerate(WRONG_CONTENT.items()):

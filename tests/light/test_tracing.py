@@ -124,7 +124,7 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
     assert caught.value.result.photons == 3 * (1 << 12)
 
 
-def test_progress_is_told_after_every_batch(jit_backend, monkeypatch):
+def test_progress_is_reported_after_every_batch(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 13)
     told: list[TraceProgress] = []
     nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
@@ -161,7 +161,7 @@ def test_the_library_prints_nothing(jit_backend, capfd, caplog):
         ({"relative_error": 0.2, "max_seconds": 1.0}, {"relative_error": 0.2, "max_seconds": 1.0}),
     ],
 )
-def test_what_is_asked_in_the_call_comes_before_the_scene(asked, expected):
+def test_options_of_the_call_come_before_the_scene(asked, expected):
     scene = slab(accuracy="relative_error = 0.1\nmax_seconds = 5.0")
     assert accuracy(scene, TraceOptions(**asked)).model_dump(exclude_none=True) == expected
 

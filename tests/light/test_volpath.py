@@ -145,7 +145,7 @@ def test_what_stock_mitsuba_cannot_do_is_said():
         )
 
 
-def test_the_bed_varies_along_the_nail_as_asked():
+def test_the_bed_varies_along_the_nail_as_requested():
     """sigma_t and albedo read back from Mitsuba's grids at places between the nodes."""
     mi = backend.activate(backend.choose("scalar"))
     v = np.linspace(-6, 6, 121)
@@ -241,7 +241,7 @@ def test_without_index_steps_the_finger_is_traced_through_null_boundaries(finger
 
 
 @pytest.mark.long
-def test_photodiodes_told_apart_by_colour_read_what_each_reads_alone():
+def test_photodiodes_distinguished_by_colour_read_what_each_reads_alone():
     """Three photodiodes in one trace against one each, in the scalar variant."""
     two = """
 [[photodiodes]]

@@ -82,7 +82,7 @@ def test_what_is_neither_border_nor_hole_is_counted():
 @pytest.mark.parametrize(
     ("around", "area"), [([], 130), ([(2, 2)], 100), ([(12, 5)], 30), ([(2, 2), (12, 5)], 130), ([(50, 50)], 130)]
 )
-def test_of_boards_that_share_part_of_an_edge_that_with_the_parts_is_taken(around, area):
+def test_of_boards_that_share_an_edge_the_one_with_parts_is_taken(around, area):
     panel = [((0, 0), (10, 0), (10, 10), (0, 10)), ((10, 0), (15, 0), (15, 6), (10, 6))]
     found = join([line for board in panel for line in sides(board)], "x", around=around)
     assert area_mm2(found.corners_mm) == pytest.approx(area) and not found.holes_mm

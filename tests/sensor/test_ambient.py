@@ -56,7 +56,7 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cover", [500, 0])
-def test_a_sky_of_the_other_engine_brings_what_reciprocity_foretells(jit_backend, cover):
+def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     """Rationale: what leaves the finger from the photodiode, times n^2 A E, must be what volpath collects of a sky.
 
     volpath's sky has radiance 1 from all sides, irradiance pi; its irradiance meter in the epoxy counts the n^2.

@@ -23,7 +23,7 @@ def test_a_perfect_photodiode_gives_one_electron_per_photon():
     assert responsivity_a_per_w(800, 1.0) == pytest.approx(1.602176634e-19 / photon_j, rel=1e-9)
 
 
-def test_shot_noise_overtakes_thermal_noise_at_52_mv_whatever_the_resistor():
+def test_shot_noise_exceeds_thermal_noise_from_52_mv_at_any_resistor():
     # 2 q V / R = 4 k T / R at V = 2 k T / q = 51.7 mV at 300 K.
     for ohm in (1e5, 1e6, 1e7):
         amplifier = Electronics(feedback_ohm=ohm, temperature_k=300)

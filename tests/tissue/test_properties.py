@@ -133,7 +133,7 @@ def test_the_nail_plate_transmits_red_more_than_blue_and_hardly_uv():
     assert 0.0165 < passed[0] < 0.5 * passed[1]
 
 
-def test_what_passes_the_nail_plate_falls_exponentially_with_its_thickness():
+def test_transmission_falls_exponentially_with_the_plates_thickness():
     thicknesses_mm = np.linspace(0.3, 0.9, 5)
     for wavelength_nm in (450.0, 550.0, 620.0, 700.0):
         plate = tissue.optical_properties("plate", wavelength_nm)

@@ -86,7 +86,7 @@ def test_light_of_one_path_in_one_zone_is_beer_lambert():
     assert np.abs(result.part_error.sel(part=["one_path", "both_zones", "blood_scattering"])).max() < 2e-5
 
 
-def test_a_spread_of_paths_is_told_from_truncation():
+def test_a_spread_of_paths_is_separated_from_truncation():
     """Gamma-distributed paths of shape k and scale s read (1 + s x)^-k; (8) with their mean is off by the rest."""
     shape, scale = 2.0, 2.5
     draw = np.random.default_rng(3).gamma(shape, scale, 20_000)
@@ -102,7 +102,7 @@ def test_a_spread_of_paths_is_told_from_truncation():
     assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-8
 
 
-def test_the_other_zone_is_told_too_and_known_paths_in_both_repair_it():
+def test_the_other_zone_is_reported_and_known_paths_in_both_repair_it():
     n = 4000
     blood = judged(made_up(np.full(n, 2.0), np.full(n, 6.0)), "blood").isel(led=0, sweep=0)
     exponent = blood.setting.values * per_blood(prototype(fwhm_nm=0.0))

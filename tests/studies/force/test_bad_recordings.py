@@ -161,7 +161,7 @@ def test_what_cannot_calibrate_is_refused(
         (["calibrate", "prototype"], "requires an argument"),
     ],
 )
-def test_what_is_asked_wrongly_is_refused(
+def test_wrong_requests_are_refused(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
 ) -> None:
     files = ("touch.csv", "proximal.csv", "me.toml", "none.csv", "none.toml")

@@ -10,7 +10,7 @@ from nailoptics.studies.force.body_noise import _cardiac_oscillator, _decompose,
 STEP_S = 0.02
 
 
-def test_pressure_light_and_own_drift_are_told_apart() -> None:
+def test_pressure_light_and_drift_are_separated() -> None:
     rng, count = np.random.default_rng(1), int(600 / STEP_S)
     response = np.array([3.0, 2.0, 1.0, 0.5, 0.5, 1.0, 2.0, 3.0])[:, None] * 1e-6 * np.ones(count)
     leds = np.ones((8, 1))

@@ -36,7 +36,7 @@ def _json(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> dict[str,
     return dict(json.loads(capsys.readouterr().out))
 
 
-def test_a_person_is_recorded_calibrated_and_told(
+def test_a_person_is_recorded_calibrated_and_predicted(
     chosen_jit: object, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Rationale: three scenes of one small board, few photons. Expected: every command ends with 0 and writes what it

@@ -26,7 +26,7 @@ def test_few_samples_move_the_curve_less_than_many() -> None:
     assert short.applied_n_per_cm2[3] > 1.05 * long.applied_n_per_cm2[3]
 
 
-def test_a_harder_touch_is_never_told_as_a_softer_one() -> None:
+def test_a_harder_touch_is_never_estimated_as_a_softer_one() -> None:
     folded = np.where(TRUE < 1.0, 2.0 * TRUE, 2.0 + 0.2 * TRUE)
     found = Correction(fit_curve(2.4, TIME_S, folded[::-1], TRUE), fit_curve(2.0, *NONE))
     pressures = np.tile(np.linspace(0.0, 3.0, 200), (2, 1))

@@ -44,7 +44,7 @@ def known() -> Subject:
 
 
 @pytest.mark.parametrize(("site", "share"), [("proximal", 1.0), ("distal", 0.0)])
-def test_a_held_touch_is_told_as_finely_as_placement_promises(known: Subject, site: str, share: float) -> None:
+def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(known: Subject, site: str, share: float) -> None:
     """Rationale: matched model and electronic noise alone. Expected: rms within 1.3 times the Cramer-Rao bound of one
     sample, whatever the split; less than it only by what the filter remembers of the samples before.
     """

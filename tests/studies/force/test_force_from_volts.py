@@ -174,7 +174,7 @@ def test_past_closure_the_interval_is_open_above(subject: Subject, table: Readin
 
 
 @pytest.mark.long
-def test_after_a_touch_far_past_closure_the_next_one_is_told(subject: Subject, table: ReadingTable) -> None:
+def test_a_touch_after_one_far_past_closure_is_estimated(subject: Subject, table: ReadingTable) -> None:
     force = np.concatenate([_cycle(5.0), _steps()])
     told = predict(subject, _record(table, force, "distal", seed=14, pulse_pa=500.0))
     later = told.time.values > 22.0
@@ -224,7 +224,7 @@ def test_readings_that_do_not_fit_are_named(subject: Subject, table: ReadingTabl
 @pytest.mark.parametrize(
     ("let_go_s", "advice"), [(1.0, "record some that are released within 0.2 s, too"), (0.1, "record more of them")]
 )
-def test_quick_touches_are_asked_for_where_there_are_none(let_go_s: float, advice: str) -> None:
+def test_missing_quick_touches_are_reported(let_go_s: float, advice: str) -> None:
     time_s = np.arange(0.0, 4.0, made_sensor.STEP_S)
     force = np.interp(time_s, [1.0, 1.5, 2.0, 2.0 + let_go_s], [0.0, 0.5, 0.5, 0.0])
     known = parse_subject(made_sensor.subject())

@@ -303,7 +303,7 @@ def test_swapping_source_and_photodiode_keeps_the_board():
         assert min(abs(two.leds[0].center_mm[1] - e.area.center_mm[1]) for e in one.photodiodes) < 1e-9
 
 
-def test_changes_are_told_as_lines_that_make_them():
+def test_changes_are_reported_as_lines_that_make_them():
     scene = whole()
     changes = {"light": {"left_out": ["epidermis", "kapton"], "index_steps": False}} | ONE_WAVELENGTH
     other = revised(scene, changes)
@@ -398,7 +398,7 @@ def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_what_was_not_seen_is_not_told(jit_backend):
+def test_undetected_light_has_no_estimate(jit_backend):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
     found = explain(prototype(), photons=100)
     retraced = [e for e in found.effects if e.how == "retraced"]

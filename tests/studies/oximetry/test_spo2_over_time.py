@@ -58,7 +58,7 @@ def test_the_interval_covers_the_truth_in_90_to_98_of_100_recordings(noise):
     assert 0.90 <= np.mean(inside) <= 0.98
 
 
-def test_rate_perfusion_and_saturation_are_told_in_every_window():
+def test_rate_perfusion_and_saturation_are_estimated_in_every_window():
     told = spo2_over_time(recorded(0.9, seed=3), KNOWN, SCENE)
     assert told.attrs["versions"].startswith("nailoptics=")
     assert np.all(abs(told.rate_per_min - 72.0) < 4.0)

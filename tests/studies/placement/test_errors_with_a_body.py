@@ -88,7 +88,7 @@ def test_what_so_few_photons_tell_is_said_to_be_roughly_known(found):
     assert sum("near" in rough_words(rows(one)) for one in found) >= 17
 
 
-def test_the_error_of_what_is_told_of_oxygen(found):
+def test_the_stated_error_of_oxygen(found):
     """Expected: what other seeds scatter by, within the 50 % that three times the chance of twenty seeds is."""
     values, errors = (np.array([one[f"spo2_error_percent{end}"].values for one in found]) for end in ("", "_stderr"))
     away = (values - values.mean(0)) / errors * np.sqrt(len(values) / (len(values) - 1))

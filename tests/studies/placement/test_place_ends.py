@@ -68,7 +68,7 @@ def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkey
 
 
 @pytest.mark.slow
-def test_time_that_is_over_leaves_the_layouts_that_were_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
+def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, tmp_path, monkeypatch):
     """Every look at the clock takes a second: the given layouts' board has light by then, the paper's has not."""
     clock = itertools.count()
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))

@@ -48,7 +48,7 @@ def ranked(chosen_jit):
     return base, rules, layouts, judged, found.assign_coords(layout=list(places))
 
 
-def test_the_ranking_is_told_over_every_prior_that_only_absorbs(ranked):
+def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
     *_, found = ranked
     how = dict(zip(found.prior_field.values.tolist(), found.prior_how.values.tolist(), strict=True))
     assert how == {FIELDS[0]: "reweighted", FIELDS[1]: "reweighted", FIELDS[2]: "not traced"}
@@ -86,7 +86,7 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "Uncertainty over the priors" in spread_section(found)
 
 
-def test_without_time_only_what_was_read_whole_is_told(ranked):
+def test_without_time_only_complete_readings_are_reported(ranked):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
     _, rules, layouts, judged, _ = ranked
     looks = itertools.count()

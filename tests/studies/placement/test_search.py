@@ -238,7 +238,7 @@ def test_rules_that_make_no_sense_are_one_line(rules, words):
     assert "\n" not in str(caught.value)
 
 
-def test_the_share_of_a_force_is_told_as_well_as_pressures_scatter():
+def test_the_error_of_the_share_is_the_scatter_of_pressures():
     """Pressures that scatter as the information says: the spread of the proximal part of the force they make."""
     per_pa2 = np.array([4e-4, 1e-4, 2e-4])
     point = information.OperatingPoint(

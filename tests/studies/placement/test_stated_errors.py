@@ -84,7 +84,7 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
         "direct",
     ],
 )
-def test_errors_of_what_is_told_of_layouts(found, name):
+def test_stated_errors_of_layouts(found, name):
     """Expected: what other seeds scatter by."""
     assert_true(*(np.array([one[f"{name}{end}"].values for one in found]) for end in ("", "_stderr")), name)
 
