@@ -1,5 +1,7 @@
 """Walls with mass over time, the paper's six-state model: the check on the massless one."""
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import NotReachedError
@@ -58,10 +60,8 @@ def integrate(
         begin, end = drive.starts[first], drive.ends[last]
         inside = (time_s >= begin) & (time_s <= end)
         samples_s = np.unique(np.append(time_s[inside], end))
-        errors = {"rtol": max(rtol, 3e-14), "atol": rtol}
-        solution = solve_ivp(
-            rates, (begin, end), state, "Radau", samples_s, args=((first, last),), jac=jacobian, **errors
-        )
+        how: Any = {"args": ((first, last),), "jac": jacobian, "rtol": max(rtol, 3e-14), "atol": rtol}
+        solution = solve_ivp(rates, (begin, end), state, "Radau", samples_s, **how)
         if not solution.success:
             raise NotReachedError(
                 f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."

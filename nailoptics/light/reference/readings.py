@@ -265,6 +265,17 @@ def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) 
     return BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
 
 
+def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> np.ndarray:
+    """Mean and standard error of photodiodes, light reflected, transmitted, both of these, (p + 3, 2) float.
+
+    rounds : (p + 3, batches) float each. sizes : paths of a batch of each round.
+    """
+    weight = np.array(sizes) / sum(sizes)
+    mean = np.mean(rounds, -1)
+    stderr = np.std(rounds, -1, ddof=1) / math.sqrt(ROUND_BATCHES)
+    return np.array([[weight @ m, np.linalg.norm(weight * e)] for m, e in zip(mean.T, stderr.T, strict=True)])
+
+
 def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, options: TraceOptions) -> StateReadings:
     """Read one LED over a phantom, and where its light went.
 
@@ -277,17 +288,11 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
     windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
     made: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "backend": choose(options.backend, volpath=True)}
 
-    def pooled() -> np.ndarray:
-        """Mean and standard error of photodiodes, light reflected, transmitted, both of these, (p + 3, 2) float."""
-        weight = np.array(sizes) / sum(sizes)
-        mean = np.mean(rounds, -1)
-        stderr = np.std(rounds, -1, ddof=1) / math.sqrt(ROUND_BATCHES)
-        return np.array([[weight @ m, np.linalg.norm(weight * e)] for m, e in zip(mean.T, stderr.T, strict=True)])
-
     def worst() -> float:
         if not rounds:
             return math.inf
-        return max((stderr / value if value > 0 else math.inf for value, stderr in pooled()[:-3].tolist()), default=0.0)
+        estimates = _pooled(rounds, sizes)[:-3].tolist()
+        return max((stderr / value if value > 0 else math.inf for value, stderr in estimates), default=0.0)
 
     def paths() -> int:
         return ROUND_BATCHES * sum(sizes)
@@ -318,7 +323,7 @@ def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, 
             progress(TraceProgress(name, paths(), error, target, share, seconds()))
 
     ending = run_until(needed(), sample, is_late=lambda _: bool(rounds) and seconds() >= max_seconds, report=report)
-    *values, reflected, transmitted, out = pooled().tolist()
+    *values, reflected, transmitted, out = _pooled(rounds, sizes).tolist()
     met = ending is Ending.MET or not (options.photons or target)
     fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
     energy = {"reflected": reflected, "transmitted": transmitted, "absorbed": [1 - out[0], out[1]], "lost": [0.0, 0.0]}

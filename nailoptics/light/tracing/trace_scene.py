@@ -62,9 +62,8 @@ def trace(
         reason = trigger.unmet_reason()
         if ending is Ending.INTERRUPTED:
             interrupted = True
-            reason = (
-                f'interrupted: LED "{trigger.name}" has {trigger.photons} photons, relative error {trigger.error:.3g}.'
-            )
+            so_far = f"{trigger.photons} photons, relative error {trigger.error:.3g}"
+            reason = f'interrupted: LED "{trigger.name}" has {so_far}.'
             # What is there is of use only with something from every LED: one batch each, then the end.
             required = Accuracy(photons=engine.full)
         complaint = complaint or reason

@@ -108,8 +108,7 @@ def sample_until_tolerance(
 
         patches, count = part
         walked = walk_colour(nail, patches, photons=count, seed=seed_of(options.seed, parts), progress=report)
-        # Of the first part with the compilation of its kernels.
-        pace_s = (stage.seconds - begin_s) / walked.photons
+        pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
         rays, parts = rays.with_more(walked) if rays else walked, parts + 1
 
     ending = run_until(needed(), sample, is_late=lambda part: rays is not None and stage.is_over(1.0))

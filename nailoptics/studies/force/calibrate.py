@@ -29,7 +29,7 @@ from .predict import TOUCH_N, rms
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table, site_of
 from .state_space import touch_pressure
 from .subject import Correction, Model, Quality, Readings, Regression, Subject, subject_toml
-from .uncertainty import ForceInterval, fit_curve, no_correction
+from .uncertainty import ForceInterval, fit_correction, no_correction
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
@@ -307,7 +307,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     estimated = touch_pressure(np.array([one.touch for one in estimates]).T)
     applied, closure = subject.person.pressures(force_n, site), subject.person.closure()
     curves = [
-        fit_curve(closure[side], every.time_s[at], estimated[side, at], applied[side, at])
+        fit_correction(closure[side], every.time_s[at], estimated[side, at], applied[side, at])
         for side, at in enumerate((site == 1.0, site == 0.0))
     ]
     subject = replace(subject, correction=Correction(*curves))

@@ -24,7 +24,16 @@ from scipy import stats
 from scipy.linalg import cho_factor, cho_solve
 
 from .person import LONGEST_STEP_S, Array
-from .state_space import ACTING, LEAST_WIDTH, PULP, READING_CORRELATION_S, TOUCH, WIDTHS, StateSpace, touch_pressure
+from .state_space import (
+    LEAST_WIDTH,
+    PULP,
+    READING_CORRELATION_S,
+    TOUCH,
+    WALL_STATES,
+    WIDTHS,
+    StateSpace,
+    touch_pressure,
+)
 from .subject import Subject
 
 # Process noise of the touch: random walk in a second. Chosen on the virtual people: three times as much takes more of
@@ -33,13 +42,13 @@ TOUCH_RATE = 0.1
 # Modes: random walks of the touch of these times the usual rate, and their mean durations. [1, s]
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # Most iterations of the update, largest step of a coordinate in one, and the step below which they end.
-ITERATIONS, FARTHEST, CONVERGED = 5, 0.3, 1e-3
+ITERATIONS, LARGEST_UPDATE, CONVERGED = 5, 0.3, 1e-3
 # A finger rests as often as it touches, with pressures of this range on either side: prior of rest. [N/cm^2]
 TOUCH_RANGE = 0.5
 # Standard error of the zero after a second of rest. [N/cm^2 sqrt(s)]
 ZERO_STDERR = 0.025
 # A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
-OUTLIER = 0.999
+OUTLIER_GATE = 0.999
 # The filter restarts, at rest, after gaps longer than this [s], and where a width over rest has a larger standard error
 # than this: a soft vein past closure is known to no more than 2, and must not be taken for diverged.
 LONGEST_GAP_S, DIVERGED = 5.0, 5.0
@@ -133,7 +142,7 @@ class KalmanFilter:
 
     def _predict_step(self, step_s: float) -> Array:
         """Predict state and covariance of each mode by one step of the network; returns its transition F."""
-        variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:ACTING]
+        variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:WALL_STATES]
         after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.creep, step_s)
         pressure = touch_pressure(self.state[TOUCH])
         self.creep = pressure + (self.creep - pressure) * np.exp(-step_s / self.model.person.creep_s)
@@ -157,7 +166,7 @@ class KalmanFilter:
             arterial_pa=self.model.arterial_pa(self.state),
             nis=nis,
             count=int(valid.sum()),
-            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER),
+            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER_GATE),
         )
 
     def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
@@ -174,14 +183,14 @@ class KalmanFilter:
                 probability = _posterior(probability, log_likelihood)
                 nis = float(probability @ mode_nis)
                 # Outliers count for less.
-                measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER))
+                measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER_GATE))
             innovation_covariance = innovation_covariance + measurement_noise
             gain = np.moveaxis(np.linalg.solve(innovation_covariance, by_state), 1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
             moved = predicted + probability @ corrections - state
-            moved[:ACTING] = np.clip(moved[:ACTING], -FARTHEST, FARTHEST)
+            moved[:WALL_STATES] = np.clip(moved[:WALL_STATES], -LARGEST_UPDATE, LARGEST_UPDATE)
             state = state + moved
-            if np.abs(moved[:ACTING]).max() < CONVERGED:
+            if np.abs(moved[:WALL_STATES]).max() < CONVERGED:
                 break
         # Joseph form, which stays positive for any gain; merged with the spread of the modes' means.
         rest = np.eye(self.model.size) - gain @ jacobian

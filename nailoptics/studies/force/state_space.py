@@ -40,7 +40,7 @@ SHORTEST_S = 1e-9
 
 WIDTHS, TOUCH, PULP, FIRST_WAVE = slice(0, 3), slice(3, 5), 5, 6
 # The states that the network's step depends on, each with a step up and down in the Jacobian; P_H has two more.
-ACTING = FIRST_WAVE
+WALL_STATES = FIRST_WAVE
 
 
 def touch_pressure(coordinate: Array) -> Array:
@@ -70,7 +70,7 @@ class StateSpace:
         self.touch_bounds = np.full(2, LOWEST), highest
         self._pulsatile_gain = PulsatileGain(self.person, highest)
         # One network for each of the steps of the Jacobian.
-        self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * ACTING, axis=1))
+        self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * WALL_STATES, axis=1))
         self._closed_m = self._many.walls.with_axes(2).closed
 
     def initial(self) -> tuple[Array, Array]:
@@ -112,10 +112,10 @@ class StateSpace:
         (transition, noise), many, person = self._linear_process(step_s), self._many, self.person
         high = person.arterial_pa + self.wave_weights @ state
         step_by = np.clip(stderr, SMALLEST_STEP, LARGEST_STEP)
-        count, first = many.rest_m.shape[1], 1 + 2 * ACTING
-        around = np.repeat(state[:ACTING, None], count, axis=1)
-        around[range(ACTING), range(1, 1 + ACTING)] += step_by
-        around[range(ACTING), range(1 + ACTING, first)] -= step_by
+        count, first = many.rest_m.shape[1], 1 + 2 * WALL_STATES
+        around = np.repeat(state[:WALL_STATES, None], count, axis=1)
+        around[range(WALL_STATES), range(1, 1 + WALL_STATES)] += step_by
+        around[range(WALL_STATES), range(1 + WALL_STATES, first)] -= step_by
         highs = np.full(count, high)
         highs[first : first + 2] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
         touch = np.maximum(touch_pressure(around[TOUCH]) - (person.creep * creep)[:, None], 0.0)
@@ -127,7 +127,9 @@ class StateSpace:
         widths = step(many.walls, before_m, outside_pa, highs, person.venous_pa, step_s=step_s) / many.rest_m
         moved = np.vstack([widths, touch[1]])
         driven = [0, 1, 2, PULP]
-        transition[driven, :ACTING] = (moved[:, 1 : 1 + ACTING] - moved[:, 1 + ACTING : first]) / (2 * step_by)
+        transition[driven, :WALL_STATES] = (moved[:, 1 : 1 + WALL_STATES] - moved[:, 1 + WALL_STATES : first]) / (
+            2 * step_by
+        )
         by_arterial = (widths[:, first] - widths[:, first + 1]) / (2 * ARTERIAL_STEP_PA)
         transition[WIDTHS] += np.outer(by_arterial, self.wave_weights)
         after = transition @ state

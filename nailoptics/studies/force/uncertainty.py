@@ -27,7 +27,7 @@ def no_correction() -> Correction:
     return Correction(Curve(BENDS, BENDS), Curve(BENDS, BENDS))
 
 
-def fit_curve(closure: float, time_s: Array, estimated: Array, applied: Array) -> Curve:
+def fit_correction(closure: float, time_s: Array, estimated: Array, applied: Array) -> Curve:
     """The curve of one side from touches there: least squares on its factors at the bends, held to 1 and to be smooth.
 
     closure : pressure that closes the vessels. [N/cm^2]

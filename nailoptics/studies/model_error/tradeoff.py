@@ -239,6 +239,15 @@ def fastest(levels: Iterable[Level], error: float, coverage: float | None = None
     return least
 
 
+def _reread_levels(scene: Scene, full: Scene, base: Any, seed: int) -> list[Level]:
+    """The levels that need no trace of their own: the full model, the formulas, diffusion, one wavelength."""
+    levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, seed), diffusion(base)]
+    if any(led.fwhm_nm for led in full.leds):
+        # The same photons, so the same cost, whatever the noise of its error.
+        levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
+    return levels
+
+
 def tradeoff(
     scene: Scene,
     *,
@@ -277,22 +286,15 @@ def tradeoff(
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
 
-    def measure() -> Iterator[Level]:
-        yield measured(scene, REFERENCE, base, base)
-        yield from formulas(scene, base, options.seed)
-        yield diffusion(base)
-        if any(led.fwhm_nm for led in full.leds):
-            # The same photons, so the same cost, whatever the noise of its error.
-            yield measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH)))
+    def traced_levels() -> Iterator[Level]:
         for name, one in simpler.items():
             yield measured(scene, name, base, tracer.trace(one))
         for backend in others:
             yield measured(scene, f"{REFERENCE}, {backend}", base, tracer.trace(full, backend=backend))
 
-    levels: list[Level] = []
-    unmet = None
+    levels, unmet = _reread_levels(scene, full, base, options.seed), None
     try:
-        for level in measure():
+        for level in traced_levels():
             levels.append(level)
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."

@@ -51,10 +51,9 @@ def resolution_vs_count(
     photodiode_count; counts that have no room are NaN.
     """
     rules, board = objective.rules, layout.board.layout
-    if layout.origin != "searched":
-        # A given layout may lie on a board of its own.
-        base = boards.searchable_board(boards.with_explicit_walls(layout.scene, layout.name), rules)
-    sites = Sites(base, rules)
+    # A given layout may lie on a board of its own.
+    own = layout.origin != "searched" and boards.with_explicit_walls(layout.scene, layout.name)
+    sites = Sites(boards.searchable_board(own, rules) if own else base, rules)
     places = sites.photodiode_places(board.barriers, board.leds)
     areas, photodiodes, free = [*places.areas, *places.stay], sites.kinds(places), len(places.areas)
 
@@ -98,9 +97,16 @@ def resolution_vs_count(
             for k, judged in enumerate(judging):
                 replicates = objective.force_n(judged[..., chosen, :].sum(-2))
                 value[k, i, j], error[k, i, j] = replicates[0], replicates[0] * jackknife(np.log(replicates))
+    return _count_dataset(noises, counts, value, error, centers_mm)
+
+
+def _count_dataset(
+    noises: Sequence[str], counts: Sequence[int], value: np.ndarray, error: np.ndarray, centers_mm: np.ndarray
+) -> xr.Dataset:
+    """Forces by all noise and by that of the electronics, (2, noises, counts) float, and the chosen places."""
     over = ("chosen_for", "photodiode_count")
     text = "force resolution of so many photodiodes through the body's noise"
-    data = variable("count_resolution_n", over, value[0], text, units="N", stderr=error[0]) if has_body else {}
+    data = variable("count_resolution_n", over, value[0], text, units="N", stderr=error[0]) if len(noises) > 1 else {}
     text = "force resolution of so many photodiodes by the noise of the electronics alone"
     data |= variable("count_electronics_resolution_n", over, value[1], text, units="N", stderr=error[1])
     data |= variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
