@@ -1,6 +1,7 @@
 """What `explore` returns, made by formulas in place of light, for tests of its page."""
 
 import numpy as np
+import xarray as xr
 
 from nailoptics.scene import Scene
 from nailoptics.sensor.ambient import SOURCES
@@ -23,6 +24,9 @@ def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:
     basis = pair_basis(layout.outline, layout.barriers[0] if layout.barriers else None)
     radial = RadialFunction(np.array([-0.3, -2.0, -5.5]))
     polynomial, touch = BloodPolynomial((0.0, 0.1), (0.7, 1.0)), touch_table(base)
+    radius_mm, depth_mm = np.arange(0.15, 10.0, 0.3), np.arange(0.05, 3.0, 0.1)
+    fluence = np.exp(-(radius_mm[:, None] + depth_mm))
+    fluence = xr.DataArray(fluence, {"radius_mm": radius_mm, "depth_mm": depth_mm})
     tables = []
     for led in colours(base):
         at_rest = rng.uniform(0.8, 1.2, (basis.size, 1))
@@ -32,7 +36,7 @@ def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:
         blocks = at_rest * np.column_stack([np.ones(basis.size), -zones])
         blocks = blocks * rng.normal(1.0, 0.05, (BLOCKS, basis.size, 1))
         coefficients = readings @ polynomial.coefficients.T
-        tables.append(ColourTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, photons=1000))
+        tables.append(ColourTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, fluence, photons=1000))
     r = layout.outline
     nodes = tuple(np.linspace(*ends, AMBIENT_CELLS) for ends in ((r.u_min, r.u_max), (r.v_min, r.v_max)))
     ambient = 1e-9 * rng.uniform(1, 2, (len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))

@@ -281,11 +281,26 @@ class BoardTracer:
             return means, np.zeros((count, *cells.shape))
         counts, detector = np.zeros(photons), np.zeros(photons, int)
         counts[ended], detector[ended] = values[:, 0], where
-        tally = SensitivityTally(cells, counts, detector, count)
+        tally = SensitivityTally(cells, (counts, detector), count)
         again = self.tracer.walk(led, photons=photons, seed=seed, which=ended, section=tally).outcome[ended]
         if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
         return means, tally.sums() / (photons * cells.volume_mm3)
+
+    def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
+        """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail
+        plate's outer face, (radius_mm, depth_mm) float. [mm^-2]"""
+        from .walk.tallies import SensitivityTally
+
+        cells = self.cells()
+        tally = SensitivityTally(cells)
+        self.tracer.walk(led, photons=photons, seed=seed, section=tally)
+        u, v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in (cells.u_mm, cells.v_mm, cells.depth_mm))
+        at = self.scene.layout.leds[led].center_mm
+        ring = (np.hypot(u[:, None] - at[0], v - at[1]) / ring_mm).astype(int).ravel()
+        fluence = (tally.sums()[0] / (photons * cells.volume_mm3)).reshape(len(ring), len(depth))
+        mean = np.stack([np.bincount(ring, column) for column in fluence.T], -1) / np.bincount(ring)[:, None]
+        return xr.DataArray(mean, {"radius_mm": ring_mm * (np.arange(len(mean)) + 0.5), "depth_mm": depth})
 
     def cells(self) -> "VoxelGrid":
         """Cells under the nail of this finger, for `detected`."""

@@ -90,3 +90,27 @@ def test_a_pair_looks_between_its_die_and_its_photodiode(seen):
     center = (profile @ middle) / profile.sum()
     assert 0.8 < center < 2.2
     assert profile[(middle > -0.5) & (middle < 3.5)].sum() > 0.8 * profile.sum()
+
+
+def test_sensitivity_goes_as_the_fluence_of_both_ends(chosen_jit):
+    """Were the light diffuse, it would be A / 4 of the product of their fluence rates for a photodiode of area A.
+
+    Expected on a board without a wall: in every layer of the bed 0.6 to 1 of that, within 20 % of one factor.
+    """
+    scene = parse_scene(SCENE.replace("[board]", "[board]\nbarrier = false").replace("-2.0", "-1.0"))
+    tracer, finger, diode = BoardTracer(scene), scene.finger, scene.photodiodes[1]
+    cells = tracer.cells()
+    _, sensitivity = tracer.detected(0, blood_point(scene, 0), photons=1 << 18, seed=1, cells=cells)
+    fluence = tracer.fluence(0, 0.3, photons=1 << 17, seed=5)
+    u, v = ((edge[1:] + edge[:-1]) / 2 for edge in (cells.u_mm, cells.v_mm))
+
+    def around(place_mm):
+        distance = np.hypot(u[:, None] - place_mm[0], v - place_mm[1])
+        return np.stack([np.interp(distance, fluence.radius_mm, layer) for layer in fluence.values.T], -1)
+
+    product = around(scene.leds[0].position_mm) * around(diode.position_mm)
+    part = np.prod(diode.size_mm) / 4 * product.sum((0, 1)) / sensitivity[1].sum((0, 1))
+    top = finger.nail_thickness_mm
+    part = part[(fluence.depth_mm > top) & (fluence.depth_mm < top + finger.bed_thickness_mm)]
+    assert np.all((part > 0.6) & (part < 1))
+    assert np.allclose(part, part.mean(), rtol=0.2)

@@ -213,6 +213,34 @@ def test_jackknife_polynomial_and_ambient_light_are_pythons(shown: Any, explored
         assert current == pytest.approx(float(table([u, v])[0]), rel=1e-6)
 
 
+def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown: Any, explored: Exploration):
+    """The made fluence is exp(-r - z): its product is highest between both parts, right below the plate."""
+    rng, table = np.random.default_rng(4), explored.colours[1].fluence
+    log = RegularGridInterpolator([table.radius_mm.values, table.depth_mm.values], half(np.log(table.values)))
+    for place in rng.uniform([0.2, 0.1], [9.0, 2.9], (20, 2)).tolist():
+        found = shown.evaluate("([r, z]) => logFluence(colours[1], r, z)", place)
+        assert found == pytest.approx(log(place)[0], rel=1e-6)
+    pictures = []
+    for along in (0.0, 0.5):
+        shown.evaluate("(along) => change((layout) => { layout.photodiodes[0].v += along; })", along)
+        row = shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows[0]))")
+        led, place = shown.evaluate("workbench.layout.leds")[row["led"]], row["element"]
+        apart = math.hypot(led["u"] - place["u"], led["v"] - place["v"])
+        words = f"Section through {led['name']} and {place['name']}, {apart:.2f} mm apart: "
+        assert shown.inner_text("#section-words").startswith(words)
+        width, height, values = shown.evaluate("""() => {
+            const { width, height } = $("section"), context = $("section").getContext("2d");
+            return [width, height, Array.from(context.getImageData(0, 0, width, height).data)];
+        }""")
+        rgb = np.array(values).reshape(height, width, 4)[..., :3]
+        _, across = np.nonzero((rgb == [253, 231, 37]).all(-1))
+        assert len(across) and np.mean(across) == pytest.approx(width / 2, abs=6)
+        assert (rgb == [68, 1, 84]).all(-1).any()
+        pictures.append(values)
+    assert pictures[0] != pictures[1]
+    assert shown.inner_text(".ticks").split() == ["1/1000", "1/100", "1/10", "1"]
+
+
 def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
     """Random moves of every part: what has no problem on the page is read by Python."""
     rng, buildable = np.random.default_rng(4), 0

@@ -140,12 +140,16 @@ class VoxelGrid:
 class SensitivityTally:
     """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
 
-    weight, group : (photons,) What each photon of the walk counts for, and in which group.
+    detected : weight and group, (photons,) each. What each photon of the walk counts for, and in which group; without
+        it all are one group and count by their weight at each place, whose sums per volume are the fluence.
     """
 
-    def __init__(self, cells: VoxelGrid, weight: np.ndarray, group: np.ndarray, groups: int) -> None:
-        self.cells, self.groups = cells, groups
-        self.weight, self.group = mi.Float(weight.astype(np.float32)), mi.UInt32(group.astype(np.uint32))
+    def __init__(
+        self, cells: VoxelGrid, detected: tuple[np.ndarray, np.ndarray] | None = None, groups: int = 1
+    ) -> None:
+        self.cells, self.groups, self.detected = cells, groups, None
+        if detected:
+            self.detected = mi.Float(detected[0].astype(np.float32)), mi.UInt32(detected[1].astype(np.uint32))
         self.values = dr.zeros(mi.Float64, groups * int(np.prod(cells.shape)))
         self.per_group = dr.opaque(mi.UInt32, int(np.prod(cells.shape)))
         self.radii = [dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm)]
@@ -153,16 +157,15 @@ class SensitivityTally:
         self.grid = CellGrid([e[0] for e in edges], [e[1] - e[0] for e in edges], cells.shape)
 
     def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
-        """Add a photon's path, of a middle p, times what it counts for in the end, whatever it weighs there. [mm]"""
+        """Add a photon's path, of a middle p and a weight there. [mm]"""
         nail, board = self.radii
         height = p.z + nail
         place = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
         cell, inside = self.grid.cell(place, active)
-        group = dr.gather(mi.UInt32, self.group, photon.index, active)
-        counts = dr.gather(mi.Float, self.weight, photon.index, active)
-        dr.scatter_reduce(
-            dr.ReduceOp.Add, self.values, mi.Float64(path * counts), group * self.per_group + cell, inside
-        )
+        if self.detected:
+            weight = dr.gather(mi.Float, self.detected[0], photon.index, active)
+            cell += dr.gather(mi.UInt32, self.detected[1], photon.index, active) * self.per_group
+        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
 
     def sums(self) -> np.ndarray:
         """Sums in each group and cell, (groups, u, v, depth) float. [mm]"""

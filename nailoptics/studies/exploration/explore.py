@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError
@@ -56,8 +57,10 @@ KERNEL_ERROR, KERNEL_CHANGE_ERROR = 0.045, 0.04
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
 # Cells of the ambient light's table across and along the board; cells of the distances that the walk looks up. [mm]
 AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
+# Photons of the fluence around a source, and the width of its rings. [mm]
+FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
 # Streams of random numbers.
-EVERYWHERE, PILOT = 11, 13
+EVERYWHERE, FLUENCE, PILOT = 11, 12, 13
 
 
 @dataclass
@@ -68,12 +71,14 @@ class ColourTable:
     coefficients : (size, monomials) float. The kernel over g, over blood and saturation.
     direct : (size,) float. Its part never in the bed, at rest.
     blocks : (blocks, size, 3) float. At rest the kernel and its change with either blood, by single groups of photons.
+    fluence : (radius_mm, depth_mm) float. Around a source amid the board without its wall, per power. [mm^-2]
     """
 
     led: Led
     coefficients: Array
     direct: Array
     blocks: Array
+    fluence: xr.DataArray
     photons: int
 
 
@@ -148,7 +153,7 @@ class ColourSums:
         states = transmissions(arrivals.path_mm, mu_a, self.points[0].share) * arrivals.weight[:, None]
         return np.column_stack([states @ self.polynomial.coefficients.T, rest[:, [1, 0]], rest[:, 2:]])
 
-    def table(self, led: Led, projection: PairProjection) -> ColourTable:
+    def table(self, led: Led, projection: PairProjection, fluence: xr.DataArray) -> ColourTable:
         """The table from all that was summed."""
         per_photon, count = self.area_mm2 / self.photons.sum(), len(self.polynomial.exponents)
         weight, rest = self.weight / self.arrivals * per_photon, self.blocks[..., 0].sum(0)
@@ -163,7 +168,7 @@ class ColourSums:
         changes[:, 0] += at_rest[:, 0]
         slopes = changes[:, count:].reshape(len(changes), BLOCKS, 2)
         groups = np.concatenate([at_rest[:, 2:, None], slopes], -1).transpose(1, 0, 2)
-        return ColourTable(led, changes[:, :count], at_rest[:, 1], groups, int(self.photons.sum()))
+        return ColourTable(led, changes[:, :count], at_rest[:, 1], groups, fluence, int(self.photons.sum()))
 
     def _add_ambient(self, left: Arrivals) -> None:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
@@ -206,11 +211,12 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
     sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
     photons = [max(BLOCKS * LEAST_BATCH, usual if k < own else usual // 2) for k in range(len(sums))]
+    fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
     cut_off = _trace(sums, photons, report)
     there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
     radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
     projection = PairProjection(basis, radial)
-    tables = [one.table(led, projection) for one, led in zip(sums, sources, strict=True)]
+    tables = [one.table(led, projection, light) for one, led, light in zip(sums, sources, fluence, strict=True)]
     attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(one.photons for one in tables)}
     attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
@@ -311,6 +317,15 @@ def lit_by(bare: Scene, led: Led) -> Scene:
     """A bare board whose dies, which its wall goes by, have the light of an LED."""
     light = {name: getattr(led, name) for name in ("part", "wavelength_nm", "fwhm_nm")}
     return bare.model_copy(update={"leds": tuple(die.model_copy(update=light) for die in bare.leds)})
+
+
+def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.DataArray:
+    """Of an LED's wavelength around a die in the middle of the board without its wall."""
+    board = base.board.model_copy(update={"barrier": False, "barrier_gap_mm": None})
+    die = base.leds[0].model_copy(update={"position_mm": (0.0, 0.0), "rotation_deg": 0.0})
+    bare = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
+    tracer = BoardTracer(lit_by(bare, led), backend=options.backend, spacing_mm=DISTANCE_MM)
+    return tracer.fluence(0, RING_MM, photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
 
 
 def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:

@@ -18,6 +18,7 @@ function unpackHalf(text) {
 
 const colours = tables.colours.map((colour) => ({
   ...colour, coefficients: unpackHalf(colour.coefficients), direct: unpackHalf(colour.direct), blocks: unpackHalf(colour.blocks),
+  logFluence: unpackHalf(colour.logFluence),
 }));
 const basis = tables.basis;
 const monomialCount = tables.polynomial.exponents.length;
@@ -85,6 +86,13 @@ function readPair(led, element, colour) {
     direct += sums[k] * colour.direct[k];
   }
   return { coefficients, blocks, direct };
+}
+
+/** Logarithm of the fluence rate around a source, at a distance and a depth. [mm] */
+function logFluence(colour, distance, depth) {
+  const { radiusMm, depthMm } = tables.fluence, [i, a] = lineNode(radiusMm, distance), [j, b] = lineNode(depthMm, depth);
+  const at = (ring, k = ring * depthMm.length + j) => (1 - b) * colour.logFluence[k] + b * colour.logFluence[k + 1];
+  return (1 - a) * at(i) + a * at(i + 1);
 }
 
 /** Each monomial at a state [blood, blood, saturation], or its derivative by the blood of a zone. */

@@ -145,6 +145,10 @@ def _tables(found: Exploration) -> dict[str, Any]:
             "nodesV": nodes_v.tolist(),
             "aPerMm2": found.ambient_a_per_mm2.tolist(),
         },
+        "fluence": {
+            "radiusMm": found.colours[0].fluence.radius_mm.values.tolist(),
+            "depthMm": found.colours[0].fluence.depth_mm.values.tolist(),
+        },
     }
 
 
@@ -218,12 +222,14 @@ def _rule(points: int) -> list[list[float]]:
 
 
 def _colour(one: ColourTable) -> dict[str, Any]:
+    fluence = one.fluence.values
     return {
         "nm": one.led.wavelength_nm,
         "photons": one.photons,
         "coefficients": _half(one.coefficients),
         "direct": _half(one.direct),
         "blocks": _half(one.blocks.transpose(1, 0, 2)),
+        "logFluence": _half(np.log(np.maximum(fluence, fluence[fluence > 0].min()))),
     }
 
 
@@ -287,6 +293,9 @@ def _board(scene: Scene) -> dict[str, Any]:
         "center": list(board.center_mm),
         "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
         "zoneEdgeMm": scene.zone_edges_mm[0],
+        "epoxyMm": board.height_mm,
+        "plateMm": finger.nail_thickness_mm,
+        "bedMm": finger.bed_thickness_mm,
         "covered": board.cover_um > 0,
     }
 

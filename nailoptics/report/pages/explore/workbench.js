@@ -196,6 +196,65 @@ function drawReadings() {
   }
 }
 
+// ---- the section: a reading's sensitivity to absorption, which goes as the fluence of the LED times that of a
+// photodiode that shines
+
+const CELL_PX = 3, DECADES = 3;
+const SCALE_COLOURS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+const SHADES = Array.from({ length: 256 }, (_, n) => {
+  const t = (n / 255) * (SCALE_COLOURS.length - 1), k = Math.min(Math.floor(t), SCALE_COLOURS.length - 2);
+  return `rgb(${SCALE_COLOURS[k].map((from, c) => from + (t - k) * (SCALE_COLOURS[k + 1][c] - from))})`;
+});
+
+function drawSection() {
+  const canvas = $("section"), context = canvas.getContext("2d"), row = workbench.result.rows[workbench.chosen.row];
+  const width = canvas.clientWidth, height = canvas.clientHeight;
+  canvas.width = width * devicePixelRatio;
+  canvas.height = height * devicePixelRatio;
+  context.scale(devicePixelRatio, devicePixelRatio);
+  if (!row) return;
+  const led = workbench.layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v);
+  const { epoxyMm, plateMm, bedMm } = tables.board, deep = tables.fluence.depthMm.at(-1), top = epoxyMm + 0.6;
+  const perMm = Math.min(height / (deep + top), width / (separation + 2));
+  const x = (along) => width / 2 + (along - separation / 2) * perMm, y = (depth) => (depth + top) * perMm;
+  const colour = colours[tables.ledKinds[led.kind].colour], cells = [];
+  for (let px = 0; px < width; px += CELL_PX) {
+    const along = separation / 2 + (px + CELL_PX / 2 - width / 2) / perMm;
+    for (let py = y(0); py < y(deep); py += CELL_PX) {
+      const depth = (py + CELL_PX / 2) / perMm - top;
+      cells.push([px, py, depth, logFluence(colour, Math.abs(along), depth) + logFluence(colour, Math.abs(along - separation), depth)]);
+    }
+  }
+  const most = Math.max(...cells.map(([, , depth, value]) => (depth > plateMm ? value : -Infinity)));
+  for (const [px, py, , value] of cells) {
+    context.fillStyle = SHADES[Math.round(255 * Math.min(1, Math.max(0, 1 + (value - most) / (DECADES * Math.LN10))))];
+    // A pixel more leaves no seams.
+    context.fillRect(px, py, CELL_PX + 1, CELL_PX + 1);
+  }
+  context.font = "14px system-ui, sans-serif";
+  const style = getComputedStyle(document.documentElement);
+  const drawPart = (name, along, size, variable) => {
+    context.fillStyle = style.getPropertyValue(variable);
+    context.fillRect(x(along - size / 2), y(-epoxyMm) - 6, size * perMm, 8);
+    context.fillText(name, x(along), y(-epoxyMm) - 11);
+  };
+  context.textAlign = "center";
+  drawPart(led.name, 0, Math.min(dieOf(led).width, dieOf(led).length), "--led");
+  drawPart(row.element.name, separation, Math.min(row.element.width, row.element.length), "--diode");
+  const line = (fromX, fromY, length, text) => {
+    context.fillRect(fromX, fromY, length, 1.5);
+    context.fillText(text, fromX + 6, fromY - 5);
+  };
+  context.textAlign = "left";
+  context.shadowColor = "#000";
+  context.shadowBlur = 3;
+  context.fillStyle = "#fff";
+  line(0, y(plateMm), width, "plate");
+  line(0, y(plateMm + bedMm), width, "bed");
+  line(width - perMm - 12, y(deep) - 8, perMm, "1 mm");
+  $("section-words").textContent = `Section through ${led.name} and ${row.element.name}, ${separation.toFixed(2)} mm apart: sensitivity of this reading to absorption, relative to the highest below the plate. It is the product of the fluence of both, as in the middle of a board without a wall.`;
+}
+
 // ---- over force
 
 const plots = {};
@@ -491,12 +550,15 @@ function draw() {
   drawCards();
   drawProperties();
   drawReadings();
+  drawSection();
   drawPlots();
   workbench.milliseconds = performance.now() - begin;
 }
 
 workbench.layout = copy(tables.layout);
 if (location.hash.length > 1) { try { workbench.layout = fromLink(location.hash.slice(1)); } catch (error) { say(`The link is of another page, and the scene's own layout is shown: ${error.message}.`); } }
+$("section-colours").style.background = `linear-gradient(to right, ${SCALE_COLOURS.map((rgb) => `rgb(${rgb})`)})`;
+addEventListener("resize", drawSection);
 listen();
 drawFixed();
 draw();
