@@ -63,8 +63,8 @@ def to_record(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, np.ndarr
             entry["text"] = [str(item) for item in one.values.ravel()]
             entry["shape"] = one.shape
         variables[str(name)] = entry
-    kept = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds", "reused")}
-    return {"variables": variables, "attrs": kept}, arrays
+    attributes = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds", "reused")}
+    return {"variables": variables, "attrs": attributes}, arrays
 
 
 def from_record(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> "xr.Dataset":

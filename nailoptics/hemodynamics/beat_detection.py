@@ -140,8 +140,8 @@ def _peaks(wave: Array, rate_hz: float, expected_hz: float) -> tuple[NDArray[np.
 
     apart = max(int(0.55 * rate_hz / expected_hz), 1)
     usual = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * apart))))]))
-    peaks, found = signal.find_peaks(wave, distance=apart, prominence=0.3 * usual)
-    return peaks, np.asarray(found["prominences"], float)
+    peaks, properties = signal.find_peaks(wave, distance=apart, prominence=0.3 * usual)
+    return peaks, np.asarray(properties["prominences"], float)
 
 
 def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:

@@ -88,9 +88,9 @@ class Drive:
         first = to_channels(np.array([waveform.at(knots[:-1]) for waveform in waveforms]))
         last = to_channels(np.array([waveform.at(knots[1:], before_jump=True) for waveform in waveforms]))
         misses = _misses(np.diff(knots), first, last)
-        kept = np.append(True, (misses > _ON_A_LINE) | _is_next_level(misses, np.sqrt(_ON_A_LINE)))
-        first, last = first[:, kept], last[:, np.append(kept[1:], True)]
-        starts = knots[:-1][kept]
+        used = np.append(True, (misses > _ON_A_LINE) | _is_next_level(misses, np.sqrt(_ON_A_LINE)))
+        first, last = first[:, used], last[:, np.append(used[1:], True)]
+        starts = knots[:-1][used]
         ends = np.append(starts[1:], end_s)
         sides = ends - starts
         misses = _misses(sides, first, last)
@@ -109,15 +109,15 @@ class Drive:
 
     def read(self, times: list[float], first: int, last: int) -> list[list[float]]:
         """Every channel at each of several times within pieces `first` to `last`."""
-        starts, piece, found = self.starts, -1, []
+        starts, piece, values = self.starts, -1, []
         for time in times:
             at = first if first == last else bisect.bisect_right(starts, time, first + 1, last + 1) - 1
             if at != piece:
                 piece, start = at, starts[at]
                 line = list(zip(self._first[at].tolist(), self._slopes[at].tolist(), strict=True))
             past = time - start
-            found.append([v + s * past for v, s in line])
-        return found
+            values.append([v + s * past for v, s in line])
+        return values
 
     def slope(self, time: float, piece: int, *, smooth: bool) -> list[float]:
         """The time derivative of every channel in a piece, or that of the smooth curve through the stretch."""

@@ -155,12 +155,12 @@ class BoardTracer:
         made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
         traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
         stored = self.store.light(made | {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()})
-        found = stored.read(name, lambda about, arrays: build(arrays))
-        if found is None:
+        stored_map = stored.read(name, lambda about, arrays: build(arrays))
+        if stored_map is None:
             arrays = trace()
             stored.write(name, {}, arrays)
-            found = build(arrays)
-        return found
+            stored_map = build(arrays)
+        return stored_map
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""

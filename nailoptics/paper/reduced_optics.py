@@ -107,8 +107,8 @@ def fit_curve(
         method="bounded",
         options={"xatol": 1e-9},
     )
-    found = float(np.exp(curvature.x))
-    return at(found, bool(1.01 * CURVATURES[0] < found * scale < 0.99 * CURVATURES[-1]))
+    alpha = float(np.exp(curvature.x))
+    return at(alpha, bool(1.01 * CURVATURES[0] < alpha * scale < 0.99 * CURVATURES[-1]))
 
 
 @dataclass(frozen=True)

@@ -54,11 +54,11 @@ class Candidate(BoardFile):
         folder = (info.context or {}).get("folder")
         if data.get("parts") or data.get("kicad") is not None:
             try:
-                found = read_board_file(data, folder)
+                board = read_board_file(data, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
-            filled: dict[str, object] = {"leds": found.leds, "photodiodes": found.photodiodes}
-            return data | filled | {"parts": None, "unmapped": found.ignored}
+            filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes}
+            return data | filled | {"parts": None, "unmapped": board.ignored}
         path = Path(folder or Path()) / str(data["positions"])
         parts = read_positions(path, **reading_of(data))
         groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
@@ -162,9 +162,9 @@ class Placement(Table):
         unit, origin = data.get("outline_unit") or "mm", data.get("outline_origin") or (0.0, 0.0)
         if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
             return data  # which its fields refuse
-        found = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
-        x, y = middle(found) if origin == "middle" else origin
-        corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (found.corners_mm, *found.holes_mm))
+        outline = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
+        x, y = middle(outline) if origin == "middle" else origin
+        corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (outline.corners_mm, *outline.holes_mm))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
     @model_validator(mode="after")

@@ -240,12 +240,12 @@ def readings_over_priors(
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(base * (retraced(one) / twin))
 
-    found = over_priors(scene, evaluated, answer)
+    result = over_priors(scene, evaluated, answer)
     # Each group's left-out change in its own unit, so that the noise that both share cancels.
     unit = np.abs(base[..., 1] - base[..., 0])
     level, change, signal = (
-        PriorSensitivity(found.priors, *both)
-        for both in zip(_answers(found.nodes, unit), _answers(found.own, unit), strict=True)
+        PriorSensitivity(result.priors, *both)
+        for both in zip(_answers(result.nodes, unit), _answers(result.own, unit), strict=True)
     )
     return ReadingUncertainty(level, change, signal, untraced=() if own_traces else tuple(own))
 
@@ -263,8 +263,8 @@ def _answers(read: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
     """A trace of its own, as far as its time went."""
     scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-    found: Transfer = as_far_as_reached(trace, scene, progress=progress, **options.fields)[0]
-    return found
+    result: Transfer = as_far_as_reached(trace, scene, progress=progress, **options.fields)[0]
+    return result
 
 
 def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray, seed: int) -> np.ndarray:

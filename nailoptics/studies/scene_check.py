@@ -58,8 +58,8 @@ def check_scene(scene: Scene) -> dict[str, Any]:
 
 
 def _led(led: Any) -> dict[str, Any]:
-    kept = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "position_mm", "rotation_deg")
-    return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in kept}
+    shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "position_mm", "rotation_deg")
+    return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
 
 
 def _beyond_the_nail(scene: Scene) -> list[str]:
@@ -100,12 +100,12 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
 
 def _candidates(scene: Scene) -> list[dict[str, Any]]:
     """The layouts that a search would rank; raises InputError for what it would refuse."""
-    base, rules, found = boards.base_board(scene), boards.rules(scene), []
+    base, rules, described = boards.base_board(scene), boards.rules(scene), []
     boards.check_search(base, rules)
     for i, one in enumerate(rules.candidates):
         try:
             layout = candidates.candidate(one.name, candidates.candidate_scene(base, one), "given").scene.layout
         except InputError as error:
             raise InputError(f"placement.candidates[{i}]: {error}") from None
-        found.append({"name": one.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})
-    return found
+        described.append({"name": one.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})
+    return described

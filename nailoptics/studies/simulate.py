@@ -113,8 +113,8 @@ def _spread(
         return np.asarray(blood * (scene.blood.rest_blood_fraction / usual))
 
     own = transfer.scene.priors.own_traces
-    found = readings_over_priors(transfer, states, options=options, own_traces=own, progress=progress)
-    return found.dataset(transfer.scene)
+    over_priors = readings_over_priors(transfer, states, options=options, own_traces=own, progress=progress)
+    return over_priors.dataset(transfer.scene)
 
 
 def hold_end(result: xr.Dataset) -> int:

@@ -288,10 +288,10 @@ class FingerWalk:
 
         Returns: whether there was one, and which triangle.
         """
-        found = self.interfaces.first_hit(photon.p, photon.w, segment.step, casts)
-        hit = casts & found.is_valid()
+        intersection = self.interfaces.first_hit(photon.p, photon.w, segment.step, casts)
+        hit = casts & intersection.is_valid()
         gone = casts & ~hit & ~medium.scatters
-        segment.step = dr.select(casts & ~gone, dr.select(hit, found.t, segment.step), 0)
+        segment.step = dr.select(casts & ~gone, dr.select(hit, intersection.t, segment.step), 0)
         self.advance(photon, segment, medium, casts)
         segment.scatterings = segment.scatterings + dr.select(casts & ~hit & ~gone, mi.UInt32(1), mi.UInt32(0))
         photon.tau = dr.fma(segment.length, medium.mu_a, photon.tau)
@@ -301,7 +301,7 @@ class FingerWalk:
         # Whoever leaves for ever leaves from the air.
         left = dr.select(photon.region == self.regions.air, mi.UInt32(TOP), mi.UInt32(LOST))
         photon.outcome = dr.select(gone, left, photon.outcome)
-        return hit, found.prim_index
+        return hit, intersection.prim_index
 
     @dr.syntax
     def meet_interface(self, photon: FingerPhoton, hit: Any, triangle: Any, u: Any, phi: Any) -> Any:

@@ -115,21 +115,21 @@ def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def check_each_once(parts: Iterable[PlacedPart], path: Path) -> None:
     """Raise InputError where two parts have one reference, as fiducials and holes may, which nobody asks for."""
-    seen: set[str] = set()
+    refs: set[str] = set()
     for part in parts:
-        if part.ref in seen:
+        if part.ref in refs:
             raise InputError(f'{path}: Ref "{part.ref}" is there twice; give each LED and photodiode its own.')
-        seen.add(part.ref)
+        refs.add(part.ref)
 
 
-def warn_of_mirrored(table: Mapping[str, Any], found: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
+def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
     """Say in a line that X of the bottom side may be negated, where the scene does not say whether it is.
 
     table : of the scene, that names the file. found, used : all parts of the file as they stand, and those that count.
     """
     if "negate_x_on_bottom" in table or all(part.side == "top" for part in used):
         return
-    top, bottom = ([part.position_mm[0] for part in found if part.side == side] for side in ("top", "bottom"))
+    top, bottom = ([part.position_mm[0] for part in parts if part.side == side] for side in ("top", "bottom"))
     as_it_stands, negated = (_share_room(top, [sign * x for x in bottom]) for sign in (1, -1))
     if as_it_stands and not negated:
         return
@@ -192,8 +192,10 @@ def _columns(header: Sequence[str]) -> dict[str, int]:
     """Where each column stands."""
     plain = [re.sub(r"\(.*\)|\[.*\]", "", cell.lower()) for cell in header]
     plain = [re.sub(r"(mm|mils?|inch|inches|deg|degrees)$", "", re.sub(r"[^a-z]", "", cell)) for cell in plain]
-    found = {name: next((plain.index(one) for one in known if one in plain), None) for name, known in KNOWN_AS.items()}
-    return {name: k for name, k in found.items() if k is not None}
+    columns = {
+        name: next((plain.index(one) for one in known if one in plain), None) for name, known in KNOWN_AS.items()
+    }
+    return {name: k for name, k in columns.items() if k is not None}
 
 
 def _unit_told(line: str) -> float | None:

@@ -243,11 +243,11 @@ def spread_of_colours(
     def answer(one: Scene) -> Array:
         return lab(rays, one, sites) if light_digest(one) == own else base + walked(one) - twin
 
-    found = over_priors(scene, priors, answer)
+    answers = over_priors(scene, priors, answer)
     over = ("site", "band")
-    data = found.variables("lab", over, "L*a*b* at the first force")
+    data = answers.variables("lab", over, "L*a*b* at the first force")
     text = "L*a*b* at the low, middle and high node of a prior"
-    data |= variable("prior_lab", ("prior", "node", *over), found.nodes[:, :, 0], text)
+    data |= variable("prior_lab", ("prior", "node", *over), answers.nodes[:, :, 0], text)
     ends = [[p.low, p.high] for p in priors]
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
     names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}

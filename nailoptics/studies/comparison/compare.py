@@ -137,8 +137,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     """
     scene = transfer.scene
     zone = zones_of_photodiodes(scene)
-    found = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
-    gathered = {name: np.stack([[one[name] for one in by_sweep] for by_sweep in found]) for name in found[0][0]}
+    errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
+    gathered = {name: np.stack([[one[name] for one in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
     data: Variables = {}
     for name, (dims, units, text) in _VARIABLES.items():
         dims = ("led", "sweep", *dims)

@@ -123,20 +123,20 @@ def _range_errors(one: TracedSweep, readings: np.ndarray) -> np.ndarray:
     return np.stack([fitted, *([range_errors(model, one.traced) for model in way] for way in readings[1:])])
 
 
-def _limits(found: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
+def _limits(errors: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
     """How far each model holds, in the sweep's setting, in blood and in alpha D^2, with 95 % intervals."""
     shape = (len(WAYS), len(MODELS), len(TOLERANCES))
     # Crossings are counted in points, then converted to each measure.
     points = np.arange(len(sweep.setting), dtype=float)
-    error, stderr = found["range_error"], found["range_error_stderr"]
+    error, stderr = errors["range_error"], errors["range_error_stderr"]
     limits = [limit(points, error[w, m], stderr[w, m], TOLERANCES[k]) for w, m, k in np.ndindex(shape)]
     at, low, high, ends = (np.reshape(column, shape) for column in zip(*limits, strict=True))
     out, exact = {"limit_ends": ends}, np.zeros(len(points))
     curves = {
         "limit": (sweep.setting, exact),
         "limit_blood_fraction": (sweep.blood[:, own], exact),
-        "limit_alpha_d2": (found["alpha_d2"], found["alpha_d2_stderr"]),
-        "limit_bed_alpha_d2": (found["bed_alpha_d2"], found["bed_alpha_d2_stderr"]),
+        "limit_alpha_d2": (errors["alpha_d2"], errors["alpha_d2_stderr"]),
+        "limit_bed_alpha_d2": (errors["bed_alpha_d2"], errors["bed_alpha_d2_stderr"]),
     }
     for name, (curve, error) in curves.items():
         out[name] = np.interp(at, points, curve)

@@ -220,11 +220,11 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(one.photons for one in tables)}
     attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
-    found = Exploration(base, basis, radial, polynomial, tables, touch, *sums[0].ambient(), attributes)
+    exploration = Exploration(base, basis, radial, polynomial, tables, touch, *sums[0].ambient(), attributes)
     if cut_off:
         attributes["cut_off"] = cut_off
-        raise NotReachedError(cut_off, result=found)
-    return found
+        raise NotReachedError(cut_off, result=exploration)
+    return exploration
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:

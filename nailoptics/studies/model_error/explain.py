@@ -213,7 +213,7 @@ def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
 
 def effect_of(
     change: Change,
-    found: Difference,
+    paired: Difference,
     base: PairedReadings,
     *,
     tolerance: float,
@@ -226,9 +226,9 @@ def effect_of(
     """
     from scipy.special import ndtri
 
-    ratio, error, most = found.ratio, found.ratio_stderr, found.ratio_bound
+    ratio, error, most = paired.ratio, paired.ratio_stderr, paired.ratio_bound
     if of == "signal":
-        ratio, error, most = np.asarray(found.swing), np.asarray(found.swing_stderr), found.swing_bound
+        ratio, error, most = np.asarray(paired.swing), np.asarray(paired.swing_stderr), paired.swing_bound
     known = np.isfinite(ratio) & np.isfinite(error)
     # Where nothing was detected, anything may be.
     ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
@@ -238,7 +238,7 @@ def effect_of(
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
     mean, mean_stderr = weighted_mean(ratio, error, base)
-    swing = found.swing_bound
+    swing = paired.swing_bound
     return Effect(
         **vars(change),
         how=how,
@@ -288,8 +288,8 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         skew = np.abs(slope) * both.ratio_skew
     still = np.zeros_like(signal)
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
-    change, found = Change("blood's own scattering", False, text), Difference(still, still, signal, error, 0.0, skew)
-    return effect_of(change, found, base, tolerance=tolerance, of="signal")
+    change, paired = Change("blood's own scattering", False, text), Difference(still, still, signal, error, 0.0, skew)
+    return effect_of(change, paired, base, tolerance=tolerance, of="signal")
 
 
 def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Effect:
@@ -312,9 +312,9 @@ def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Eff
     full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
-    found = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
+    paired = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
     text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
-    effect = effect_of(Change("ambient light", False, text), found, base, tolerance=tolerance)
+    effect = effect_of(Change("ambient light", False, text), paired, base, tolerance=tolerance)
     # The light that leaves is one number for all photodiodes, so that its error does not shrink in their mean.
     shared = effect.typical * parts[1] / (parts[0] or 1.0)
     return replace(effect, typical_stderr=math.hypot(effect.typical_stderr, shared))

@@ -152,9 +152,9 @@ class PairedTracer:
             self._photons = self._photons_for(scene)
         elif self.seconds_left < 0:
             raise NotReachedError(self._out_of_time())
-        found = self._traced(scene, backend, self._photons)
+        difference = self._traced(scene, backend, self._photons)
         self._done += 1
-        return found
+        return difference
 
     def _photons_for(self, scene: Scene) -> int:
         """Photons of each trace, from what is requested and what the first scene's traces take."""
@@ -246,8 +246,8 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     """
     resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
     unit, unit_stderr = base.largest_modulation
-    found = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
-    ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(found, 1, 0)
+    difference = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
+    ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(difference, 1, 0)
     with np.errstate(invalid="ignore"):
         ratio_stderr = np.where(resolved, ratio_stderr, np.inf)
         swing_stderr = np.where(resolved, np.hypot(swing_stderr, swing * unit_stderr / unit), np.inf)

@@ -326,9 +326,9 @@ def measured(scene: Scene, name: str, base: PairedReadings, other: PairedReading
     """A traced level of a scene against the reference, which has no bias against itself."""
     reading = signal = Bias(0.0, 0.0, 0.0)
     if other is not base:
-        found = difference(base, other)
-        reading = bias_of(base, found.ratio, found.ratio_stderr, skew=found.ratio_skew)
-        signal = bias_of(base, np.asarray(found.swing), np.asarray(found.swing_stderr), skew=found.swing_skew)
+        paired = difference(base, other)
+        reading = bias_of(base, paired.ratio, paired.ratio_stderr, skew=paired.ratio_skew)
+        signal = bias_of(base, np.asarray(paired.swing), np.asarray(paired.swing_stderr), skew=paired.swing_skew)
     root_s = math.sqrt(other.transfer.cpu_seconds)
     return Level(
         name=name,
@@ -412,8 +412,8 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
     unit, stderr = base.largest_modulation
     for name, change in FORMULAS.items():
-        found, seconds = timed(lambda name=name: literature_changes(full, name, ends)[..., -1])  # type: ignore[misc]
-        signal = signal_bias(base, found)
+        paired, seconds = timed(lambda name=name: literature_changes(full, name, ends)[..., -1])  # type: ignore[misc]
+        signal = signal_bias(base, paired)
         more = {"beforehand": "one measured reading at rest", "call": LITERATURE_CALL}
         yield Level(f"{name}, literature", "numpy", None, signal, seconds, **more)  # type: ignore[arg-type]
         values = (change(np.stack(depths)) - np.stack(traced)) / unit
@@ -425,8 +425,8 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
 def diffusion(base: PairedReadings) -> Level:
     """Layered diffusion, without a photon."""
     full = base.transfer.scene
-    found, seconds = timed(lambda: DiffusionModel(full).readings(end_states(full)))
-    gain = found[..., 0] / base.level
+    paired, seconds = timed(lambda: DiffusionModel(full).readings(end_states(full)))
+    gain = paired[..., 0] / base.level
     reading = bias_of(base, gain - 1, gain * base.relative_stderr)
-    signal = signal_bias(base, found[..., 1] / found[..., 0] - 1)
+    signal = signal_bias(base, paired[..., 1] / paired[..., 0] - 1)
     return Level("layered diffusion", "numpy", reading, signal, seconds, call=DIFFUSION_CALL)

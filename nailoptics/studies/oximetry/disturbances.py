@@ -306,7 +306,7 @@ def ambient_leakage(
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
     led = int(np.argmax([one.wavelength_nm for one in scene.leds]))
     light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
-    found = np.zeros((len(sources), 2, len(scene.layout.photodiodes)))
+    current_a = np.zeros((len(sources), 2, len(scene.layout.photodiodes)))
     for j, element in enumerate(scene.layout.photodiodes):
         _, left = tracer.back(j, led, photons=LEAKAGE_PHOTONS, seed=seed_of(seed, _BACK, j))
         diode, area = element.photodiode, element.area.area_mm2
@@ -315,5 +315,5 @@ def ambient_leakage(
             whole = area * float(source.photocurrent_a_per_mm2(diode)[1].sum())
             one = float(each.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
             total, square = float(each.sum()), float((each**2).sum())
-            found[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, one**2))
-    return found
+            current_a[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, one**2))
+    return current_a

@@ -118,25 +118,25 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     if unknown:
         raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is none of {', '.join(known)}.")
     times_s, rows = pulses_over_time(recording, scene)
-    found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    spo2, error = np.zeros((2, *found["ratio"].shape))
+    estimates = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    spo2, error = np.zeros((2, *estimates["ratio"].shape))
     for j, name in enumerate(recording.photodiodes):
         so2, one = result.so2.values, result.sel(photodiode=name)
-        value = saturation_of(found["ratio"][j], so2, one.ratio.values)
+        value = saturation_of(estimates["ratio"][j], so2, one.ratio.values)
         slope = np.abs(np.interp(value, so2, np.gradient(so2, one.ratio.values)))
         of_curve = np.interp(value, so2, one.ratio_stderr.values)
-        spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(found["ratio_stderr"][j], of_curve)
+        spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(estimates["ratio_stderr"][j], of_curve)
     over = ("photodiode", "time")
-    data = variable("ratio", over, found["ratio"], "ratio of ratios R", stderr=found["ratio_stderr"])
+    data = variable("ratio", over, estimates["ratio"], "ratio of ratios R", stderr=estimates["ratio_stderr"])
     data |= variable("spo2", over, spo2, "oxygen saturation from the pulse", units="percent", stderr=error)
     bounds = np.clip([spo2 - Z95 * error, spo2 + Z95 * error], 0.0, 100.0)
     data |= variable("spo2_low", over, bounds[0], "lower bound of SpO2, 95 %", units="percent")
     data |= variable("spo2_high", over, bounds[1], "upper bound of SpO2, 95 %", units="percent")
-    data |= variable("rate_per_min", over, found["rate_per_min"], "pulse rate", units="min-1")
+    data |= variable("rate_per_min", over, estimates["rate_per_min"], "pulse rate", units="min-1")
     for light in ("red", "infrared"):
-        index = found[f"perfusion_{light}"]
+        index = estimates[f"perfusion_{light}"]
         data |= variable(f"perfusion_index_{light}", over, index, f"perfusion index of the {light} LED")
-    data |= variable("motion", over, found["motion"], "part of the window in which the finger moved")
+    data |= variable("motion", over, estimates["motion"], "part of the window in which the finger moved")
     typical = [float(np.nanmedian(one)) if np.isfinite(one).any() else np.inf for one in error]
     about: dict[str, Any] = {
         "title": "oxygen from a recording",
@@ -156,8 +156,8 @@ def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array,
     Raises: InputError as `spo2_over_time`.
     """
     _check_limit(recording, scene.electronics.adc_range_v)
-    found = [_photodiode(recording, j) for j in range(len(recording.photodiodes))]
-    return found[0][0], [row for _, row in found]
+    estimates = [_photodiode(recording, j) for j in range(len(recording.photodiodes))]
+    return estimates[0][0], [row for _, row in estimates]
 
 
 def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, Array]]:

@@ -45,14 +45,14 @@ LIBRARIES = (
 )
 
 
-def write_exploration(found: Exploration, path: Path) -> None:
+def write_exploration(exploration: Exploration, path: Path) -> None:
     """Write the page of what `explore` returns, whole or not at all; raises WriteError."""
-    write_text(Path(path), page(found))
+    write_text(Path(path), page(exploration))
 
 
-def page(found: Exploration) -> str:
+def page(exploration: Exploration) -> str:
     """The page as text."""
-    tables = json.dumps(_tables(found), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    tables = json.dumps(_tables(exploration), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
     own = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
@@ -61,7 +61,7 @@ def page(found: Exploration) -> str:
         title="Drag LEDs and photodiodes on the nail",
         lead="All readings update at once, from light that was traced over the whole board.",
         body=[style, _text("workbench.html"), _licences(), data],
-        attributes=found.attributes,
+        attributes=exploration.attributes,
         scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), own],
     )
 
@@ -99,17 +99,17 @@ def _half(values: np.ndarray) -> str:
     return base64.b64encode(np.ascontiguousarray(values, "<f2").tobytes()).decode()
 
 
-def _tables(found: Exploration) -> dict[str, Any]:
-    scene, basis, polynomial = found.scene, found.basis, found.polynomial
-    leds, diodes = _led_kinds(found), _photodiode_kinds(scene)
-    nodes_u, nodes_v = found.ambient_nodes
+def _tables(exploration: Exploration) -> dict[str, Any]:
+    scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
+    leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
+    nodes_u, nodes_v = exploration.ambient_nodes
     return {
         "scene": json.loads(json.dumps(scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}))),
         "basis": {
             "across": basis.across,
             "walled": basis.wall_mm is not None,
             "axes": [axis.tolist() for axis in basis.axes],
-            "radial": found.radial.log_coefficients.tolist(),
+            "radial": exploration.radial.log_coefficients.tolist(),
             "nearestMm": NEAREST_MM,
         },
         "gauss": [_rule(n) for n in range(MOST_POINTS + 1)],
@@ -126,7 +126,7 @@ def _tables(found: Exploration) -> dict[str, Any]:
         "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
         "restRange": _rest_range(scene),
-        "colours": [_colour(one) for one in found.colours],
+        "colours": [_colour(one) for one in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(one, leds, scene) for one in diodes],
         "stage": {
@@ -134,20 +134,20 @@ def _tables(found: Exploration) -> dict[str, Any]:
             "rangeV": scene.electronics.adc_range_v,
             "lsbV": electronics.lsb_v(scene.electronics),
         },
-        "touch": _touch(found.touch),
+        "touch": _touch(exploration.touch),
         "board": _board(scene),
         "layout": _layout(scene, diodes, leds),
-        "rules": _rules(found, kinds=(len(leds), len(diodes))),
+        "rules": _rules(exploration, kinds=(len(leds), len(diodes))),
         "formula": FORMULA,
         "ambient": {
             "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
             "nodesU": nodes_u.tolist(),
             "nodesV": nodes_v.tolist(),
-            "aPerMm2": found.ambient_a_per_mm2.tolist(),
+            "aPerMm2": exploration.ambient_a_per_mm2.tolist(),
         },
         "fluence": {
-            "radiusMm": found.colours[0].fluence.radius_mm.values.tolist(),
-            "depthMm": found.colours[0].fluence.depth_mm.values.tolist(),
+            "radiusMm": exploration.colours[0].fluence.radius_mm.values.tolist(),
+            "depthMm": exploration.colours[0].fluence.depth_mm.values.tolist(),
         },
     }
 
@@ -158,7 +158,7 @@ def _rest_range(scene: Scene) -> tuple[float, float]:
     return low * scene.blood.rest_blood_fraction, high * scene.blood.rest_blood_fraction
 
 
-def _rules(found: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
+def _rules(exploration: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
     """What a scene that is dropped on the page must keep, and what a layout must, as JSON Schemas of the models.
 
     kinds : number of LEDs and of photodiodes that can be chosen.
@@ -184,9 +184,9 @@ def _rules(found: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
     layout = {
         "leds": part(Led, kinds[0], {}),
         "photodiodes": part(Photodiode, kinds[1], own),
-        "force": between(0.0, float(found.touch["force_n"][-1])),
-        "rest": between(*_rest_range(found.scene)),
-        "so2": between(*found.polynomial.so2),
+        "force": between(0.0, float(exploration.touch["force_n"][-1])),
+        "rest": between(*_rest_range(exploration.scene)),
+        "so2": between(*exploration.polynomial.so2),
         "ambient": {"anyOf": [between(0, len(SOURCES) - 1, "integer"), {"type": "null"}]},
     }
     return {
@@ -194,7 +194,9 @@ def _rules(found: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
         "layout": {"type": "object", "properties": layout, "required": list(layout)},
         "usual": {"size_mm": diode["size_mm"]["default"]},
         "mostElements": MOST_PHOTODIODES,
-        "mostPairs": max(MOST_PAIRS, len(found.scene.leds) * sum(one.elements for one in found.scene.photodiodes)),
+        "mostPairs": max(
+            MOST_PAIRS, len(exploration.scene.leds) * sum(one.elements for one in exploration.scene.photodiodes)
+        ),
         "mostBytes": MOST_SCENE_BYTES,
     }
 
@@ -233,15 +235,15 @@ def _colour(one: ColourTable) -> dict[str, Any]:
     }
 
 
-def _led_kinds(found: Exploration) -> list[dict[str, Any]]:
+def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
     """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
-    number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(found.colours)}
+    number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(exploration.colours)}
     kinds: list[dict[str, Any]] = []
-    for led in (*found.scene.leds, *(one.led for one in found.colours)):
+    for led in (*exploration.scene.leds, *(one.led for one in exploration.colours)):
         fields = led.model_dump(mode="json", exclude_none=True, exclude=PLACED)
         colour = number[led.wavelength_nm, led.fwhm_nm]
         if all(kind["fields"] != fields for kind in kinds) and not (
-            led not in found.scene.leds and any(kind["colour"] == colour for kind in kinds)
+            led not in exploration.scene.leds and any(kind["colour"] == colour for kind in kinds)
         ):
             width, length = led.size_mm
             size = {"widthMm": width, "lengthMm": length, "fluxMw": led.flux_mw}

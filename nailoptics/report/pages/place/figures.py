@@ -187,15 +187,15 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     tried, led = result.led_site_mm, str(result.led.values[0])
     # Where a given layout is the best, its LEDs may be others than those that were searched.
     number = list(tried.searched_led.values).index(led) if led in tried.searched_led.values else 0
-    place, found = tried.isel(searched_led=number).to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
-    norm = LogNorm(found.min(), max(found.max(), 1.001 * found.min()))
+    place, resolution_mn = tried.isel(searched_led=number).to_numpy(), 1e3 * result.led_site_resolution_n.to_numpy()
+    norm = LogNorm(resolution_mn.min(), max(resolution_mn.max(), 1.001 * resolution_mn.min()))
     marks = {"left": (">", 0.12, 0), "right": ("<", -0.12, 0), "below": ("^", 0, 0.12), "above": ("v", 0, -0.12)}
     look: dict[str, Any] = {"cmap": "viridis_r", "s": 46, "edgecolors": style.MUTED, "linewidths": 0.4}
     for side in dict.fromkeys(result.led_site_side.values):
         at, (mark, du, dv) = result.led_site_side.values == side, marks.get(str(side), ("o", 0, 0))
         # The finest is drawn last, over the others.
-        at = np.flatnonzero(at)[np.argsort(-found[at])]
-        image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=found[at], norm=norm, marker=mark, **look)
+        at = np.flatnonzero(at)[np.argsort(-resolution_mn[at])]
+        image = axes.scatter(place[at, 0] + du, place[at, 1] + dv, c=resolution_mn[at], norm=norm, marker=mark, **look)
     figure.colorbar(image, ax=axes, label="force resolution [mN]", format="{x:g}").ax.yaxis.set_minor_formatter("{x:g}")
     axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
     axes.set(aspect="equal", xlabel=maps.ACROSS, ylabel=maps.ALONG)
@@ -209,10 +209,12 @@ def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     finger, layout = scene.finger, scene.layout
     plate = finger.nail_thickness_mm
     bed = (plate, plate + finger.bed_thickness_mm)
-    seen = (result.depth_sensitivity.isel(led=0) * result.cell_volume_mm3).transpose(..., "under_u", "under_v", "depth")
-    in_bed = seen.where((result.depth > bed[0]) & (result.depth < bed[1]), 0.0)
+    sensitivity = (result.depth_sensitivity.isel(led=0) * result.cell_volume_mm3).transpose(
+        ..., "under_u", "under_v", "depth"
+    )
+    in_bed = sensitivity.where((result.depth > bed[0]) & (result.depth < bed[1]), 0.0)
     v, u, depth = (result[name].to_numpy() for name in ("under_v", "under_u", "depth"))
-    cut, above = seen.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
+    cut, above = sensitivity.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
     layers = (("plate", "plate", 0.0, bed[0]), ("bed", "bed", *bed), ("below", "bone", bed[1], depth[-1]))
     colours = coloured_along_nail(scene, len(layout.photodiodes))
     figure, (section, plan) = style.panels(9.2, 8.4, 2, height_ratios=[2.6, 4.6])
