@@ -110,7 +110,7 @@ def test_a_module_imports_only_from_rooms_before_its_own(path):
 @pytest.mark.parametrize(
     ("source", "module", "package", "found"),
     [
-        ("from .. import light", "nailoptics.tissue.blood_zones", False, ["light"]),
+        ("from .. import light", "nailoptics.tissue.properties", False, ["light"]),
         ("from ..light.transfer import Transfer", "nailoptics.scene.files", False, ["light"]),
         (
             "def f():\n    import nailoptics.report.pages.simulate",

@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..scene import Scene
 from ..scene.rectangles import Rectangle
-from ..tissue.blood_zones import BloodZones
+from ..tissue import BloodZones
 from . import style
 
 if TYPE_CHECKING:
