@@ -8,6 +8,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.batch import run_batch
 from nailoptics.light.identity import light_digest, light_scene, traced_absorption
+from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.tracing.trigger import check_schedule
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.placement import Placement
@@ -69,6 +70,17 @@ def test_another_state_read_from_the_shared_trace_meets_its_own_trace(jit_backen
     assert float(abs(off).max()) < 4
     total, error = float(own.detected_fraction.sum()), np.linalg.norm(own.detected_fraction_stderr.values)
     assert error < 0.04 * total
+
+
+@pytest.mark.long
+@pytest.mark.jit
+def test_a_tighter_error_continues_from_stored_light(jit_backend, tmp_path):
+    scene, store = phantoms(tmp_path, 2).scenes[0], LightStore(tmp_path / "store")
+    coarse = nail.trace(scene, relative_error=0.02, stores=[store])
+    fine = nail.trace(scene, relative_error=0.002, stores=[LightStore(tmp_path / "store")])
+    fresh = nail.trace(scene, relative_error=0.002, store=False)
+    assert fine.reused_photons == coarse.traces[0].photons < fine.traces[0].photons
+    assert np.array_equal(fine.traces[0].weight, fresh.traces[0].weight)
 
 
 def test_errors_are_checked_seldom_and_at_fixed_numbers():

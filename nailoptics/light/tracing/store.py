@@ -35,6 +35,8 @@ VARIABLE = "NAILOPTICS_STORE"
 # The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
 MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
+# A file is written so often where its folder goes meanwhile.
+WRITE_ATTEMPTS = 5
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
 _ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
@@ -117,15 +119,20 @@ class LightStore:
         # os.path takes what a folder hides for missing, Path does not.
         if self.closed or os.path.isdir(path):
             return
-        try:
-            io.make_folder(path.parent)
-            io.write_bytes(path, data)
-        except WriteError as error:
-            if not self.optional:
-                raise
-            self.closed = True
-            log.warning("traced light is not stored: %s", error)
-            return
+        for attempts_left in reversed(range(WRITE_ATTEMPTS)):
+            try:
+                io.make_folder(path.parent)
+                io.write_bytes(path, data)
+                break
+            except WriteError as error:
+                # Another process that makes room may have removed the folder in between.
+                if attempts_left and os.path.isdir(self.root) and not os.path.exists(path.parent):
+                    continue
+                if not self.optional:
+                    raise
+                self.closed = True
+                log.warning("traced light is not stored: %s", error)
+                return
         self._unchecked += len(data)
         self._written += len(data)
         # One command must not push out all others' light and then its own.
