@@ -65,10 +65,16 @@ def coefficients(
 def resistances(parameters: Parameters, width_m: np.ndarray) -> tuple[tuple[float, float], float]:
     """(R_A1, R_A2) and R_V of eq. (3) from (3,) diameters D + x of capillaries and vein. [Pa s/m^3]"""
     p = parameters
-    c1, c2, v = (float(w) for w in width_m)
-    capillary = 128.0 * p.capillary_length_m * p.viscosity_pa_s / (p.capillary_count * math.pi)
+    *capillaries, v = (float(w) for w in width_m)
     vein = 128.0 * p.vein_length_m * p.viscosity_pa_s / (p.vein_count * math.pi)
-    return (capillary / c1**4, capillary / c2**4), vein / v**4
+    beds = zip(pair(p.capillary_length_m), pair(p.capillary_count), capillaries, strict=True)
+    first, second = (128.0 * length * p.viscosity_pa_s / (count * math.pi) / c**4 for length, count, c in beds)
+    return (first, second), vein / v**4
+
+
+def pair(value: float | tuple[float, float]) -> tuple[float, float]:
+    """A constant of the proximal and of the distal bed."""
+    return value if isinstance(value, tuple) else (value, value)
 
 
 def state_matrices(parameters: Parameters, width_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,12 +87,12 @@ def state_matrices(parameters: Parameters, width_m: np.ndarray) -> tuple[np.ndar
     arteriole, vein = resistances(p, width_m)
     c = coefficients(
         arteriole_resistance=arteriole,
-        venule_resistance=(p.venule_resistance_pa_s_per_m3,) * 2,
+        venule_resistance=pair(p.venule_resistance_pa_s_per_m3),
         vein_resistance=vein,
-        area=(p.capillary_area_m2, p.capillary_area_m2, p.vein_area_m2),
-        damping=(p.capillary_damping_n_s_per_m, p.capillary_damping_n_s_per_m, p.vein_damping_n_s_per_m),
+        area=(*pair(p.capillary_area_m2), p.vein_area_m2),
+        damping=(*pair(p.capillary_damping_n_s_per_m), p.vein_damping_n_s_per_m),
     )
-    mass = np.array([p.capillary_mass_kg, p.capillary_mass_kg, p.vein_mass_kg])[:, None]
-    stiffness = np.diag([p.capillary_stiffness_n_per_m, p.capillary_stiffness_n_per_m, p.vein_stiffness_n_per_m])
+    mass = np.array([*pair(p.capillary_mass_kg), p.vein_mass_kg])[:, None]
+    stiffness = np.diag([*pair(p.capillary_stiffness_n_per_m), p.vein_stiffness_n_per_m])
     a = np.block([[np.zeros((3, 3)), np.eye(3)], [-stiffness / mass, -c.damping / mass]])
     return a, np.vstack([np.zeros((3, 4)), c.drive / mass])

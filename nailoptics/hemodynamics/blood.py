@@ -10,23 +10,34 @@ from ..checks import finite, number
 from ..errors import InputError
 from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
-from .parameters import Parameters
+from .parameters import Parameters, PerBed, each_bed
 from .steady import steady_state
+from .touch import PAPER_ZONES, Zones
 
 
 def blood_fraction(
-    parameters: Parameters, capillary_diameter_m: ArrayLike, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION
+    parameters: Parameters,
+    capillary_diameter_m: ArrayLike,
+    *,
+    rest_blood_fraction: float = USUAL_BLOOD_FRACTION,
+    touch_pa: ArrayLike = 0.0,
+    zones: Zones = PAPER_ZONES,
+    unit: int | None = None,
 ) -> np.ndarray:
     """The part of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
 
-    capillary_diameter_m : any shape, float. D_C + x_C. [m]
+    capillary_diameter_m : float. D_C + x_C: (N, ...) of the zones' units, (...) of one unit; any shape where both beds
+        have the same constants. [m]
     rest_blood_fraction : Fraction without touch, P_H and P_L as in the parameters; 0.01-0.05 in a nail bed. [1]
+    touch_pa : That broadcasts. Touch pressure on the capillaries, which closes venules where the parameters have some
+        (beyond the paper): a share of the blood, in proportion to the pressure. [Pa]
+    unit : The zone whose diameters are given; None for all.
 
     The paper's areas and diameters disagree on volume: eq. (3)-(4) displace A dx/dt. The motion follows (3)-(4), the
     blood follows (7), as in the paper.
 
-    Raises: InputError if the rest fraction is not between 0 and 1, a diameter is not positive, or the result would
-    be more than 1.
+    Raises: InputError if the rest fraction is not 0 or more and less than 1, a diameter is not positive, or the result
+    would be more than 1.
 
     References: Mascaro and Asada 2001, eq. (7).
     """
@@ -34,7 +45,9 @@ def blood_fraction(
     diameter = finite("capillary_diameter_m", capillary_diameter_m)
     if np.any(diameter <= 0.0):
         raise InputError(f"capillary_diameter_m must be positive, got {diameter.min():g} m.")
-    result = fraction * (diameter / _rest_diameter(parameters)) ** 2
+    rest_m, share, closing_pa = _constants(parameters, zones, unit, diameter.ndim)
+    venules = share * np.clip(1.0 - np.asarray(touch_pa) / closing_pa, 0.0, 1.0)
+    result = fraction * ((1.0 - share) * (diameter / rest_m) ** 2 + venules)
     if np.any(result > 1.0):
         raise InputError(
             f"rest_blood_fraction {fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
@@ -80,25 +93,46 @@ def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, f
     return width
 
 
-def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> float:
+def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> PerBed:
     """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
 
     Raises: InputError if the fraction is not between 0 and 1.
     """
-    p = parameters
-    blood = p.capillary_count * p.capillary_length_m * math.pi * _rest_diameter(p) ** 2 / 4.0
-    return blood / _rest_fraction(rest_blood_fraction)
+    fraction = _rest_fraction(rest_blood_fraction)
+    if fraction == 0.0:
+        raise InputError("rest_blood_fraction must be greater than 0 for a volume by eq. (7), got 0; give 0.03.")
+
+    def volume(count: float, length_m: float, rest_m: float) -> float:
+        return count * length_m * math.pi * rest_m**2 / 4.0 / fraction
+
+    p, rest_m = parameters, steady_state(parameters).capillary_diameter_m.tolist()
+    return each_bed(volume, p.capillary_count, p.capillary_length_m, tuple(rest_m) if p.has_two_beds else rest_m[0])
+
+
+def _constants(parameters: Parameters, zones: Zones, unit: int | None, axes: int) -> tuple[np.ndarray, ...]:
+    """Diameter at rest [m], venular share and closing pressure [Pa]: one unit's, or with units on the first axis."""
+    rest_m, share, closing_pa = _of_units(parameters, zones)
+    if unit is not None:
+        return rest_m[unit], share[unit], closing_pa[unit]
+    if np.ptp(rest_m) == np.ptp(share) == np.ptp(closing_pa) == 0.0:
+        return rest_m[0], share[0], closing_pa[0]
+    return tuple(one.reshape(-1, *(1,) * (axes - 1)) for one in (rest_m, share, closing_pa))
 
 
 @functools.lru_cache(64)
-def _rest_diameter(parameters: Parameters) -> float:
-    return float(steady_state(parameters).capillary_diameter_m[0])
+def _of_units(parameters: Parameters, zones: Zones) -> tuple[np.ndarray, ...]:
+    p = parameters
+    venules = [np.array(zones.of_beds(value)) for value in (p.venular_share, p.venular_closing_pressure_pa)]
+    if p.has_two_beds:
+        return steady_state(p, zones=zones, pressure_pa=np.zeros(zones.inputs)).capillary_diameter_m, *venules
+    # All units rest at one diameter: that of the paper's two, to the last bit.
+    return np.resize(steady_state(p).capillary_diameter_m[:1], zones.count), *venules
 
 
 def _rest_fraction(value: float) -> float:
     fraction = number("rest_blood_fraction", value)
-    if not 0.0 < fraction < 1.0:
+    if not 0.0 <= fraction < 1.0:
         raise InputError(
-            f"rest_blood_fraction must lie between 0 and 1, got {fraction:g}; {USUAL_BLOOD_FRACTION:g} is usual."
+            f"rest_blood_fraction must lie in 0 to less than 1, got {fraction:g}; {USUAL_BLOOD_FRACTION:g} is usual."
         )
     return fraction

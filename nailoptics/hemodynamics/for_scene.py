@@ -1,5 +1,6 @@
 """Touch to blood: what a scene's force makes of the blood under the nail, over time or held until nothing moves."""
 
+import operator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -15,6 +16,7 @@ from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.oximeter import two_leds
 from ..scene.touch import value_at
 from ..variables import precision, variable
+from .parameters import each_bed
 from .respond import Model, touch_variables
 from .waves import fastest_hz, waves_pressure
 
@@ -140,7 +142,12 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
     Raises: InputError if there is no such set.
     """
     named, tuning, body = hemodynamics.parameters(scene.blood.parameters), scene.blood.tuning, scene.body
-    own = named.replace(**tuning.of(named.as_dict())) if tuning else named
+    own = named
+    if tuning:
+        factors = {
+            name: each_bed(operator.mul, one, getattr(named, name)) for name, one in (tuning.factors or {}).items()
+        }
+        own = named.replace(**tuning.values(), **factors)
     if body is None:
         return own
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
@@ -184,15 +191,15 @@ class BloodModel:
     blood: Blood
     zone_ends_mm: np.ndarray
 
-    def fraction(self, diameter_m: np.ndarray) -> np.ndarray:
-        """Blood fraction of capillaries of some diameter, eq. (7), any shape. [1]"""
-        rest = self.blood.rest_blood_fraction
-        return hemodynamics.blood_fraction(self.parameters, diameter_m, rest_blood_fraction=rest)
+    def fraction(self, diameter_m: np.ndarray, touch_pa: ArrayLike, *, unit: int | None = None) -> np.ndarray:
+        """Blood fraction of each zone, or of one, by the diameter of its capillaries and the touch on them. [1]"""
+        own: dict[str, Any] = {"rest_blood_fraction": self.blood.rest_blood_fraction, "zones": self.zones, "unit": unit}
+        return hemodynamics.blood_fraction(self.parameters, diameter_m, touch_pa=touch_pa, **own)
 
     def steady(self, pressure_pa: np.ndarray) -> np.ndarray:
         """Blood fractions once pressures (M, n) have been held for long, (n, zones) float. [1]"""
         state = hemodynamics.steady_state(self.parameters, pressure_pa=pressure_pa, zones=self.zones)
-        return self.fraction(state.capillary_diameter_m).T
+        return self.fraction(state.capillary_diameter_m, self.zones.on_walls(pressure_pa)[:-1]).T
 
     def without_shear(self) -> "BloodModel":
         """The same for the proximal and the distal pressure alone."""
@@ -240,14 +247,15 @@ class BloodModel:
         run = run.drop_vars("zone_position")
         # Zone by zone: of very many samples the arrays between are large.
         diameter_m, kind = run.capillary_diameter_m, precision(len(time_s))
-        fraction = np.empty(diameter_m.shape, kind)
-        for zone, row_m in zip(fraction, diameter_m.values, strict=True):
-            zone[:] = self.fraction(row_m)
+        fraction, over_time_pa = np.empty(diameter_m.shape, kind), [row.at(time_s) for row in pressures]
+        for i, row_m in enumerate(diameter_m.values):
+            touch_pa = sum(part * row for part, row in zip(self.zones.reach[i], over_time_pa, strict=True))
+            fraction[i] = self.fraction(row_m, touch_pa, unit=i)
         # One by one, as they come as parts of one array.
         run["capillary_diameter_m"], run["vein_diameter_m"] = diameter_m.astype(kind), run.vein_diameter_m.astype(float)
         over, force_n = ("zone", "time"), value_at(course.time_s, course.force_n, time_s)
         data = variable("force_n", "time", force_n, "touch force", units="N")
-        data |= touch_variables([row.at(time_s) for row in pressures])
+        data |= touch_variables(over_time_pa)
         if course.shear_n is not None:
             text = "longitudinal force, positive towards the tip"
             data |= variable("shear_n", "time", value_at(course.time_s, course.shear_n, time_s), text, units="N")
@@ -326,8 +334,9 @@ def blood_by_arterial_pressure(scene: Scene, frequency_hz: ArrayLike, force_n: f
     pressure_pa, p = np.array(model.touch.sides_pa(force_n)), model.parameters
     gain = hemodynamics.arterial_gain_m_per_pa(p, frequency_hz, pressure_pa=pressure_pa, zones=model.zones)
     state = hemodynamics.steady_state(p, pressure_pa=pressure_pa[:, None], zones=model.zones)
-    # Blood goes with the square of the diameter.
-    return np.asarray(2.0 * model.fraction(state.capillary_diameter_m) / state.capillary_diameter_m * gain)
+    # Blood of capillaries goes with the square of the diameter; venules, shut here, stay as they are.
+    capillary = model.fraction(state.capillary_diameter_m, np.inf)
+    return np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
 
 
 @dataclass(frozen=True)

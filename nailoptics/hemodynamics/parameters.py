@@ -3,53 +3,76 @@
 import dataclasses
 import difflib
 import math
+from collections.abc import Callable
+from typing import Any
 
 from ..checks import number
 from ..errors import InputError
 
+PerBed = float | tuple[float, float]
+"""A constant of both beds, or those of the proximal and of the distal one."""
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
+_BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
+
+
+def each_bed(function: Callable[..., Any], *values: Any) -> Any:
+    """The function of constants: a pair where one of them is a pair, and else one value for both beds."""
+    if not any(isinstance(value, tuple) for value in values):
+        return function(*values)
+    return tuple(function(*one) for one in zip(*map(beds, values), strict=True))
+
+
+def beds(value: Any) -> tuple[Any, Any]:
+    """A constant of the proximal and of the distal bed."""
+    return value if isinstance(value, tuple) else (value, value)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Parameters:
     """One set of constants for eq. (1)-(4); the defaults are the values that the paper lists.
 
-    A capillary field means the same for both capillary beds (proximal and distal). Pressures are gauge.
+    A field of capillaries or venules is one number for both capillary beds or, as the paper has it, a pair of the
+    proximal and the distal bed's. Pressures are gauge. The venular fields are beyond the paper, and off by default: a
+    share of a bed's blood in venules, which a touch on that bed empties in proportion to its pressure, entirely at
+    their closing pressure. They change the blood, not the network.
 
     Raises: InputError if a value is not a finite number, or is not positive where it has to be.
 
     References: Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), table of parameters.
     """
 
-    capillary_stiffness_n_per_m: float = 1e5
+    capillary_stiffness_n_per_m: PerBed = 1e5
     vein_stiffness_n_per_m: float = 1e3
-    capillary_mass_kg: float = 1e-3
+    capillary_mass_kg: PerBed = 1e-3
     vein_mass_kg: float = 1e-3
-    capillary_damping_n_s_per_m: float = 1e4
+    capillary_damping_n_s_per_m: PerBed = 1e4
     vein_damping_n_s_per_m: float = 1e2
-    capillary_area_m2: float = 1e-4
+    capillary_area_m2: PerBed = 1e-4
     vein_area_m2: float = 1e-4
-    capillary_diameter_m: float = 1e-5
+    capillary_diameter_m: PerBed = 1e-5
     vein_diameter_m: float = 1e-4
-    capillary_length_m: float = 1e-3
+    capillary_length_m: PerBed = 1e-3
     vein_length_m: float = 1e-2
-    capillary_count: float = 1e5
+    capillary_count: PerBed = 1e5
     vein_count: float = 1e2
     viscosity_pa_s: float = 3e-3
-    venule_resistance_pa_s_per_m3: float = 1e11
+    venule_resistance_pa_s_per_m3: PerBed = 1e11
+    venular_share: PerBed = 0.0
+    venular_closing_pressure_pa: PerBed = 1e3
     arterial_pressure_pa: float = 1e4
     venous_pressure_pa: float = 0.0
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = number(f"hemodynamics.{field.name}", getattr(self, field.name))
-            if field.name not in _MAY_BE_ANY_SIGN and value <= 0.0:
-                raise InputError(
-                    f"hemodynamics.{field.name} must be greater than 0, got {value:g}; give a positive value."
-                )
+            value = getattr(self, field.name)
+            if is_of_beds(field.name) and isinstance(value, list | tuple) and len(value) == 2:
+                pair = tuple(_checked(field.name, one) for one in value)
+                value = pair[0] if pair[0] == pair[1] else pair
+            else:
+                value = _checked(field.name, value)
             object.__setattr__(self, field.name, value)
 
-    def replace(self, **changes: float) -> "Parameters":
+    def replace(self, **changes: Any) -> "Parameters":
         """A copy with some values changed, checked like a new set; InputError also for an unknown name."""
         known = [field.name for field in dataclasses.fields(self)]
         for name in changes:
@@ -59,12 +82,32 @@ class Parameters:
                 raise InputError(f"hemodynamics.{name} is not a parameter; {hint}")
         return dataclasses.replace(self, **changes)
 
-    def as_dict(self) -> dict[str, float]:
+    def as_dict(self) -> dict[str, Any]:
         """The values by name."""
         return dataclasses.asdict(self)
 
+    @property
+    def has_two_beds(self) -> bool:
+        """Whether the beds differ in a constant."""
+        return any(isinstance(value, tuple) for value in vars(self).values())
 
-_SETS: dict[str, dict[str, float]] = {
+
+def is_of_beds(name: str) -> bool:
+    """Whether a constant belongs to the beds, each of which may have a different one."""
+    return name.startswith(("capillary_", "venul"))
+
+
+def _checked(name: str, given: Any) -> float:
+    value = number(f"hemodynamics.{name}", given)
+    if name == "venular_share":
+        if not 0.0 <= value < 1.0:
+            raise InputError(f"hemodynamics.{name} must be 0 or more and less than 1, got {value:g}; 0 is none.")
+    elif name not in _MAY_BE_ANY_SIGN and value <= 0.0:
+        raise InputError(f"hemodynamics.{name} must be greater than 0, got {value:g}; give a positive value.")
+    return value
+
+
+_SETS: dict[str, dict[str, Any]] = {
     "listed": {},
     "figures": {
         "capillary_diameter_m": 6.5e-6,
@@ -145,4 +188,5 @@ def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
     if not (math.isfinite(factor) and factor > 1.0):
         raise InputError(f"hemodynamics.bounds factor must be finite and greater than 1, got {factor}; use 10.")
     listed = Parameters().as_dict()
-    return {name: (value / factor, value * factor) for name, value in listed.items() if name not in _MAY_BE_ANY_SIGN}
+    left_out = _MAY_BE_ANY_SIGN + _BEYOND_THE_PAPER
+    return {name: (value / factor, value * factor) for name, value in listed.items() if name not in left_out}

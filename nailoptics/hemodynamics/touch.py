@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ..checks import finite, number
 from ..errors import InputError
 from ..scene.base import USUAL_CONTACT_AREA_MM2
+from .parameters import beds
 
 
 def pressures(
@@ -184,6 +185,15 @@ class Zones:
         """(N,) float. Centre of each unit along the bed, 0 at the cuticle and 1 at the tip. [1]"""
         edges = np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
         return 0.5 * (edges[:-1] + edges[1:])
+
+    def of_beds(self, value: Any) -> list[Any]:
+        """A constant of each unit, from one of both beds or a pair: its mean over the unit."""
+        proximal, distal = beds(value)
+        if proximal is distal:
+            return [value] * self.count
+        ends = np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
+        parts = np.round(np.clip((0.5 - ends[:-1]) / np.diff(ends), 0.0, 1.0), 12)
+        return [part * proximal + (1.0 - part) * distal for part in parts.tolist()]
 
     def on_walls(self, touch_pa: np.ndarray) -> np.ndarray:
         """The (N+1, S) touch pressure on each wall from the (M, S) inputs. [Pa]"""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .parameters import Parameters
+from .parameters import Parameters, beds, each_bed
 from .touch import Zones
 
 CLOSED_FRACTION = 1e-3
@@ -53,19 +53,25 @@ class Walls:
 def build_walls(parameters: Parameters, zones: Zones) -> Walls:
     """The constants of every wall, from a set of parameters and the cut of the bed.
 
-    Values of the parameters may be arrays that broadcast: further axes of the constants.
+    Values of the parameters may be arrays that broadcast: further axes of the constants. A unit has the constants of
+    the half in which it lies, one that lies in both their mean, weighted by its parts.
     """
-
-    p, shape = parameters, np.broadcast_shapes(*(np.shape(value) for value in vars(parameters).values()))
+    p = parameters
+    shape = np.broadcast_shapes(*(np.shape(value) for pair in vars(p).values() for value in beds(pair)))
     each = (1.0,) * zones.count
 
     def stack(capillary: Any, vein: Any, share: tuple[float, ...] = zones.share) -> np.ndarray:
-        return np.stack([np.broadcast_to(value, shape) for value in (*(part * capillary for part in share), vein)])
+        units = [part * one for part, one in zip(share, zones.of_beds(capillary), strict=True)]
+        return np.stack([np.broadcast_to(value, shape) for value in (*units, vein)])
 
     area = stack(p.capillary_area_m2, p.vein_area_m2)
     damping = stack(p.capillary_damping_n_s_per_m, p.vein_damping_n_s_per_m)
     diameter = stack(p.capillary_diameter_m, p.vein_diameter_m, each)
-    capillary_flow = p.capillary_count * math.pi / (128.0 * p.capillary_length_m * p.viscosity_pa_s)
+    capillary_flow = each_bed(
+        lambda count, length_m: count * math.pi / (128.0 * length_m * p.viscosity_pa_s),
+        p.capillary_count,
+        p.capillary_length_m,
+    )
     vein_flow = p.vein_count * math.pi / (128.0 * p.vein_length_m * p.viscosity_pa_s)
     return Walls(
         area=area,
@@ -75,7 +81,7 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
         diameter=diameter,
         closed=CLOSED_FRACTION * diameter,
         flow_factor=stack(capillary_flow, vein_flow),
-        venule=stack(1.0 / p.venule_resistance_pa_s_per_m3, 0.0)[:-1],
+        venule=stack(each_bed(lambda resistance: 1.0 / resistance, p.venule_resistance_pa_s_per_m3), 0.0)[:-1],
         mobile=area / damping,
     )
 

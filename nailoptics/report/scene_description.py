@@ -34,9 +34,8 @@ def blood_words(scene: Scene) -> str:
     blood = scene.blood
     words = f'vessels "{blood.parameters}"'
     if blood.tuning is not None and blood.tuning.changed():
-        own = blood.tuning.model_dump(exclude_none=True, exclude={"factors"})
-        changes = [f"{name} = {value:g}" for name, value in own.items()]
-        changes += [f"{name} times {factor:g}" for name, factor in (blood.tuning.factors or {}).items()]
+        changes = [f"{name} = {_by_bed(value)}" for name, value in blood.tuning.values().items()]
+        changes += [f"{name} times {_by_bed(factor)}" for name, factor in (blood.tuning.factors or {}).items()]
         words += f" with {', '.join(changes)}"
     zones = len(scene.zone_edges_mm) + 1
     if zones > 2 or blood.decay_length is not None:
@@ -44,6 +43,10 @@ def blood_words(scene: Scene) -> str:
     if blood.venous_so2 is None:
         return words + f", {100 * blood.so2:g} % saturated"
     return words + f", {100 * blood.so2:g} % saturated in arteries and {100 * blood.venous_so2:g} % in veins"
+
+
+def _by_bed(value: float | tuple[float, float]) -> str:
+    return "{:g} (proximal) and {:g} (distal)".format(*value) if isinstance(value, tuple) else f"{value:g}"
 
 
 def body_words(scene: Scene) -> str:

@@ -1,56 +1,82 @@
 """The blood under the nail and the vessels that carry it: which set of constants, and what a scene changes in it."""
 
 import difflib
+import math
+from collections.abc import Callable
 from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Positive, Table
 
 MOST_ZONES = 32
 
 
-class Tuning(Table):
-    """Constants of the vessels that replace those of the named set."""
+def _of_each_bed(rule: str, holds: Callable[[float], bool]) -> BeforeValidator:
+    def check(value: object) -> object:
+        values = value if isinstance(value, tuple) else (value,)
+        if len(values) > 2 or not all(
+            isinstance(one, int | float) and one is not True and holds(one) for one in values
+        ):
+            raise ValueError(f"{value} must be a number {rule}, or two such numbers: proximal and distal")
+        return value
 
-    capillary_stiffness_n_per_m: Positive | None = None
+    return BeforeValidator(check)
+
+
+_Numbers = float | tuple[float, float]
+PerBed = Annotated[_Numbers, _of_each_bed("greater than 0", lambda one: 0 < one < math.inf)]
+SharePerBed = Annotated[_Numbers, _of_each_bed("of 0 or more and less than 1", lambda one: 0 <= one < 1)]
+
+
+class Tuning(Table):
+    """Constants of the vessels that replace those of the named set.
+
+    Those of capillaries and venules are one number for both beds, or two: of the proximal and of the distal bed.
+    """
+
+    capillary_stiffness_n_per_m: PerBed | None = None
     """Stiffness k_C of a capillary wall. [N/m]"""
     vein_stiffness_n_per_m: Positive | None = None
     """Stiffness k_V of the vein's wall. [N/m]"""
-    capillary_mass_kg: Positive | None = None
+    capillary_mass_kg: PerBed | None = None
     """Mass m_C of a capillary wall; used by the inertial model only. [kg]"""
     vein_mass_kg: Positive | None = None
     """Mass m_V of the vein's wall; used by the inertial model only. [kg]"""
-    capillary_damping_n_s_per_m: Positive | None = None
+    capillary_damping_n_s_per_m: PerBed | None = None
     """Damping b_C of a capillary wall. [N s/m]"""
     vein_damping_n_s_per_m: Positive | None = None
     """Damping b_V of the vein's wall. [N s/m]"""
-    capillary_area_m2: Positive | None = None
+    capillary_area_m2: PerBed | None = None
     """Area A_C of a capillary wall. [m^2]"""
     vein_area_m2: Positive | None = None
     """Area A_V of the vein's wall. [m^2]"""
-    capillary_diameter_m: Positive | None = None
+    capillary_diameter_m: PerBed | None = None
     """Diameter D_C of a capillary without pressure. [m]"""
     vein_diameter_m: Positive | None = None
     """Diameter D_V of a vein without pressure. [m]"""
-    capillary_length_m: Positive | None = None
+    capillary_length_m: PerBed | None = None
     """Length L_C of a capillary. [m]"""
     vein_length_m: Positive | None = None
     """Length L_V of a vein. [m]"""
-    capillary_count: Positive | None = None
+    capillary_count: PerBed | None = None
     """Number N_C of capillaries in each half of the bed."""
     vein_count: Positive | None = None
     """Number N_V of veins."""
     viscosity_pa_s: Positive | None = None
     """Viscosity of the blood. [Pa s]"""
-    venule_resistance_pa_s_per_m3: Positive | None = None
-    """Resistance R_V1 = R_V2 of the venules of each half of the bed. [Pa s/m^3]"""
+    venule_resistance_pa_s_per_m3: PerBed | None = None
+    """Resistance R_V1 and R_V2 of the venules of each half of the bed. [Pa s/m^3]"""
+    venular_share: SharePerBed | None = None
+    """Share of a bed's blood in venules that a touch on that bed empties; beyond the paper, which has none."""
+    venular_closing_pressure_pa: PerBed | None = None
+    """Touch pressure at which these venules are empty. [Pa]"""
     arterial_pressure_pa: float | None = None
     """Arterial pressure P_H. [Pa]"""
     venous_pressure_pa: float | None = None
     """Venous pressure P_L. [Pa]"""
-    factors: dict[str, Positive] | None = None
+    factors: dict[str, PerBed] | None = None
     """Factors on constants of the named set, by their names, instead of values."""
 
     @model_validator(mode="after")
@@ -61,6 +87,8 @@ class Tuning(Table):
                 near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
                 hint = f'did you mean "{near[0]}"?' if near else f"use one of {', '.join(known)}"
                 raise ValueError(f"factors.{name} is not a parameter; {hint}")
+            if isinstance((self.factors or {})[name], tuple) and not name.startswith(("capillary_", "venul")):
+                raise ValueError(f"factors.{name} has two values, but it belongs to both beds; give one")
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} has both a value and a factor; give one of them")
         return self
@@ -72,12 +100,11 @@ class Tuning(Table):
 
     def changed(self) -> tuple[str, ...]:
         """Names of the constants that a value or a factor changes."""
-        return (*self.model_dump(exclude_none=True, exclude={"factors"}), *(self.factors or {}))
+        return (*self.values(), *(self.factors or {}))
 
-    def of(self, constants: dict[str, float]) -> dict[str, float]:
-        """The constants that differ from a set's, by name."""
-        own = self.model_dump(exclude_none=True, exclude={"factors"})
-        return own | {name: factor * constants[name] for name, factor in (self.factors or {}).items()}
+    def values(self) -> dict[str, Any]:
+        """The constants that it replaces, by name."""
+        return self.model_dump(exclude_none=True, exclude={"factors"})
 
 
 class Blood(Table):

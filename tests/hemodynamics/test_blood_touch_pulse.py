@@ -34,17 +34,35 @@ def test_tissue_volume_and_blood_fraction_are_both_of_eq_7():
     volume = tissue_volume_m3(p, rest_blood_fraction=0.03)
     direct = p.capillary_count * p.capillary_length_m * math.pi * diameter**2 / (4 * volume)
     assert blood_fraction(p, diameter, rest_blood_fraction=0.03) == pytest.approx(direct, rel=1e-12)
+    distal = tissue_volume_m3(p.replace(capillary_count=(1e5, 3e5)), rest_blood_fraction=0.03)[1]
+    assert distal > 2.5 * volume
 
 
 def test_blood_cannot_be_more_than_all_of_the_tissue():
     p = parameters("listed")
     with pytest.raises(InputError, match="more than 1"):
         blood_fraction(p, 1e-3, rest_blood_fraction=0.03)
-    for bad in (0.0, 1.0, -0.1, math.nan):
+    for bad in (1.0, -0.1, math.nan):
         with pytest.raises(InputError, match="rest_blood_fraction"):
             blood_fraction(p, 1e-5, rest_blood_fraction=bad)
     with pytest.raises(InputError, match="must be positive"):
         blood_fraction(p, -1e-5)
+
+
+def test_a_bed_without_blood_stays_without():
+    assert not blood_fraction(parameters("listed"), [1e-5, 2e-5], rest_blood_fraction=0.0).any()
+    with pytest.raises(InputError, match="rest_blood_fraction must be greater than 0"):
+        tissue_volume_m3(parameters("listed"), rest_blood_fraction=0.0)
+
+
+def test_a_touch_empties_the_venules_of_its_bed_alone():
+    p = parameters("listed").replace(venular_share=(0.0, 0.2), venular_closing_pressure_pa=1e3)
+    rest = steady_state(p).capillary_diameter_m[:, None]
+    touch_pa = np.array([-1e3, 0.0, 500.0, 1e3, 1e4])
+    blood = blood_fraction(p, rest.repeat(5, axis=1), rest_blood_fraction=0.03, touch_pa=touch_pa)
+    assert blood[0] == pytest.approx(0.03) and blood[1] / 0.03 == pytest.approx([1.0, 1.0, 0.9, 0.8, 0.8])
+    one = blood_fraction(p, rest[1].repeat(5), rest_blood_fraction=0.03, touch_pa=touch_pa, unit=1)
+    assert np.array_equal(one, blood[1])
 
 
 def test_an_even_touch_of_1_n_on_1_cm2_is_1_n_per_cm2_on_both():

@@ -41,6 +41,30 @@ def test_replace_returns_a_checked_copy():
         p.replace(vein_stifness=2e3)
 
 
+def test_a_constant_of_the_beds_is_one_number_or_two():
+    p = parameters("listed").replace(capillary_count=[1e5, 2e5], venule_resistance_pa_s_per_m3=(1e11, 1e11))
+    assert p.capillary_count == (1e5, 2e5) and p.venule_resistance_pa_s_per_m3 == 1e11
+    assert p.replace(capillary_count=1e5) == parameters("listed")
+    for name, value in (
+        ("vein_count", (1.0, 2.0)),
+        ("capillary_count", (1.0, 2.0, 3.0)),
+        ("capillary_count", (1.0, 0.0)),
+    ):
+        with pytest.raises(InputError, match=f"hemodynamics.{name} must be"):
+            p.replace(**{name: value})
+    for share in (1.0, -0.1):
+        with pytest.raises(InputError, match="venular_share must be 0 or more and less than 1"):
+            p.replace(venular_share=share)
+
+
+def test_units_have_the_constants_of_the_half_in_which_they_lie():
+    pair = (2.0, 4.0)
+    assert zones(2).of_beds(pair) == [2.0, 4.0] and zones(4).of_beds(pair) == [2.0, 2.0, 4.0, 4.0]
+    assert zones(3, decay_length=0.3).of_beds(pair) == pytest.approx([2.0, 3.0, 4.0])
+    assert zones(8, decay_length=0.3).of_beds(pair) == [2.0] * 4 + [4.0] * 4
+    assert zones(3, decay_length=0.3).of_beds(5.0) == [5.0] * 3
+
+
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, -math.inf, "stiff", None])
 @pytest.mark.parametrize("name", ["vein_stiffness_n_per_m", "capillary_mass_kg", "viscosity_pa_s", "vein_count"])
 def test_a_value_that_cannot_be_is_named_in_the_error(name, value):

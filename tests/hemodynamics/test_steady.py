@@ -2,16 +2,27 @@
 
 import numpy as np
 import pytest
-from printed_equations import state_matrices
+from printed_equations import pair, state_matrices
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, parameters, steady_state, zones
 
+TWO_BEDS = {
+    "capillary_stiffness_n_per_m": (1e5, 2e5),
+    "capillary_damping_n_s_per_m": (5e3, 2e4),
+    "capillary_area_m2": (1e-4, 5e-5),
+    "capillary_diameter_m": (8e-6, 5e-6),
+    "capillary_length_m": (1e-3, 2e-3),
+    "capillary_count": (1e5, 3e5),
+    "venule_resistance_pa_s_per_m3": (1e11, 3e10),
+}
 
+
+@pytest.mark.parametrize("own", [{}, TWO_BEDS], ids=["shared", "own"])
 @pytest.mark.parametrize("name", NAMES)
-def test_open_steady_states_are_fixed_points_of_the_printed_equations(name):
-    p = parameters(name)
-    rest = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])
+def test_open_steady_states_are_fixed_points_of_the_printed_equations(name, own):
+    p = parameters(name).replace(**own)
+    rest = np.array([*pair(p.capillary_diameter_m), p.vein_diameter_m])
     for proximal, distal in [(0.0, 0.0), (2e3, 0.0), (5e3, 3e3), (-1e3, -2e3), (8e3, 8e3)]:
         s = steady_state(p, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
         width = np.append(s.capillary_diameter_m, s.vein_diameter_m)
@@ -66,7 +77,7 @@ def test_without_a_pressure_difference_there_is_no_flow():
 
 @pytest.mark.parametrize("count", [2, 4, 8])
 def test_cutting_a_bed_into_units_that_feel_the_same_changes_nothing(count):
-    p = parameters("figures")
+    p = parameters("figures").replace(**TWO_BEDS)
     s2 = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3)
     s = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3, zones=zones(count))
     expected = np.repeat(s2.capillary_diameter_m, count // 2)

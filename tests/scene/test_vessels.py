@@ -8,7 +8,7 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
 from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
-from nailoptics.report.scene_description import check_lines
+from nailoptics.report.scene_description import blood_words, check_lines
 from nailoptics.scene import Tuning, parse_scene
 
 DISTAL = """profile = "hold"
@@ -30,6 +30,18 @@ def test_values_and_factors_change_what_they_name_and_nothing_else():
         vein_stiffness_n_per_m=4e3, capillary_count=0.5 * named.capillary_count, arterial_pressure_pa=1.2e4
     )
     assert vessels(parse_scene(SMALL_FINGER_BEST)) == named
+
+
+def test_each_bed_can_have_its_own_constants():
+    text = "[blood.tuning]\ncapillary_count = [1e5, 2e5]\nvenular_share = [0.0, 0.05]\n"
+    scene = parse_scene(SMALL_FINGER_BEST + text + "factors = { capillary_area_m2 = [1.0, 0.5] }")
+    named = parameters("best")
+    area = (named.capillary_area_m2, 0.5 * named.capillary_area_m2)
+    assert vessels(scene) == named.replace(
+        capillary_count=(1e5, 2e5), venular_share=(0.0, 0.05), capillary_area_m2=area
+    )
+    assert blood_over_touch(scene).blood_fraction[:, 0].values == pytest.approx([0.03, 0.03], rel=1e-9)
+    assert "capillary_count = 100000 (proximal) and 200000 (distal)" in blood_words(scene)
 
 
 def test_tuned_vessels_answer_a_touch_in_their_own_way():
@@ -60,7 +72,13 @@ def test_forces_with_two_balances_are_reported():
         ("vein_stifness_n_per_m = 4e3", 'did you mean "vein_stiffness_n_per_m"'),
         ("vein_count = -1.0", "blood.tuning.vein_count = -1.0: must be greater than 0"),
         ("factors = { vein_cuont = 2.0 }", 'factors.vein_cuont is not a parameter; did you mean "vein_count"'),
-        ("factors = { vein_count = 0.0 }", "blood.tuning.factors.vein_count = 0.0: must be greater than 0"),
+        ("factors = { vein_count = 0.0 }", "blood.tuning.factors.vein_count: 0.0 must be a number greater than 0"),
+        ("factors = { vein_count = [1.0, 2.0] }", "factors.vein_count has two values, but it belongs to both beds"),
+        (
+            "capillary_count = [1.0, -2.0]",
+            r"blood.tuning.capillary_count: \(1.0, -2.0\) must be a number greater than 0",
+        ),
+        ("venular_share = [0.0, 1.0]", "must be a number of 0 or more and less than 1"),
         ("vein_count = 20.0\nfactors = { vein_count = 2.0 }", "vein_count has both a value and a factor"),
     ],
 )

@@ -14,7 +14,7 @@ from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics import steady_state
 from ...hemodynamics.for_scene import vessels
-from ...hemodynamics.parameters import Parameters
+from ...hemodynamics.parameters import Parameters, each_bed
 from ...light import ProgressCallback, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested
@@ -285,7 +285,7 @@ def _released_quickly(recording: Recording) -> bool:
 
 def _two_balances_n(subject: Subject) -> dict[str, Array]:
     """Calibrated forces at which the person's vessels have two stable states, by site."""
-    constants = {name: float(value) for name, value in subject.scene.vessels_of(subject.factors_ln).items()}
+    constants = {name: each_bed(float, value) for name, value in subject.scene.vessels_of(subject.factors_ln).items()}
     forces = {}
     for side, most_n in subject.quality.most_force_n.items():
         forces_n = np.linspace(0.0, most_n, 101)

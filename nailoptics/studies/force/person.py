@@ -15,7 +15,7 @@ from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, PlainVa
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from ...hemodynamics import creeping_pressure, spreading_pressure
-from ...hemodynamics.parameters import Parameters, parameters
+from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.touch import PAPER_ZONES
@@ -69,12 +69,12 @@ def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -
 
 def _plausible(vessels: Parameters) -> Parameters:
     for name, listed in parameters("listed").as_dict().items():
-        value = abs(getattr(vessels, name))
         # A mass is not used, and a gauge pressure may be 0, or below.
         least = 0.0 if "mass" in name else abs(listed) / MOST_GAIN
-        most = MOST_GAIN * (max(abs(listed), 1.0) if name == "venous_pressure_pa" else abs(listed))
-        if not least <= value <= most:
-            raise ValueError(f"{name} = {value:g} must lie within {least:g} to {most:g}")
+        most = MOST_GAIN * (max(abs(listed), 1.0) if name in ("venous_pressure_pa", "venular_share") else abs(listed))
+        for value in np.abs(beds(getattr(vessels, name))):
+            if not least <= value <= most:
+                raise ValueError(f"{name} = {value:g} must lie within {least:g} to {most:g}")
     return vessels
 
 
@@ -255,9 +255,9 @@ class NominalFinger:
 
     def vessels_of(self, factors_ln: Array) -> dict[str, Array]:
         """The constants of the network by name, each S float, of factors whose logarithms (P, *S) are given."""
-        scaled = {name: np.asarray(value, dtype=float) for name, value in self.vessels.as_dict().items()}
+        scaled = {name: each_bed(np.asarray, value) for name, value in self.vessels.as_dict().items()}
         for factor, prior in zip(np.exp(factors_ln), PRIORS.values(), strict=True):
-            scaled |= {field: scaled[field] * factor for field in prior.fields}
+            scaled |= {field: each_bed(np.multiply, scaled[field], factor) for field in prior.fields}
         return scaled
 
     def person(self, factors_ln: Array = NOMINAL_LN) -> Person:
