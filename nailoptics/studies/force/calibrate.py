@@ -23,8 +23,8 @@ from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, re
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted, Profile, profile_of
-from .kalman import estimate_pressures
-from .person import N_PER_CM2, NAMES, RIGID_PULP, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
+from .kalman import PressureEstimate, estimate_pressures
+from .person import N_PER_CM2, NAMES, RIGID_PULP, SIDES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .predict import TOUCH_N, rms
 from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table, site_of
 from .state_space import touch_pressure
@@ -46,8 +46,9 @@ COVERED, BY_CHANCE = 0.95, 1.2
 FITTED, PROFILED = 0.4, 0.5
 # A touch that ends within this time shows how fast the vessels refill. [s]
 QUICKLY_S = 0.2
-# Part of the readings' variance that the principal components of the regression hold.
-COMPONENT_VARIANCE = 0.999
+# Part of the readings' variance that the principal components of the regression hold; readings that hang together have
+# components of rounding alone, so small a part of the largest.
+COMPONENT_VARIANCE, ROUNDING = 0.999, 1e-13
 # What the paper tunes by hand beside offset and scale: time constants.
 PAPER_FACTORS = ("vein_damping", "capillary_damping")
 NO_SUBJECT = "interrupted; no subject was written."
@@ -220,28 +221,24 @@ def regressions(volts: Array, force_n: Array) -> dict[str, Regression]:
 
     References: Grieve, Hollerbach, Mascaro 2015, which takes components for fingernail images.
     """
+    mean_v = volts.mean(1)
+    vectors, sizes, scores = np.linalg.svd(volts - mean_v[:, None], full_matrices=False)
 
-    def fitted(columns: Array) -> tuple[float, Array]:
-        design = np.column_stack([np.ones(volts.shape[1]), columns.T])
-        intercept, *weights = np.linalg.lstsq(design, force_n, rcond=None)[0].tolist()
-        return intercept, np.array(weights)
+    def on_components(count: int) -> Regression:
+        weights = vectors[:, :count] @ (scores[:count] @ force_n / sizes[:count])
+        return Regression(float(force_n.mean() - weights @ mean_v), weights)
 
-    mean = volts.mean(1)
-    vectors, sizes, _ = np.linalg.svd(volts - mean[:, None], full_matrices=False)
-    count = int(np.searchsorted(np.cumsum(sizes**2) / (sizes**2).sum(), COMPONENT_VARIANCE)) + 1
-    intercept_n, by_component = fitted(vectors[:, :count].T @ (volts - mean[:, None]))
-    weights = vectors[:, :count] @ by_component
+    part = np.cumsum(sizes**2) / (sizes**2).sum()
     return {
-        "linear": Regression(*fitted(volts)),
-        "components": Regression(intercept_n - float(weights @ mean), weights),
+        "linear": on_components(int(np.sum(sizes > ROUNDING * sizes[0]))),
+        "components": on_components(int(np.searchsorted(part, COMPONENT_VARIANCE)) + 1),
     }
 
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, who, quality, every = [], subject.person, subject.quality, joined(recordings)
-    reach_n = who.closure() * who.area_cm2 * np.array([float(who.proximal_area), 1.0])
-    for side, closed_n in zip(("proximal", "distal"), reach_n, strict=True):
+    for side, closed_n in zip(SIDES, who.closure() * who.side_areas_cm2, strict=True):
         most_n = quality.most_force_n.get(side, quality.most_force_n.get("even", 0.0))
         if most_n == 0:
             warnings.append(f"no {side} touch was recorded: its estimates rely on priors.")
@@ -303,8 +300,9 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     """
     every = joined(recordings)
     force_n, site = np.asarray(every.force_n), np.asarray(every.site)
-    estimates = [estimate for one in recordings for estimate in estimate_pressures(subject, one.time_s, one.volts)]
-    estimated = touch_pressure(np.array([one.touch for one in estimates]).T)
+    each = [estimate_pressures(subject, one.time_s, one.volts) for one in recordings]
+    estimates = PressureEstimate(*map(np.concatenate, zip(*each, strict=True)))
+    estimated = touch_pressure(estimates.touch.T)
     applied, closure = subject.person.pressures(force_n, site), subject.person.closure()
     curves = [
         fit_correction(closure[side], every.time_s[at], estimated[side, at], applied[side, at])
@@ -312,13 +310,15 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     ]
     subject = replace(subject, correction=Correction(*curves))
     force = ForceInterval(subject).of(estimates)
-    half_width_n = 0.5 * float(np.median((force.high_n - force.low_n)[force_n >= TOUCH_N]))
+    half_width_n = 0.5 * float(np.median((force.force_high_n - force.force_low_n)[force_n >= TOUCH_N]))
     # At rest an interval ends at 0, wherever the estimate lies: that says nothing of its width.
-    judged = np.isfinite(force.high_n) & (force_n >= REST_FORCE_N)
+    judged = np.isfinite(force.force_high_n) & (force_n >= REST_FORCE_N)
     if not judged.any():
         return subject, half_width_n
     error = (force.force_n - force_n)[judged]
-    half = np.where(error < 0, (force.high_n - force.force_n)[judged], (force.force_n - force.low_n)[judged])
+    half = np.where(
+        error < 0, (force.force_high_n - force.force_n)[judged], (force.force_n - force.force_low_n)[judged]
+    )
     ratio = np.abs(error)[half > 0] / half[half > 0]
     factor = max(1.0, float(np.quantile(ratio, COVERED)) / BY_CHANCE) if ratio.size else 1.0
     quality = replace(subject.quality, rms_n=rms(error), coverage_factor=factor)

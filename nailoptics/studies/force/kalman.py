@@ -13,10 +13,10 @@ J. Econometrics 60:1.
 """
 
 import math
+from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,9 +56,8 @@ LONGEST_GAP_S, DIVERGED = 5.0, 5.0
 ROUNDING = 1e-12
 
 
-@dataclass
-class PressureEstimate:
-    """Estimate of one sample.
+class PressureEstimate(NamedTuple):
+    """Estimate of one sample, or of T samples: (T, ...) each.
 
     touch : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
     covariance : (2, 2) float. Of these, for an exact calibration.
@@ -69,10 +68,15 @@ class PressureEstimate:
 
     touch: Array
     covariance: Array
-    arterial_pa: float
-    nis: float
-    count: int
-    outlier: bool
+    arterial_pa: Any
+    nis: Any
+    count: Any
+    outlier: Any
+
+
+def stacked(estimates: Iterable[PressureEstimate]) -> PressureEstimate:
+    """Estimates of single samples as one."""
+    return PressureEstimate(*map(np.array, zip(*estimates, strict=True)))
 
 
 def mode_transition(since_s: float) -> Array:
@@ -180,7 +184,8 @@ class KalmanFilter:
             innovation_covariance = by_state @ jacobian.T
             if iteration == 0:
                 mode_nis, log_likelihood = _likelihood(innovation, innovation_covariance + measurement_noise)
-                probability = _posterior(probability, log_likelihood)
+                probability = probability * np.exp(log_likelihood - log_likelihood.max())
+                probability /= probability.sum()
                 nis = float(probability @ mode_nis)
                 # Outliers count for less.
                 measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER_GATE))
@@ -214,71 +219,61 @@ class KalmanFilter:
         self.covariance = self.covariance - gain @ self.covariance[TOUCH]
 
 
-def estimate_pressures(
-    subject: Subject, time_s: Array, volts: Array, *, smooth: bool = False
-) -> list[PressureEstimate]:
-    """Estimates of samples (T,) from volts (R, T); smooth : each from all of them, not only from those before."""
-    kalman = KalmanFilter(subject)
-    samples = zip(volts.T, [None, *np.diff(time_s)], strict=True)
-    if smooth:
-        return _smoothed_estimates([_forward_step(kalman, *sample) for sample in samples])
-    return [kalman.update_sample(*sample) for sample in samples]
-
-
 class FilterStep(NamedTuple):
     """A sample of the forward pass: the filter as predicted, and as updated by its readings.
 
     transition : F from the sample before; None where the filter restarted. since_s : time from it. [s]
     """
 
-    estimate: PressureEstimate
     predicted: KalmanFilter
     updated: KalmanFilter
     transition: Array | None
-    since_s: float
+    since_s: float | None
 
 
-def _forward_step(kalman: KalmanFilter, volts: Array, since_s: float | None) -> FilterStep:
-    transition = None if since_s is None else kalman.predict(since_s)
-    predicted = copy(kalman)
-    return FilterStep(kalman.update(volts, since_s), predicted, copy(kalman), transition, since_s or 0.0)
+def estimate_pressures(subject: Subject, time_s: Array, volts: Array, *, smooth: bool = False) -> PressureEstimate:
+    """Estimates of samples (T,) from volts (R, T); smooth : each from all of them, not only from those before."""
+    kalman, estimates, steps = KalmanFilter(subject), list[PressureEstimate](), list[FilterStep]()
+    for sample_v, since_s in zip(volts.T, [None, *np.diff(time_s)], strict=True):
+        transition = None if since_s is None else kalman.predict(since_s)
+        predicted = copy(kalman)
+        estimates.append(kalman.update(sample_v, since_s))
+        if smooth:
+            steps.append(FilterStep(predicted, copy(kalman), transition, since_s))
+    return _smoothed(stacked(estimates), steps) if smooth else stacked(estimates)
 
 
-def _smoothed_estimates(steps: list[FilterStep]) -> list[PressureEstimate]:
+def _smoothed(estimates: PressureEstimate, steps: list[FilterStep]) -> PressureEstimate:
     """Fixed-interval smoothing: a backward pass over the linearised steps.
 
     The predicted covariance is no less than the propagated one of the sample before, so that the pass is stable.
     """
-    estimates, later = list[PressureEstimate](), None
-    for one in reversed(steps):
-        updated, model = one.updated, one.updated.model
+    for k in reversed(range(len(steps))):
+        updated, later = steps[k].updated, steps[k + 1] if k + 1 < len(steps) else None
         if later is None or later.transition is None:
             state, covariance, probability = updated.state, updated.covariance, updated.mode_probability
         else:
-            state, covariance, probability = _rts_step(one, later, later.transition, (state, covariance, probability))
-            state = model.bound_touch(state, covariance)
-        later = one
-        touch, arterial_pa = one.estimate.touch + state[TOUCH] - updated.state[TOUCH], model.arterial_pa(state)
-        smoothed = replace(one.estimate, touch=touch, covariance=covariance[TOUCH, TOUCH], arterial_pa=arterial_pa)
-        estimates.append(smoothed)
-    return estimates[::-1]
+            state, covariance, probability = _rts_step(updated, later, state, covariance, probability)
+        estimates.touch[k] += state[TOUCH] - updated.state[TOUCH]
+        estimates.covariance[k], estimates.arterial_pa[k] = covariance[TOUCH, TOUCH], updated.model.arterial_pa(state)
+    return estimates
 
 
 def _rts_step(
-    one: FilterStep, later: FilterStep, transition: Array, smoothed: tuple[Array, Array, Array]
+    updated: KalmanFilter, later: FilterStep, later_state: Array, later_covariance: Array, later_probability: Array
 ) -> tuple[Array, Array, Array]:
     """Smoothed state, covariance and mode probabilities of a sample from those of the sample after it."""
-    (later_state, later_covariance, later_probability), updated = smoothed, one.updated
+    assert later.transition is not None and later.since_s is not None
     predicted_covariance = np.einsum("m,mij->ij", later_probability, later.predicted.mode_covariance)
     # In standard deviations: pascals and widths differ by orders of magnitude.
     scale = np.sqrt(np.diag(predicted_covariance))
     correlation = predicted_covariance / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
-    gain = cho_solve(cho_factor(correlation), (transition @ updated.covariance) / scale[:, None]).T / scale
+    gain = cho_solve(cho_factor(correlation), (later.transition @ updated.covariance) / scale[:, None]).T / scale
     state = updated.state + gain @ (later_state - later.predicted.state)
     covariance = updated.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
     ratio = later_probability / np.maximum(later.predicted.mode_probability, 1e-300)
     probability = updated.mode_probability * (mode_transition(later.since_s) @ ratio)
-    return state, covariance, probability / probability.sum()
+    return updated.model.bound_touch(state, covariance), covariance, probability / probability.sum()
 
 
 def _likelihood(innovation: Array, innovation_covariance: Array) -> tuple[Array, Array]:
@@ -287,12 +282,6 @@ def _likelihood(innovation: Array, innovation_covariance: Array) -> tuple[Array,
     columns = np.broadcast_to(innovation[:, None], (len(root), len(innovation), 1))
     nis = (np.linalg.solve(root, columns) ** 2).sum((1, 2))
     return nis, -0.5 * nis - np.log(np.einsum("mii->mi", root)).sum(1)
-
-
-def _posterior(probability: Array, log_likelihood: Array) -> Array:
-    """Mode probabilities (M,) after a sample."""
-    after = probability * np.exp(log_likelihood - log_likelihood.max())
-    return np.asarray(after / after.sum())
 
 
 @lru_cache

@@ -34,6 +34,7 @@ SEARCHED = np.linspace(0.0, 4.0, 401)
 PULSED, STEP_PA = 9, 200.0
 # No calibration gives more: gains of readings, and constants of the vessels over those listed, either way.
 MOST_GAIN = 1e4
+SIDES = ("proximal", "distal")
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
 
@@ -165,6 +166,11 @@ class Person:
     creep: Array
     creep_s: float
     recovery_s: Array
+
+    @property
+    def side_areas_cm2(self) -> Array:
+        """Areas over which a proximal and a distal touch press, (2,) float, of one person."""
+        return np.array([self.area_cm2 * self.proximal_area, self.area_cm2])
 
     def blood(self, width: Array) -> Array:
         """Blood fraction of both zones, (2, *S), from diameters over those at rest."""

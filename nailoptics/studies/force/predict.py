@@ -21,9 +21,10 @@ from ...scene.importers.sensor_recordings import (
     read_sensor_recording,
     reading_columns,
 )
-from ...variables import variable
-from .kalman import KalmanFilter, PressureEstimate, estimate_pressures
-from .person import N_PER_CM2, Array
+from ...scene.text_files import number_columns
+from ...variables import Variables, variable
+from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
+from .person import N_PER_CM2, SIDES, Array
 from .subject import Subject, read_subject
 from .uncertainty import ForceEstimate, ForceInterval
 
@@ -36,7 +37,10 @@ STILL_N, SETTLING_S = 0.1, 0.5
 # Samples of this force or more are of a touch: at rest an interval from 0 covers by itself. [N]
 TOUCH_N = 0.15
 # The regressions that a force is compared with, in words.
-REGRESSIONS = {"linear": "linear in the readings", "components": "on their principal components"}
+REGRESSIONS = {
+    "linear": "force by regression, linear in the readings",
+    "components": "force by regression, on their principal components",
+}
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
 # What messages call readings that come line by line.
@@ -69,9 +73,15 @@ def predict(
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
-    estimates = estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth)
-    interval = ForceInterval(subject)
-    result = _dataset(subject, recording, estimates, interval.of(estimates), press_n=press_n, release_n=release_n)
+    estimates, interval = (
+        estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth),
+        ForceInterval(subject),
+    )
+    force = interval.of(estimates)
+    known_n = np.full(force.force_n.shape, np.nan) if recording.force_n is None else recording.force_n
+    result = _dataset(subject, recording, estimates, force, known_n).assign(
+        _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
+    )
     above_n = interval.saturated_above_n
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
     if subject.quality.is_wrong:
@@ -100,46 +110,32 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
         for number, line in enumerate(lines, start=1)
         if line.strip() and not line.lstrip("\ufeff").lstrip().startswith("#")
     )
-    number, first = next(rows, (1, ""))
-    header = [cell.strip() for cell in _cells(first.removeprefix("\ufeff"), number)]
+    _, first = next(rows, (1, ""))
+    header = [cell.strip() for cell in _cells(first.removeprefix("\ufeff"))]
     check_header(header, STDIN)
     check_known(reading_columns(header), subject.light.names, STDIN)
-    columns = [header.index(name) for name in ("time_s", *subject.light.names)]
+    columns = {name: header.index(name) for name in ("time_s", *subject.light.names)}
     yield ",".join(CSV_COLUMNS)
     kalman, interval, last_s = KalmanFilter(subject), ForceInterval(subject), None
     for number, line in rows:
-        cells = _cells(line, number)
-        if len(cells) <= max(columns) and not line.endswith("\n"):
+        cells = _cells(line)
+        if len(cells) <= max(columns.values()) and not line.endswith("\n"):
             return
-        time_s, volts = _sample(cells, columns, f"{STDIN} line {number}: {line.strip()[:60]!r}")
+        _, sample = number_columns(iter([(number, cells)]), columns, STDIN)
+        (time_s,), volts = sample.pop("time_s").tolist(), np.concatenate(list(sample.values()))
         if last_s is not None and time_s <= last_s:
             raise InputError(f"{STDIN}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
+        if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
+            raise InputError(f"{STDIN} line {number}: looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
         volts = np.where(volts >= SATURATED * subject.light.range_v, np.nan, volts)
         estimate = kalman.update_sample(volts, None if last_s is None else time_s - last_s)
-        last_s, force = time_s, interval.of([estimate])
-        yield _csv_row(time_s, *(float(one[0]) for one in force.columns()), estimate.outlier)
+        last_s, force = time_s, interval.of(stacked([estimate]))
+        yield _csv_row(time_s, *(float(one[0]) for one in force[: len(FORCE_COLUMNS)]), estimate.outlier)
 
 
-def _cells(line: str, number: int) -> list[str]:
-    try:
-        return next(csv.reader([line.rstrip("\r\n")]), [])
-    except csv.Error:
-        raise InputError(f"{STDIN} line {number}: is no line of a CSV.") from None
-
-
-def _sample(cells: list[str], columns: list[int], shown: str) -> tuple[float, Array]:
-    """Time and volts of a line; empty cells are gaps."""
-    try:
-        values = np.array([float(cells[column].strip() or "nan") for column in columns])
-    except (ValueError, IndexError):
-        raise InputError(f"{shown} holds no number where one belongs.") from None
-    named = [cells[column].strip().lower() for column in columns]
-    if not np.isfinite(values[0]) or np.isinf(values).any() or "nan" in named:
-        raise InputError(f"{shown} needs a time and finite volts; an empty cell is a gap.")
-    if np.nanmax(np.abs(values[1:]), initial=0.0) > MOST_VOLTS:
-        raise InputError(f"{shown} looks like a converter's counts; convert it to volts.")
-    return float(values[0]), values[1:]
+def _cells(line: str) -> list[str]:
+    return next(csv.reader([line.replace("\r", "")]), [])
 
 
 def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
@@ -152,117 +148,92 @@ def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -
     return switched
 
 
-CSV_COLUMNS = (
-    "time_s",
-    "force_n",
-    "force_low_n",
-    "force_high_n",
-    "open_above",
-    "proximal_share",
-    "proximal_share_low",
-    "proximal_share_high",
-    "outlier",
-)
+# What is estimated of each sample, in the order of predict.csv and of `ForceEstimate`: names in words, and units.
+FORCE_COLUMNS = {
+    "force_n": ("force, estimated from the readings", "N"),
+    "force_low_n": ("lower bound of the force, 95 %", "N"),
+    "force_high_n": ("upper bound of the force, 95 %; infinite where the vessels are closed", "N"),
+    "proximal_share": ("proximal share of the force", "1"),
+    "proximal_share_low": ("lower bound of the proximal share, 95 %", "1"),
+    "proximal_share_high": ("upper bound of the proximal share, 95 %", "1"),
+}
+CSV_COLUMNS = ("time_s", *list(FORCE_COLUMNS)[:3], "open_above", *list(FORCE_COLUMNS)[3:], "outlier")
 
 
 def csv_rows(result: xr.Dataset) -> Iterator[str]:
     """The lines of predict.csv; an upper bound that is open is left empty."""
     yield ",".join(CSV_COLUMNS)
-    columns = (name for name in CSV_COLUMNS[1:] if name != "open_above")
-    for row in zip(result.time.values, *(result[name].values for name in columns), strict=True):
+    columns = ("time", *FORCE_COLUMNS, "outlier")
+    for row in zip(*(result[name].values for name in columns), strict=True):
         yield _csv_row(*row)
 
 
 def _csv_row(time_s: float, *columns: float) -> str:
-    """One line of predict.csv; columns : those of `ForceEstimate`, and whether the sample is an outlier."""
+    """One line of predict.csv; columns : those of `FORCE_COLUMNS`, and whether the sample is an outlier."""
     force_n, low_n, high_n, share, low, high, outlier = columns
     bound = ",1" if np.isinf(high_n) else f"{high_n:.4f},0"
     return f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
 
 
 def _dataset(
-    subject: Subject,
-    recording: Recording,
-    estimates: list[PressureEstimate],
-    estimate: ForceEstimate,
-    *,
-    press_n: float,
-    release_n: float,
+    subject: Subject, recording: Recording, estimates: PressureEstimate, force: ForceEstimate, known_n: Array
 ) -> xr.Dataset:
-    time_s, over = recording.time_s, "time"
-    known = np.full(time_s.shape, np.nan) if recording.force_n is None else recording.force_n
-    nis, outlier = (np.array([getattr(one, name) for one in estimates]) for name in ("nis", "outlier"))
-    forces = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
-    high = "upper bound of the force, 95 %; infinite where the vessels are closed"
-    columns = [
-        ("force_n", estimate.force_n, "force, estimated from the readings", "N"),
-        ("force_low_n", estimate.low_n, "lower bound of the force, 95 %", "N"),
-        ("force_high_n", estimate.high_n, high, "N"),
-        ("proximal_share", estimate.share, "proximal share of the force", "1"),
-        ("proximal_share_low", estimate.share_low, "lower bound of the proximal share, 95 %", "1"),
-        ("proximal_share_high", estimate.share_high, "upper bound of the proximal share, 95 %", "1"),
-        ("arterial_change_pa", [one.arterial_pa for one in estimates], "arterial pressure less its mean", "Pa"),
-        ("surprise", nis, "normalized innovation squared of the readings (NIS)", "1"),
-        ("outlier", outlier, "NIS too large to be chance", "1"),
-        ("known_force_n", known, "known force", "N"),
-    ]
-    columns += [
-        (f"force_{name}_n", one, f"force by regression, {REGRESSIONS[name]}", "N") for name, one in forces.items()
-    ]
-    data = _event_variables(time_s, estimate.force_n, known, press_n=press_n, release_n=release_n)
-    for name, values, text, units in columns:
-        data |= variable(name, over, values, text, units=units)
-    for k, side in enumerate(("proximal", "distal")):
-        pressure_pa, error = N_PER_CM2 * estimate.pressure[k], N_PER_CM2 * estimate.pressure_stderr[k]
-        data |= variable(f"{side}_pressure_pa", over, pressure_pa, f"{side} touch pressure", units="Pa", stderr=error)
-    misfit = _misfit(subject, recording, estimates, estimate.force_n)
-    inside = (known >= estimate.low_n) & (known <= estimate.high_n)
-    judged = np.isfinite(known)
-    touching = (estimate.force_n if recording.force_n is None else known) >= TOUCH_N
-    half_width = 0.5 * (estimate.high_n - estimate.low_n)[touching]
+    regression_n = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
+    columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
+        "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
+        "surprise": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
+        "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
+        "known_force_n": (known_n, "known force", "N"),
+    }
+    columns |= {f"force_{name}_n": (one, REGRESSIONS[name], "N") for name, one in regression_n.items()}
+    data: Variables = {}
+    for name, (values, text, units) in columns.items():
+        data |= variable(name, "time", values, text, units=units)
+    for side, *pressure in zip(SIDES, force.pressure, force.pressure_stderr, strict=True):
+        pressure_pa, stderr_pa = (N_PER_CM2 * one for one in pressure)
+        text = f"{side} touch pressure"
+        data |= variable(f"{side}_pressure_pa", "time", pressure_pa, text, units="Pa", stderr=stderr_pa)
+    misfit = _misfit(subject, recording, estimates, force.force_n)
+    inside = (known_n >= force.force_low_n) & (known_n <= force.force_high_n)
+    judged, error_n = np.isfinite(known_n), force.force_n - known_n
+    touching = (force.force_n if recording.force_n is None else known_n) >= TOUCH_N
+    half_width_n = 0.5 * (force.force_high_n - force.force_low_n)[touching]
     attributes = {
-        "rms_n": rms(estimate.force_n - known),
+        "rms_n": rms(error_n),
         "coverage_95": _mean(inside[judged]),
-        "touch_rms_n": rms((estimate.force_n - known)[touching]),
+        "touch_rms_n": rms(error_n[touching]),
         "touch_coverage_95": _mean(inside[touching & judged]),
-        "half_width_n": float(np.median(half_width)) if half_width.size else float("nan"),
-        "touch_open_above": _mean(np.isinf(half_width)),
-        "chi2_per_dof": float(nis.sum() / max(sum(one.count for one in estimates), 1)),
-        "outliers": float(outlier.mean()),
+        "half_width_n": float(np.median(half_width_n)) if half_width_n.size else float("nan"),
+        "touch_open_above": _mean(np.isinf(half_width_n)),
+        "chi2_per_dof": float(estimates.nis.sum() / max(estimates.count.sum(), 1)),
+        "outliers": float(estimates.outlier.mean()),
         "consistent": int(not misfit),
         "misfit": misfit,
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
     } | code_attributes()
-    attributes |= {f"rms_{name}_n": rms(force - known) for name, force in forces.items()}
-    return xr.Dataset(data, variable("time", over, time_s, "time", units="s"), attributes)
+    attributes |= {f"rms_{name}_n": rms(one - known_n) for name, one in regression_n.items()}
+    return xr.Dataset(data, variable("time", "time", recording.time_s, "time", units="s"), attributes)
 
 
-def _event_variables(
-    time_s: Array, force_n: Array, known_n: Array, *, press_n: float, release_n: float
-) -> dict[str, Any]:
+def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
     """When the switch acts on the estimated force, and how long after it would on the known one."""
-    switched, true = (
-        events(time_s, force, press_n=press_n, release_n=release_n) for force in (force_n, np.nan_to_num(known_n))
-    )
-    latency = [
-        time - max((t for t, other in true if other == kind and t <= time), default=np.nan) for time, kind in switched
-    ]
-    at_s = np.array([time for time, _ in switched], float)
+    switched, true = (events(time_s, one, **thresholds_n) for one in (force_n, np.nan_to_num(known_n)))
+    at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
+    true_s = [max((t for t, kind in true if kind == own and t <= at), default=np.nan) for at, own in switched]
     data = variable("event_time_s", "event", at_s, "when the switch acts", units="s")
-    data |= variable("event_kind", "event", np.array([kind for _, kind in switched], dtype=str), "press or release")
+    data |= variable("event_kind", "event", kinds, "press or release")
     text = "time from the known force to the switch"
-    return data | variable("event_latency_s", "event", np.array(latency, float), text, units="s")
+    return data | variable("event_latency_s", "event", at_s - np.array(true_s), text, units="s")
 
 
-def _misfit(subject: Subject, recording: Recording, estimates: list[PressureEstimate], force_n: Array) -> str:
+def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate, force_n: Array) -> str:
     """The likely cause where readings do not fit the subject; empty where they do."""
-    outlier = np.array([one.outlier for one in estimates])
+    outlier = estimates.outlier
     before_n = np.interp(recording.time_s - SETTLING_S, recording.time_s, force_n)
     still = np.abs(force_n - before_n) < STILL_N
     outliers = float(outlier[still].mean()) if still.any() else 1.0
-    usual = [one for one in estimates if not one.outlier]
-    chi2 = sum(one.nis for one in usual) / max(sum(one.count for one in usual), 1)
+    chi2 = estimates.nis[~outlier].sum() / max(estimates.count[~outlier].sum(), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
         return ""
     off = np.nanmedian(recording.volts, axis=1) - (subject.readings.offset_v + subject.rest_v)

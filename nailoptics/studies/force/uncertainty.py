@@ -3,14 +3,15 @@
 The interval has no upper bound where the vessels are closed.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.stats import norm, qmc
 
 from ...statistics import covariance_root
 from .kalman import PressureEstimate, rest_odds
-from .person import NAMES, Array, Person
+from .person import NAMES, SIDES, Array, Person
 from .state_space import touch_pressure
 from .subject import Correction, Curve, Subject
 
@@ -67,27 +68,22 @@ INTERVAL_SCALE = 0.82
 UNKNOWN_SHARE = 0.9
 
 
-@dataclass(frozen=True)
-class ForceEstimate:
-    """Force of T samples.
+class ForceEstimate(NamedTuple):
+    """Force of T samples, with 95 % bounds.
 
-    force_n, low_n, high_n : (T,) float; high_n is infinite where the vessels are closed. [N]
-    share, share_low, share_high : (T,) float. Proximal part of it; 0 to 1 where it is not known.
+    force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
+    proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
     pressure, pressure_stderr : (2, T) float. Proximal and distal. [N/cm^2]
     """
 
     force_n: Array
-    low_n: Array
-    high_n: Array
-    share: Array
-    share_low: Array
-    share_high: Array
+    force_low_n: Array
+    force_high_n: Array
+    proximal_share: Array
+    proximal_share_low: Array
+    proximal_share_high: Array
     pressure: Array
     pressure_stderr: Array
-
-    def columns(self) -> tuple[Array, ...]:
-        """Force and share, each with its bounds: the columns of predict.csv."""
-        return self.force_n, self.low_n, self.high_n, self.share, self.share_low, self.share_high
 
 
 class ForceInterval:
@@ -95,25 +91,26 @@ class ForceInterval:
 
     def __init__(self, subject: Subject) -> None:
         self.subject, self.person, self.correction = subject, subject.person, subject.correction
-        self.areas_cm2 = float(self.person.area_cm2) * np.array([float(self.person.proximal_area), 1.0])
         self.scale = INTERVAL_SCALE * subject.quality.coverage_factor
         closure = self.person.closure()
-        self._closed, self._bends = self.correction.apply(closure[:, None]), closure[:, None] * PARTS
+        self._closed = self.correction.apply(closure[:, None])
         root, self._information = covariance_root(subject.covariance), np.linalg.inv(subject.rest_covariance)
-        self._root = np.array([[self._jacobian(side, one) @ root for one in self._bends[side]] for side in range(2)])
+        self._roots = [
+            make_interp_spline(bends, [self._jacobian(side, one) @ root for one in bends], k=1)
+            for side, bends in enumerate(closure[:, None] * PARTS)
+        ]
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
         covariance = self._calibration_covariance(np.diag(closure))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
         # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
-        closing_n = self.areas_cm2 * self._closed[:, 0]
-        self.saturated_above_n = dict(zip(("proximal", "distal"), closing_n.tolist(), strict=True))
+        closing_n = self.person.side_areas_cm2 * self._closed[:, 0]
+        self.saturated_above_n = dict(zip(SIDES, closing_n.tolist(), strict=True))
         self._least_closing_n = closing_n * np.exp(-2 * part)
 
-    def of(self, estimates: list[PressureEstimate]) -> ForceEstimate:
+    def of(self, estimates: PressureEstimate) -> ForceEstimate:
         """The forces of some samples."""
-        touch = np.array([one.touch for one in estimates])
+        touch, by_filter = estimates.touch, estimates.covariance * self.scale**2
         by_calibration, pressure_by_calibration = self._calibration_covariance(touch_pressure(touch.T))
-        by_filter = np.array([one.covariance for one in estimates]) * self.scale**2
         covariance = by_filter + by_calibration
         cloud = np.einsum("tij,jp->itp", covariance_root(covariance), self._points)
         pressures = self.correction.apply(touch_pressure(touch.T[:, :, None] + cloud))
@@ -122,11 +119,10 @@ class ForceInterval:
         share_low, share_high = np.quantile(share, QUANTILES, axis=1)
         pressure = self.correction.apply(touch_pressure(touch.T))
         middle, middle_share = self.person.force(pressure)
-        closed = self._closed
         highest = np.quantile(pressures, QUANTILES[1], axis=2)
-        saturated = (highest >= closed).any(0)
+        saturated = (highest >= self._closed).any(0)
         # Past closure a harder touch reads the same: neither bound lies above it.
-        floor = np.where(highest >= closed, self._least_closing_n[:, None], np.inf).min(0)
+        floor = np.where(highest >= self._closed, self._least_closing_n[:, None], np.inf).min(0)
         low = np.where(saturated, np.minimum(low, floor), low)
         # Where rest is no less likely than the quantile, the bound is 0.
         resting = rest_odds(touch, covariance)
@@ -134,11 +130,11 @@ class ForceInterval:
         nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
         return ForceEstimate(
             force_n=middle,
-            low_n=np.minimum(low, middle),
-            high_n=np.where(saturated, np.inf, np.maximum(high, middle)),
-            share=middle_share,
-            share_low=np.where(nowhere, 0.0, share_low),
-            share_high=np.where(nowhere, 1.0, share_high),
+            force_low_n=np.minimum(low, middle),
+            force_high_n=np.where(saturated, np.inf, np.maximum(high, middle)),
+            proximal_share=middle_share,
+            proximal_share_low=np.where(nowhere, 0.0, share_low),
+            proximal_share_high=np.where(nowhere, 1.0, share_high),
             pressure=pressure,
             pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", by_filter + pressure_by_calibration), 0.0)),
         )
@@ -148,14 +144,9 @@ class ForceInterval:
 
         An error of an area is one of the pressure, too, the other way: forces were known.
         """
-        part, total = pressure[0] / np.maximum(pressure.sum(0), 1e-9), pressure.sum(0)
-        root = np.zeros((total.size, *self._root.shape[2:]))
-        for side, weight in enumerate((part, 1.0 - part)):
-            at = np.interp(total, self._bends[side], np.arange(PARTS.size))
-            low = np.minimum(at.astype(int), PARTS.size - 2)
-            between = (at - low)[:, None, None]
-            here = self._root[side, low] * (1 - between) + self._root[side, low + 1] * between
-            root += weight[:, None, None] * here
+        total = np.maximum(pressure.sum(0), 1e-9)
+        proximal, distal = (root(np.minimum(total, root.t[-1])) for root in self._roots)
+        root = (pressure[0] / total)[:, None, None] * proximal + (1.0 - pressure[0] / total)[:, None, None] * distal
         known = root @ np.moveaxis(root, 1, 2) * self.scale**2
         jacobian = np.zeros((total.size, 2, 4))
         jacobian[:, [0, 1], [0, 1]] = 1.0

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .changes import Change, changes_of, lines_of, merged, revised, shortened, s
 from .paired import (
     UNDETECTED,
     Difference,
+    Estimates,
     PairedReadings,
     PairedTracer,
     check_study,
@@ -31,6 +32,9 @@ from .paired import (
     shape_of,
     weighted_mean,
 )
+
+# What makes an effect of a scene's readings and those of other scenes, and these, which are traced for it.
+Measurement: TypeAlias = tuple[Callable[..., "Effect"], *tuple[Scene, ...]]
 
 DEFAULT_TOLERANCE = 0.02
 TOGETHER = "all that is not needed"
@@ -147,13 +151,13 @@ def explain(
     options, start = TraceOptions(**requested), time.perf_counter()
     planned = measurements(scene, limit)
     # The scene itself, and what is not needed left out of it.
-    tracer = PairedTracer(2 + sum(len(one.scenes) for one in planned), options, progress)
+    tracer = PairedTracer(2 + sum(len(scenes) for _, *scenes in planned), options, progress)
     base = tracer.trace(scene)
     effects: list[Effect] = []
     together, unmet = None, tracer.shortfall
     try:
-        for one in planned:
-            effects.append(one.effect(base, *(tracer.trace(other) for other in one.scenes)))
+        for effect, *scenes in planned:
+            effects.append(effect(base, *map(tracer.trace, scenes)))
         if left := merged(needless(effects)):
             change = Change(TOGETHER, True, "left out", left)
             together = by_change(change, limit, base, tracer.trace(revised(scene, left)))
@@ -176,39 +180,31 @@ def explain(
     return result
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """What is traced beside a scene for an effect, and what makes the effect of its readings and theirs."""
-
-    scenes: tuple[Scene, ...]
-    effect: Callable[..., Effect]
-
-
 def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
     """All effects of a scene; first those that need no trace, then those of its own geometry."""
     finger, board_led = scene.finger, scene.layout.leds[0]
     assert finger is not None
-    out = [Measurement((), from_deep)]
+    out: list[Measurement] = [(from_deep,)]
     if scene.board.cover_um:
         why = "it lies on the opaque cover, which no light leaves"
-        out.append(Measurement((), lambda _: nothing("decorative nail", why, tolerance)))
+        out.append((lambda _: nothing("decorative nail", why, tolerance),))
     for change in changes_of(scene):
         changed = revised(scene, change.changes)
         same_light = light_digest(changed) == light_digest(scene)
-        out.append(Measurement(() if same_light else (changed,), partial(by_change, change, tolerance)))
+        out.append((partial(by_change, change, tolerance), *([] if same_light else [changed])))
     denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * finger.bed_scattering}})
-    out.append(Measurement((denser,), partial(blood_scattering, tolerance)))
+    out.append((partial(blood_scattering, tolerance), denser))
     areas = scene.layout.photodiode_areas
     farthest = max(areas, key=lambda area: math.dist(area.center_mm, board_led.center_mm))
-    out.append(Measurement((swapped(scene, farthest),), partial(ambient, tolerance)))
+    out.append((partial(ambient, tolerance), swapped(scene, farthest)))
     proximal = min(areas, key=lambda area: area.center_mm[1])
     past = Change(f"finger past {finger.length_mm:g} mm", False, "finger without an end")
-    out.append(Measurement((swapped(scene, proximal),), lambda base, back: returning(past, base, base, back)))
+    out.append((lambda base, back: returning(past, base, base, back), swapped(scene, proximal)))
     if (cut := shortened(scene)) is not None:
         short = revised(scene, cut.changes)
-        out.append(Measurement((short, swapped(short, proximal)), partial(returning, cut)))
+        out.append((partial(returning, cut), short, swapped(short, proximal)))
     shape = shape_of(scene)
-    return sorted(out, key=lambda one: (len(one.scenes) > 0, any(shape_of(other) != shape for other in one.scenes)))
+    return sorted(out, key=lambda one: (len(one) > 1, any(shape_of(other) != shape for other in one[1:])))
 
 
 def effect_of(
@@ -226,29 +222,26 @@ def effect_of(
     """
     from scipy.special import ndtri
 
-    ratio, error, most = paired.ratio, paired.ratio_stderr, paired.ratio_bound
-    if of == "signal":
-        ratio, error, most = np.asarray(paired.swing), np.asarray(paired.swing_stderr), paired.swing_bound
-    known = np.isfinite(ratio) & np.isfinite(error)
+    judged = paired.reading if of == "reading" or paired.signal is None else paired.signal
+    known = np.isfinite(judged.value) & np.isfinite(judged.stderr)
     # Where nothing was detected, anything may be.
-    ratio, error = np.where(known, ratio, np.nan), np.where(known, error, np.nan)
-    bounds = np.where(known, most, np.inf)
+    ratio, error = np.where(known, judged.value, np.nan), np.where(known, judged.stderr, np.nan)
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
-    mean, mean_stderr = weighted_mean(ratio, error, base)
-    swing = paired.swing_bound
+    mean, mean_stderr = weighted_mean(Estimates(ratio, error), base)
+    of_signal = math.nan if paired.signal is None else float(paired.signal.bound.max())
     return Effect(
         **vars(change),
         how=how,
         change=float(ratio[best]),
         stderr=picked * float(error[best]),
-        bound=float(bounds.max()),
+        bound=float(np.where(known, judged.bound, np.inf).max()),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
         typical_stderr=mean_stderr,
-        modulation_bound=float(np.max(swing)) if np.isfinite(swing).all() else None,
+        modulation_bound=of_signal if math.isfinite(of_signal) else None,
         tolerance=tolerance,
         of=of,
     )
@@ -269,7 +262,7 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     """
     scene = base.transfer.scene
     assert scene.finger is not None
-    both, factor = difference(base, denser), scene.finger.bed_scattering
+    reading, factor = difference(base, denser).reading, scene.finger.bed_scattering
     moved = np.diff(end_states(scene), axis=0)[0]
     contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
     paths = np.stack(
@@ -282,13 +275,16 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     unit, unit_stderr = base.largest_modulation
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.array(contrast)[:, None] * np.tensordot(paths, moved, (1, 0)) / paths.sum(1) / unit
-        signal = more * np.log1p(both.ratio) / np.log(SCATTERING_FACTOR)
-        slope = more / (1 + both.ratio) / np.log(SCATTERING_FACTOR)
-        error = np.hypot(slope * both.ratio_stderr, signal * unit_stderr / unit)
-        skew = np.abs(slope) * both.ratio_skew
-    still = np.zeros_like(signal)
+        signal = more * np.log1p(reading.value) / np.log(SCATTERING_FACTOR)
+        slope = more / (1 + reading.value) / np.log(SCATTERING_FACTOR)
+        error = np.hypot(slope * reading.stderr, signal * unit_stderr / unit)
+        skew = np.abs(slope) * reading.skew
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
-    change, paired = Change("blood's own scattering", False, text), Difference(still, still, signal, error, 0.0, skew)
+    change, none = (
+        Change("blood's own scattering", False, text),
+        Estimates(np.zeros_like(signal), np.zeros_like(signal)),
+    )
+    paired = Difference(none, Estimates(signal, error, skew))
     return effect_of(change, paired, base, tolerance=tolerance, of="signal")
 
 
@@ -312,7 +308,7 @@ def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Eff
     full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
-    paired = Difference(ratio, np.hypot(error, ratio * base.relative_stderr))
+    paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
     text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
     effect = effect_of(Change("ambient light", False, text), paired, base, tolerance=tolerance)
     # The light that leaves is one number for all photodiodes, so that its error does not shrink in their mean.
@@ -325,18 +321,17 @@ def index_of(region: str, wavelength_nm: float) -> float:
     return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
 
 
-def without_deep(base: PairedReadings) -> Difference:
-    """What readings would lose of themselves if the pulp swallowed all light that meets it."""
-    pulp = base.transfer.absorbers.index("pulp")
-    shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
-    left = tuple(part * one for part, one in zip(base.parts, shallow, strict=True))
-    return difference(base, replace(base, parts=left))
-
-
 def from_deep(base: PairedReadings) -> Effect:
     """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
     change = Change("light back from the pulp", True, "pulp swallows all")
-    return effect_of(change, without_deep(base), base, tolerance=RETURNING)
+    return effect_of(change, difference(base, without_deep(base)), base, tolerance=RETURNING)
+
+
+def without_deep(base: PairedReadings) -> PairedReadings:
+    """The readings if the pulp swallowed all light that meets it."""
+    pulp = base.transfer.absorbers.index("pulp")
+    shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
+    return replace(base, parts=tuple(part * one for part, one in zip(base.parts, shallow, strict=True)))
 
 
 def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: PairedReadings) -> Effect:
@@ -361,7 +356,7 @@ def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: P
     with np.errstate(divide="ignore"):
         most = np.where(base.level > 0, returned / base.level, np.inf)
     # All that is known is what it is at most.
-    return effect_of(change, Difference(np.zeros_like(most), most / Z95), base, tolerance=RETURNING)
+    return effect_of(change, Difference(Estimates(np.zeros_like(most), most / Z95)), base, tolerance=RETURNING)
 
 
 def nothing(name: str, why: str, tolerance: float) -> Effect:

@@ -2,10 +2,12 @@
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
@@ -121,7 +123,6 @@ def shape_of(scene: Scene) -> Scene:
     return geometry.shaping(scene, with_faces=geometry.AROUND)
 
 
-@dataclass
 class PairedTracer:
     """Traces several scenes with one seed and as many photons each, so that what they share cancels in a difference.
 
@@ -130,14 +131,11 @@ class PairedTracer:
         or the photons follow from the time. After max_seconds no trace begins, and one that runs ends.
     """
 
-    scenes: int
-    options: TraceOptions
-    progress: ProgressCallback | None
-    shortfall: str | None = field(default=None, init=False)
-    _done: int = field(default=0, init=False)
-    _start: float = field(default_factory=time.perf_counter, init=False)
-    _photons: int | None = field(default=None, init=False)
-    _setup_s: float = field(default=0.0, init=False)
+    def __init__(self, scenes: int, options: TraceOptions, progress: ProgressCallback | None) -> None:
+        self.scenes, self.options, self.progress = scenes, options, progress
+        self.shortfall: str | None = None
+        self._photons: int | None = None
+        self._done, self._setup_s, self._start = 0, 0.0, time.perf_counter()
 
     @property
     def seconds_left(self) -> float:
@@ -171,18 +169,17 @@ class PairedTracer:
             return max(led.photons for led in pilot.traces)
         # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
         photons_engine(scene, options.backend)
-
-        def left_s() -> float:
-            return (options.max_seconds or USUAL_SECONDS) - (time.perf_counter() - self._start)
+        limit_s = options.max_seconds or USUAL_SECONDS
 
         def pilot_photons(first_s: float) -> int:
-            affordable = PILOT_SHARE * left_s() / max(first_s, 1e-9) * LEAST_PHOTONS
+            affordable = PILOT_SHARE * limit_s / max(first_s, 1e-9) * LEAST_PHOTONS
             return int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS))
 
         each_s = seconds_per_sample(
             lambda photons: self._traced(scene, None, photons, store=False), LEAST_PHOTONS, pilot_photons
         )
-        return max(LEAST_PHOTONS, int(PLANNED_SHARE * left_s() / self.scenes / each_s))
+        left_s = limit_s - (time.perf_counter() - self._start)
+        return max(LEAST_PHOTONS, int(PLANNED_SHARE * left_s / self.scenes / each_s))
 
     def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
         options, cpu = self.options, time.process_time()
@@ -210,32 +207,31 @@ class PairedTracer:
             self.progress(replace(p, led=name, fraction_done=min(share, 1.0), seconds=seconds))
 
 
-@dataclass(frozen=True)
-class Difference:
-    """How far one scene reads from another, (led, photodiode) float each; NaN and inf where too little was detected.
+class Estimates(NamedTuple):
+    """Values, (led, photodiode) float each, and their standard errors; NaN and inf where too little was detected.
 
-    ratio, ratio_stderr : relative change of the reading at rest.
-    swing, swing_stderr : change of the modulation, as a part of the largest modulation; NaN where only the readings at
-        rest are known.
-    ratio_skew, swing_skew : third moment of either over its variance: as much as a single photon may carry of it.
+    skew : third moment over the variance: as much as a single photon may carry of a value.
     """
 
-    ratio: np.ndarray
-    ratio_stderr: np.ndarray
-    swing: np.ndarray | float = math.nan
-    swing_stderr: np.ndarray | float = math.nan
-    ratio_skew: np.ndarray | float = 0.0
-    swing_skew: np.ndarray | float = 0.0
+    value: np.ndarray
+    stderr: np.ndarray
+    skew: np.ndarray | float = 0.0
 
     @property
-    def ratio_bound(self) -> np.ndarray:
-        """What the reading's relative change does not exceed, with 95 % confidence each."""
-        return farther_end(self.ratio, self.ratio_stderr, self.ratio_skew)
+    def bound(self) -> np.ndarray:
+        """What no value exceeds, with 95 % confidence each."""
+        return farther_end(*self)
 
-    @property
-    def swing_bound(self) -> np.ndarray:
-        """The same of the modulation's change."""
-        return farther_end(self.swing, self.swing_stderr, self.swing_skew)
+
+class Difference(NamedTuple):
+    """How far one scene reads from another.
+
+    reading : relative change of the reading at rest.
+    signal : change of the modulation, as a part of the largest modulation; None where that is not known.
+    """
+
+    reading: Estimates
+    signal: Estimates | None = None
 
 
 def difference(base: PairedReadings, other: PairedReadings) -> Difference:
@@ -247,11 +243,12 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
     unit, unit_stderr = base.largest_modulation
     difference = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
-    ratio, ratio_stderr, ratio_skew, swing, swing_stderr, swing_skew = np.moveaxis(difference, 1, 0)
+    (ratio, ratio_stderr, ratio_skew), swing = np.split(np.moveaxis(difference, 1, 0), 2)
+    value, stderr, skew = swing / unit
     with np.errstate(invalid="ignore"):
-        ratio_stderr = np.where(resolved, ratio_stderr, np.inf)
-        swing_stderr = np.where(resolved, np.hypot(swing_stderr, swing * unit_stderr / unit), np.inf)
-    return Difference(ratio, ratio_stderr, swing / unit, swing_stderr / unit, ratio_skew, swing_skew / unit)
+        reading = Estimates(ratio, np.where(resolved, ratio_stderr, np.inf), ratio_skew)
+        stderr = np.hypot(stderr, value * unit_stderr / unit)
+        return Difference(reading, Estimates(value, np.where(resolved, stderr, np.inf), skew))
 
 
 def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.ndarray:
@@ -323,35 +320,29 @@ def shared_photons(one: LedTrace, two: LedTrace) -> tuple[np.ndarray, np.ndarray
     """
     if (one.photons, one.seeds) != (two.photons, two.seeds):
         return np.zeros(0, int), np.zeros(0, int)
-    _, kinds = np.unique(np.concatenate([_keys(one), _keys(two)]), return_inverse=True)
-    numbered = []
-    for kind in np.split(kinds, [len(one.weight)]):
-        # Photons that met no absorber are all alike: they are counted through.
-        order = np.argsort(kind, kind="stable")
-        numbered.append(
-            (order, kind[order] * len(kinds) + np.arange(len(kind)) - np.searchsorted(kind[order], kind[order]))
-        )
-    (order_one, number_one), (order_two, number_two) = numbered
-    _, in_one, in_two = np.intersect1d(number_one, number_two, assume_unique=True, return_indices=True)
-    return order_one[in_one], order_two[in_two]
+    _, in_one, in_two = np.intersect1d(_keys(one), _keys(two), assume_unique=True, return_indices=True)
+    return in_one, in_two
 
 
 def _keys(trace: LedTrace) -> np.ndarray:
-    """All that is known of each photon, as one item of bytes, (n,)."""
+    """A number for each photon from all that is known of it, (n,) uint64."""
     columns = np.column_stack([trace.photodiode, trace.weight, trace.path_mm]).astype(np.float32)
-    return np.ascontiguousarray(columns).view(np.dtype((np.void, columns.dtype.itemsize * columns.shape[1]))).ravel()
+    bits = pd.DataFrame(columns.view(np.uint32))
+    hashed = pd.util.hash_pandas_object(bits, index=False)
+    # Photons that met no absorber are all alike: they are counted through.
+    return pd.util.hash_pandas_object(hashed.groupby(hashed).cumcount(), index=False).values ^ hashed.values
 
 
-def weighted_mean(values: np.ndarray, error: np.ndarray, base: PairedReadings) -> tuple[float, float]:
+def weighted_mean(estimates: Estimates, base: PairedReadings) -> tuple[float, float]:
     """Mean over the readings and its error, weighed by the reference's errors; NaN and inf where one is unknown.
 
     The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
     """
-    if not (np.isfinite(values).all() and np.isfinite(error).all()):
+    if not (np.isfinite(estimates.value).all() and np.isfinite(estimates.stderr).all()):
         return float("nan"), float("inf")
     weight = base.relative_stderr**-2.0
     weight = weight / weight.sum()
-    return float((weight * values).sum()), float(np.linalg.norm(weight * error))
+    return float((weight * estimates.value).sum()), float(np.linalg.norm(weight * estimates.stderr))
 
 
 def check_study(scene: Scene, tolerance: float, study: str, why: str) -> None:

@@ -4,10 +4,10 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack
+from typing import Any, TypeVar, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
+import xarray as xr
 
 from ... import tissue
 from ...errors import NotReachedError
@@ -19,10 +19,11 @@ from ...light.tracing import unlit
 from ...light.transfer.series import read_replicates
 from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import farther_end, jackknife
+from ...statistics import jackknife
 from ...variables import Variables, variable
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 from .paired import (
+    Estimates,
     PairedReadings,
     PairedTracer,
     check_study,
@@ -31,9 +32,6 @@ from .paired import (
     reweighted,
     weighted_mean,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 T = TypeVar("T")
 
@@ -110,23 +108,21 @@ class Level:
         return self.reading_noise > 0
 
     @property
-    def _bounds(self) -> tuple[float, float]:
-        return (self.reading.bound if self.reading else math.inf), self.signal.bound
-
-    @property
     def bound(self) -> float:
         """What the bias of no photodiode's reading or signal exceeds; inf where that is not known."""
-        return max(self._bounds)
+        return max(self.reading.bound, self.signal.bound) if self.reading else math.inf
 
     def photon_seconds(self, error: float, coverage: float | None = None) -> float:
         """Seconds of photons until the error of the worst photodiode is no more than this; inf where it never is. [s]
 
         coverage : standard errors that are added to the bias; if not given, one standard error and the bias in squares.
         """
-        needed = 0.0 if self.bound <= error else math.inf
-        for bound, noise in zip(self._bounds, (self.reading_noise, self.signal_noise), strict=True):
-            if noise and math.isfinite(needed):
-                left = error**2 - bound**2 if coverage is None else ((error - bound) / coverage) ** 2
+        if self.reading is None or self.bound > error:
+            return math.inf
+        needed = 0.0
+        for bound, noise in ((self.reading.bound, self.reading_noise), (self.signal.bound, self.signal_noise)):
+            left = error**2 - bound**2 if coverage is None else ((error - bound) / coverage) ** 2
+            if noise:
                 needed = max(needed, noise**2 / left if left > 0 else math.inf)
         return needed
 
@@ -204,10 +200,8 @@ class Tradeoff:
         error = self.chosen.relative_error
         return self.chosen.level.lines + ([f"[accuracy] relative_error = {error:.2g}"] if error else [])
 
-    def dataset(self) -> "xr.Dataset":
+    def dataset(self) -> xr.Dataset:
         """Everything of the levels over level, as a Dataset."""
-        import xarray as xr
-
         data: Variables = {}
         nothing = Bias(math.nan, math.nan, math.nan)
         for which, text in (("reading", "reading at rest"), ("signal", "change by touch, of the largest change")):
@@ -239,15 +233,6 @@ def fastest(levels: Iterable[Level], error: float, coverage: float | None = None
     return least
 
 
-def _reread_levels(scene: Scene, full: Scene, base: Any, seed: int) -> list[Level]:
-    """The levels that need no trace of their own: the full model, the formulas, diffusion, one wavelength."""
-    levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, seed), diffusion(base)]
-    if any(led.fwhm_nm for led in full.leds):
-        # The same photons, so the same cost, whatever the noise of its error.
-        levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
-    return levels
-
-
 def tradeoff(
     scene: Scene,
     *,
@@ -274,28 +259,24 @@ def tradeoff(
     options, start = TraceOptions(**requested), time.perf_counter()
     # Each level's time is that of tracing it.
     options = replace(options, backend=backends.activate_jit(options.backend, "tradeoff").name, store=False)
-    others: list[BackendName] = [
-        one.name for one in backends.findings() if one.usable and one.name not in (options.backend, "scalar")
-    ]
     full = revised(scene, FULL)
-    simpler = {OWN: scene} if changes_between(full, scene) else {}
-    simpler |= {name: revised(full, changes) for name, changes in CHEAPER.items()}
-    tracer = PairedTracer(1 + len(simpler) + len(others), options, progress)
+    traced: dict[str, tuple[Scene, BackendName | None]] = {OWN: (scene, None)} if changes_between(full, scene) else {}
+    traced |= {name: (revised(full, changes), None) for name, changes in CHEAPER.items()}
+    for other in backends.findings():
+        if other.usable and other.name not in (options.backend, "scalar"):
+            traced[f"{REFERENCE}, {other.name}"] = full, other.name
+    tracer = PairedTracer(1 + len(traced), options, progress)
     base = tracer.trace(full)
-    light = base.transfer
+    light, unmet = base.transfer, None
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
-
-    def traced_levels() -> Iterator[Level]:
-        for name, one in simpler.items():
-            yield measured(scene, name, base, tracer.trace(one))
-        for backend in others:
-            yield measured(scene, f"{REFERENCE}, {backend}", base, tracer.trace(full, backend=backend))
-
-    levels, unmet = _reread_levels(scene, full, base, options.seed), None
+    levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, options.seed), diffusion(base)]
+    if any(led.fwhm_nm for led in full.leds):
+        # The same photons, so the same cost, whatever the noise of its error.
+        levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
     try:
-        for level in traced_levels():
-            levels.append(level)
+        for name, (one, backend) in traced.items():
+            levels.append(measured(scene, name, base, tracer.trace(one, backend=backend)))
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
     about = light.attributes() | ({"cut_off": unmet} if unmet else {})
@@ -327,8 +308,8 @@ def measured(scene: Scene, name: str, base: PairedReadings, other: PairedReading
     reading = signal = Bias(0.0, 0.0, 0.0)
     if other is not base:
         paired = difference(base, other)
-        reading = bias_of(base, paired.ratio, paired.ratio_stderr, skew=paired.ratio_skew)
-        signal = bias_of(base, np.asarray(paired.swing), np.asarray(paired.swing_stderr), skew=paired.swing_skew)
+        assert paired.signal is not None
+        reading, signal = bias_of(base, paired.reading), bias_of(base, paired.signal)
     root_s = math.sqrt(other.transfer.cpu_seconds)
     return Level(
         name=name,
@@ -342,30 +323,27 @@ def measured(scene: Scene, name: str, base: PairedReadings, other: PairedReading
     )
 
 
-def bias_of(
-    base: PairedReadings, values: np.ndarray, error: np.ndarray, *, shared: float = 0.0, skew: ArrayLike = 0.0
-) -> Bias:
-    """The bias of a level from how far each of its readings is off, (led, photodiode) float, and the errors.
+def bias_of(base: PairedReadings, off: Estimates, *, shared: float = 0.0) -> Bias:
+    """The bias of a level from how far each of its readings is off.
 
     shared : relative error of what all of them are parts of.
-    skew : of each, its third moment over its variance.
     """
-    bounds = farther_end(values, np.hypot(error, shared * values), skew)
+    bounds = off._replace(stderr=np.hypot(off.stderr, shared * off.value)).bound
     bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
-    mean, stderr = weighted_mean(values, error, base)
+    mean, stderr = weighted_mean(off, base)
     if not np.isfinite(mean):
         return Bias(mean, stderr, bound)
     # The weights are estimates, too: of n photons a relative variance 1 / n is known to 1 / sqrt(n).
     relative = base.relative_stderr
-    drift = float(np.linalg.norm((values - mean) / relative) / (relative**-2.0).sum())
+    drift = float(np.linalg.norm((off.value - mean) / relative) / (relative**-2.0).sum())
     return Bias(mean, math.hypot(stderr, shared * mean, drift), bound)
 
 
 def signal_bias(base: PairedReadings, modulation: np.ndarray) -> Bias:
     """The bias of a signal that shares no photons with the reference, (led, photodiode) float."""
     unit, stderr = base.largest_modulation
-    off = (modulation - base.modulation) / unit
-    return bias_of(base, off, base.modulation_stderr / unit, shared=stderr / unit)
+    off = Estimates((modulation - base.modulation) / unit, base.modulation_stderr / unit)
+    return bias_of(base, off, shared=stderr / unit)
 
 
 def timed(call: Callable[[], T]) -> tuple[T, float]:
@@ -418,7 +396,7 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         yield Level(f"{name}, literature", "numpy", None, signal, seconds, **more)  # type: ignore[arg-type]
         values = (change(np.stack(depths)) - np.stack(traced)) / unit
         errors = np.stack([jackknife(one) for one in values])
-        signal = bias_of(base, values[:, 0], errors, shared=stderr / unit)
+        signal = bias_of(base, Estimates(values[:, 0], errors), shared=stderr / unit)
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
 
 
@@ -427,6 +405,6 @@ def diffusion(base: PairedReadings) -> Level:
     full = base.transfer.scene
     paired, seconds = timed(lambda: DiffusionModel(full).readings(end_states(full)))
     gain = paired[..., 0] / base.level
-    reading = bias_of(base, gain - 1, gain * base.relative_stderr)
+    reading = bias_of(base, Estimates(gain - 1, gain * base.relative_stderr))
     signal = signal_bias(base, paired[..., 1] / paired[..., 0] - 1)
     return Level("layered diffusion", "numpy", reading, signal, seconds, call=DIFFUSION_CALL)

@@ -6,7 +6,7 @@ import made_sensor
 import numpy as np
 import pytest
 
-from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate
+from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate, stacked
 from nailoptics.studies.force.subject import parse_subject
 from nailoptics.studies.force.uncertainty import ForceInterval
 
@@ -26,7 +26,7 @@ def at_rest_n(touches: int) -> Iterator[float]:
         estimates: list[PressureEstimate] = []
         for k, sample_v in enumerate(volts.T):
             estimates.append(observer.update_sample(sample_v, made_sensor.STEP_S if touch or k else None))
-        yield float(interval.of(estimates[BEFORE_TOUCH]).force_n.mean())
+        yield float(interval.of(stacked(estimates[BEFORE_TOUCH])).force_n.mean())
 
 
 def test_touches_leave_the_zero_of_the_force_where_it_is() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from nailoptics.statistics import Z95
-from nailoptics.studies.force.kalman import PressureEstimate
+from nailoptics.studies.force.kalman import PressureEstimate, stacked
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.subject import LINEAR, Subject, parse_subject
 from nailoptics.studies.force.uncertainty import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR, ForceInterval, no_correction
@@ -65,9 +65,9 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
     known_n = force_n(subject)
     stderr_n = float(np.sqrt(sum((force_n(other(subject, off)) - known_n) ** 2 for off in each)))
     estimate = PressureEstimate(held, 1e-14 * np.eye(2), 0.0, 0.0, len(read), False)
-    told = ForceInterval(subject).of([estimate])
+    told = ForceInterval(subject).of(stacked([estimate]))
     # The interval's slopes are of finite steps: where errors all but cancel, a hundredth of the area's is left.
     area = NAMES.index("contact_area")
     rounding_n = 0.02 * known_n * float(np.sqrt(subject.covariance[area, area]))
-    wide_n = float(told.high_n[0] - told.low_n[0]) / (2 * Z95)
+    wide_n = float(told.force_high_n[0] - told.force_low_n[0]) / (2 * Z95)
     assert wide_n == pytest.approx(INTERVAL_SCALE * stderr_n, rel=0.1, abs=rounding_n)

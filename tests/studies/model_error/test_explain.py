@@ -136,16 +136,16 @@ def test_a_difference_has_the_noise_of_the_photons_that_differ(jit_backend):
     )
     independent = traced(whole(), photons=60_000, seed=6)
     away = difference(base, independent)
-    assert (difference(base, bone).ratio_stderr < 0.7 * away.ratio_stderr).all()
-    assert (difference(base, skin).ratio_stderr > 0.1 * UNDETECTED * base.relative_stderr**2).all()
+    assert (difference(base, bone).reading.stderr < 0.7 * away.reading.stderr).all()
+    assert (difference(base, skin).reading.stderr > 0.1 * UNDETECTED * base.relative_stderr**2).all()
     # No photon met the epidermis: melanin changes nothing that was seen, and that is not a change of nothing.
     pale = difference(base, reweighted(base, revised(whole(), {"finger": {"melanin_fraction": 0.0}})))
-    assert (pale.ratio_stderr >= 0.99 * UNDETECTED * base.relative_stderr**2)[pale.ratio == 0].all()
+    assert (pale.reading.stderr >= 0.99 * UNDETECTED * base.relative_stderr**2)[pale.reading.value == 0].all()
     # The same scene twice: nothing but noise, as large as is said.
-    z = away.ratio / away.ratio_stderr
+    z = away.reading.value / away.reading.stderr
     assert np.abs(z).max() < 4 and np.sqrt(np.mean(z**2)) > 0.2
     same = difference(base, paired_readings(replace(base.transfer, traces=tuple(base.transfer.traces))))
-    assert np.all(same.ratio == 0)
+    assert np.all(same.reading.value == 0)
 
 
 @pytest.mark.slow
@@ -161,13 +161,10 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     def found(photons: int, seed: int) -> tuple[PairedReadings, list[Difference]]:
         base = traced(scene, photons=photons, seed=seed)
         every = [difference(base, reweighted(base, other)) for other in others]
-        return base, [*every, effects.without_deep(base)]
+        return base, [*every, difference(base, effects.without_deep(base))]
 
     def numbers(every: list[Difference]) -> np.ndarray:
-        skews = [(d.ratio_skew, d.swing_skew) for d in every]
-        return np.array(
-            [[(d.ratio, d.swing), (d.ratio_stderr, d.swing_stderr), s] for d, s in zip(every, skews, strict=True)]
-        )
+        return np.array([list(zip(*d, strict=True)) for d in every])
 
     exact, seeds = found(2_400_000, 99), [found(40_000, seed) for seed in range(20)]
     truth, each = numbers(exact[1]), np.array([numbers(every) for _, every in seeds])
@@ -217,8 +214,8 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
         every = [difference(base, other) for other in others_traced]
         printed.append([*((base, d) for d in every), *told])
         for d in every:
-            means = [weighted_mean(*each, base) for each in ((d.ratio, d.ratio_stderr), (d.swing, d.swing_stderr))]
-            each = [[d.ratio[0], d.swing[0]], [d.ratio_stderr[0], d.swing_stderr[0]]]
+            means = [weighted_mean(one, base) for one in d]
+            each = [[d.reading.value[0], d.signal.value[0]], [d.reading.stderr[0], d.signal.stderr[0]]]
             out.append(np.concatenate([each, np.transpose(means)[..., None]], axis=-1))
         return np.array(out)
 
@@ -245,13 +242,10 @@ def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Differ
     for base, found in seeds:
         one = effect_of(Change("any", True, ""), found, base, tolerance=0.02)
         j = [f"{base.transfer.leds[0]} {name}" for name in base.transfer.photodiodes].index(one.photodiode)
-        exact_j = (exact.ratio, exact.ratio_stderr) if exact.ratio.any() else (exact.swing, exact.swing_stderr)
-        away = abs(one.change - exact_j[0][0, j]) / np.hypot(one.stderr, exact_j[1][0, j])
+        judged = exact.reading if exact.reading.value.any() or exact.signal is None else exact.signal
+        away = abs(one.change - judged.value[0, j]) / np.hypot(one.stderr, judged.stderr[0, j])
         # The values of many photons have errors of their own.
-        least, least_swing = (
-            np.max(np.abs(values) - Z95 * errors)
-            for values, errors in ((exact.ratio, exact.ratio_stderr), (exact.swing, exact.swing_stderr))
-        )
+        least, least_swing = (np.max(np.abs(of.value) - Z95 * of.stderr) if of else 0.0 for of in exact)
         held.append(
             (away < Z95, one.bound >= least, one.modulation_bound is None or one.modulation_bound >= least_swing)
         )

@@ -49,16 +49,16 @@ def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
     the values scatter by where ten photons carry the change, at most twice that where three do."""
     draw, truth = np.random.default_rng(6), -carry * (depth / (1 + depth) if np.isfinite(depth) else 1.0)
     found = [drawn(draw, arrive=arrive, carry=carry, depth=depth) for _ in range(10)]
-    ratio, stderr = (np.concatenate([getattr(one, name)[0] for one in found]) for name in ("ratio", "ratio_stderr"))
+    ratio, stderr = (np.concatenate([getattr(one.reading, name)[0] for one in found]) for name in ("value", "stderr"))
     z = (ratio - truth) / stderr
     assert np.isfinite(z).all()
-    held = np.concatenate([one.ratio_bound[0] for one in found]) >= abs(truth)
+    held = np.concatenate([one.reading.bound[0] for one in found]) >= abs(truth)
     assert (np.abs(z) < Z95).mean() > 0.915 and held.mean() > 0.95, ((np.abs(z) < Z95).mean(), held.mean())
     scatter = ratio.std() / np.sqrt(np.mean(stderr**2))
     assert (0.75 if arrive * carry > 7 else 0.45) < scatter < 1.05, scatter
     # What photons lose is no part of their modulation here: that stays, within what is told.
-    swing = np.concatenate([np.asarray(one.swing)[0] for one in found])
-    errors = np.concatenate([np.asarray(one.swing_stderr)[0] for one in found])
+    swing = np.concatenate([one.signal.value[0] for one in found])
+    errors = np.concatenate([one.signal.stderr[0] for one in found])
     assert (np.abs(swing) < Z95 * errors).mean() > 0.92
 
 

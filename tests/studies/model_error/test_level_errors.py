@@ -12,7 +12,7 @@ from nailoptics.assets import data_dir
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
 from nailoptics.studies.model_error.changes import ONE_WAVELENGTH, revised
-from nailoptics.studies.model_error.paired import PairedReadings, paired_readings, reweighted
+from nailoptics.studies.model_error.paired import Estimates, PairedReadings, paired_readings, reweighted
 from nailoptics.studies.model_error.tradeoff import CHEAPER, FULL, Level, bias_of, diffusion, formulas, measured
 
 PHOTONS, SEEDS = 40_000, range(24)
@@ -50,7 +50,7 @@ def test_a_bias_and_its_bound_hold_the_truth_as_often_as_they_say():
         for _ in range(400):
             base = cast(PairedReadings, SimpleNamespace(relative_stderr=errors))
             noisy = truth * (1 + shared * draw.normal()) + errors * draw.normal(size=errors.shape)
-            found = bias_of(base, noisy, errors, shared=shared)
+            found = bias_of(base, Estimates(noisy, errors), shared=shared)
             mean = float(np.average(truth, weights=errors**-2.0))
             held.append((abs(found.value - mean) < Z95 * found.stderr, found.bound >= np.abs(truth).max()))
     assert (np.mean(held, axis=0) > 0.93).all(), np.mean(held, axis=0)

@@ -64,6 +64,6 @@ def test_air_under_the_board_is_an_effect_that_dims_readings(chosen_jit, scene):
     tracer = PairedTracer(2, TraceOptions(photons=60_000, seed=1), None)
     found = difference(tracer.trace(scene), tracer.trace(lifted))
     near = [3, 4]
-    assert (found.ratio[0, near] + 3 * found.ratio_stderr[0, near] < -0.1).all()
+    assert (found.reading.value[0, near] + 3 * found.reading.stderr[0, near] < -0.1).all()
     (back,) = [change for change in changes_of(lifted) if change.name == "air under the board"]
     assert not back.unknown and revised(lifted, back.changes) == scene
