@@ -6,21 +6,27 @@ from typing import TYPE_CHECKING, Any
 from .errors import InputError, NailopticsError, NotReachedError
 
 if TYPE_CHECKING:
-    from . import hemodynamics, scene, tissue
-    from .batch import open_results
-    from .exports.formats import export
-    from .exports.other_program import compare_with
-    from .light import Transfer, trace
-    from .scene import Scene, load_scene, parse_scene, to_toml
-    from .studies.colour.nail_colour import colour
-    from .studies.comparison.compare import compare
-    from .studies.force.calibrate import calibrate
-    from .studies.force.predict import predict
-    from .studies.model_error.explain import explain
-    from .studies.model_error.tradeoff import tradeoff
-    from .studies.oximetry.oxygen import oximeter
-    from .studies.placement.place import place
-    from .studies.simulate import simulate
+    from . import hemodynamics as hemodynamics
+    from . import scene as scene
+    from . import tissue as tissue
+    from .batch import open_results as open_results
+    from .exports.formats import export as export
+    from .exports.other_program import compare_with as compare_with
+    from .light import Transfer as Transfer
+    from .light import trace as trace
+    from .scene import Scene as Scene
+    from .scene import load_scene as load_scene
+    from .scene import parse_scene as parse_scene
+    from .scene import to_toml as to_toml
+    from .studies.colour.nail_colour import colour as colour
+    from .studies.comparison.compare import compare as compare
+    from .studies.force.calibrate import calibrate as calibrate
+    from .studies.force.predict import predict as predict
+    from .studies.model_error.explain import explain as explain
+    from .studies.model_error.tradeoff import tradeoff as tradeoff
+    from .studies.oximetry.oxygen import oximeter as oximeter
+    from .studies.placement.place import place as place
+    from .studies.simulate import simulate as simulate
 
 __version__ = "0.2.0"
 
@@ -46,6 +52,7 @@ _HOMES = {
     "trace": ".light",
     "tradeoff": ".studies.model_error.tradeoff",
 }
+__all__ = ["InputError", "NailopticsError", "NotReachedError", *_ROOMS, *_HOMES]
 
 
 def __getattr__(name: str) -> Any:
@@ -58,31 +65,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-__all__ = [
-    "InputError",
-    "NailopticsError",
-    "NotReachedError",
-    "Scene",
-    "Transfer",
-    "calibrate",
-    "colour",
-    "compare",
-    "compare_with",
-    "explain",
-    "export",
-    "hemodynamics",
-    "load_scene",
-    "open_results",
-    "oximeter",
-    "parse_scene",
-    "place",
-    "predict",
-    "scene",
-    "simulate",
-    "tissue",
-    "to_toml",
-    "trace",
-    "tradeoff",
-]

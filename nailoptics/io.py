@@ -175,31 +175,6 @@ def turn(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-@contextlib.contextmanager
-def claimed(file: Path, number: int) -> Iterator[bool]:
-    """Whether no other process has claimed this number in a file; the system frees the claims of the dead.
-
-    Claims save work; without them (some network file systems) two processes do the same twice.
-    """
-    if fcntl is None:
-        yield True
-        return
-    try:
-        handle = open(file, "ab")
-    except PermissionError:  # another user's
-        yield True
-        return
-    with handle:
-        try:
-            fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number, os.SEEK_SET)
-        except (BlockingIOError, PermissionError):
-            yield False
-            return
-        except OSError:  # no locks here
-            pass
-        yield True
-
-
 def cache_folder() -> Path:
     """Where this system keeps a user's files that a program can make again, in a folder of this package's own.
 

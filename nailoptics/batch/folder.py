@@ -6,7 +6,6 @@ import logging
 import math
 import os
 from collections import Counter
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -17,11 +16,11 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..checks import explain
 from ..errors import InputError
-from ..io import CorruptError, check_writable, claimed, make_folder, plain_cell, unpack, write_bytes, write_text
+from ..io import CorruptError, check_writable, make_folder, plain_cell, unpack, write_bytes, write_text
 from ..light.transfer import current_versions
 from ..scene import Accuracy
 from ..scene.base import Table
-from ..scene.sweep import StudyName
+from ..scene.sweep import Axis, StudyName
 from ..variables import from_record
 from .studies import STUDIES
 
@@ -37,14 +36,6 @@ DAMAGE = {"corrupt": "damaged (checksum, name or content)", "foreign": "another 
 
 class PlanError(InputError):
     """A plan is missing or damaged; a run writes it anew."""
-
-
-class PlannedAxis(Table):
-    """An axis of a sweep."""
-
-    name: str
-    path: str | None
-    values: tuple[Any, ...]
 
 
 class Made(Table):
@@ -71,7 +62,7 @@ class Plan(Table):
     sweep: str
     study: StudyName
     dims: dict[str, Annotated[int, Field(gt=0)]]
-    axes: tuple[PlannedAxis, ...]
+    axes: tuple[Axis, ...]
     made: Made
     photons: int | None
     relative_error: float | None
@@ -95,10 +86,6 @@ class Result:
 
     header: dict[str, Any]
     dataset: xr.Dataset
-
-    def meets(self, required: Accuracy) -> bool:
-        """Whether it is at least as accurate as is required."""
-        return meets(self.header, required)
 
 
 @dataclass(frozen=True)
@@ -184,7 +171,7 @@ class Folder:
     def state(self, digest: str, required: Accuracy, made: Made) -> str:
         """State of a scene as `read` says, or below: done, but less accurate than required."""
         state, result = self.read(digest, made)
-        if result is None or result.meets(required):
+        if result is None or meets(result.header, required):
             return state
         return "failed" if os.path.exists(self.failure(digest)) else "below"
 
@@ -198,10 +185,6 @@ class Folder:
     def write_failure(self, digest: str, failure: dict[str, Any]) -> None:
         """Record why a scene failed."""
         write_bytes(self.failure(digest), json.dumps(failure).encode(), flush=True)
-
-    def claimed(self, digest: str) -> AbstractContextManager[bool]:
-        """Whether this process is the only one that works on what has this digest."""
-        return claimed(self.root / ".claims", int(digest[:15], 16))
 
 
 def _check(result: Result) -> None:

@@ -21,7 +21,7 @@ from ..options import BackendName, Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest
 from ..scene.sweep import StudyName, Sweep
 from ..variables import to_record
-from .folder import FORMAT, Folder, Made, Plan, PlanError, PlannedAxis
+from .folder import FORMAT, Folder, Made, Plan, PlanError
 from .studies import STUDIES, by_volpath
 
 # Scenes of one light that one job studies.
@@ -137,7 +137,7 @@ def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
         sweep=sweep.name,
         study=settings.study,
         dims=dict(sweep.dims),
-        axes=tuple(PlannedAxis(name=a.name, path=a.path, values=tuple(a.values)) for a in sweep.axes),
+        axes=sweep.axes,
         made=settings.made(),
         photons=settings.options.photons,
         relative_error=settings.options.relative_error,

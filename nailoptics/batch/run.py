@@ -1,11 +1,10 @@
 """The driver of a batch: plans jobs, hands them to workers here or on a cluster, and replaces workers that die."""
 
-import contextlib
 import logging
 import multiprocessing
 import os
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -27,12 +26,15 @@ from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
 from .folder import DAMAGE, Folder
 from .jobs import Job, Planned, Settings, check_same, jobs_of, of_shard, parse_shard, plan, plan_of
-from .work import TAKES_NO_MORE, JobReport, cores, work
+from .work import JobReport, cores, work
 
 log = logging.getLogger(__name__)
 
-# A scene whose worker dies so often is recorded as failed, and after so many of one light all the others of it.
-DEATHS, FATAL = 2, 3
+# A scene whose worker dies so often is recorded as failed.
+DEATHS = 2
+# How a run ends whose folder lies on a full disk, or is no longer there, or whose cluster is lost.
+TAKES_NO_MORE = "the folder takes no more"
+SCHEDULER_LOST = "the scheduler went away; what is done is kept, run again to resume"
 # How often the driver looks at the clock. [s]
 WAIT_S = 0.5
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
@@ -143,10 +145,6 @@ class LocalSlots:
         self.executors[slot].shutdown(wait=False, cancel_futures=True)
         self.executors[slot] = self._new()
 
-    def deserted(self) -> bool:
-        """Whether nobody is left to work, so that nothing more comes from them."""
-        return False
-
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
         if now:
@@ -187,12 +185,6 @@ class ClusterSlots(LocalSlots):
     def renew(self, slot: int) -> None:
         """The scheduler does."""
 
-    def deserted(self) -> bool:
-        """Whether all workers of the cluster are gone, though new ones may come."""
-        with contextlib.suppress(Exception):  # the scheduler went away, which its futures report
-            return not self.client.nthreads()
-        return False
-
     def close(self, *, now: bool) -> None:
         """Leave the cluster."""
         self.client.close(timeout=5)
@@ -215,13 +207,13 @@ class _Driver:
         self.left = {p.digest: p for p in planned}
         self.outcome = Outcome(len(self.left), len({p.key for p in planned}))
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
-        # Deaths of workers at each scene, and scenes of each light that were given up.
+        # Lights of which a job has ended, so that others read what it stored.
+        self.stored: set[str] = set()
         self.deaths: Counter[str] = Counter()
-        self.fatal: Counter[str] = Counter()
         self.trouble = ""
         for p in [*self.left.values()]:
             self._check(p, retry_failed)
-        self.queue = deque(jobs_of(self.left.values()))
+        self.queue = jobs_of(self.left.values())
         self.started = time.time()
 
     def _state(self, p: Planned) -> str:
@@ -244,23 +236,22 @@ class _Driver:
 
     def run(self, slots: LocalSlots) -> None:
         """Hand out jobs until none is left, the time is over, or nothing more can be written."""
-        free = deque(range(len(slots.executors)))
-        finished = False
+        free, finished = [*range(len(slots.executors))], False
         try:
             slots.start()
             while self.queue or self.running:
                 if self.settings.is_late() or self.trouble:
                     self.queue.clear()
-                while free and self.queue:
-                    self._submit(slots, free)
-                done, _ = wait(self.running, timeout=WAIT_S, return_when=FIRST_COMPLETED)
-                if not done and self.settings.is_late() and slots.deserted():
-                    break
-                for future in done:
+                while free and (job := self._next_job()):
+                    self._submit(job, slots, free)
+                for future in wait(self.running, timeout=WAIT_S, return_when=FIRST_COMPLETED).done:
                     slot, job = self.running.pop(future)
                     free.append(slot)
-                    self._book(future, slot, job, slots)
-                if self.trouble.startswith("the scheduler"):
+                    try:
+                        self._book(future, slot, job, slots)
+                    except WriteError as error:
+                        self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
+                if self.trouble == SCHEDULER_LOST:
                     break
                 self.show()
             finished = True
@@ -269,13 +260,18 @@ class _Driver:
         finally:
             slots.close(now=not finished)
 
-    def _submit(self, slots: LocalSlots, free: deque[int]) -> None:
-        slot, job = free.popleft(), self.queue.popleft()
+    def _next_job(self) -> Job | None:
+        """The first job in the queue whose light nobody is tracing at this moment."""
+        traced = {job[0].key for _, job in self.running.values()} - self.stored
+        return next((job for job in self.queue if job[0].key not in traced), None)
+
+    def _submit(self, job: Job, slots: LocalSlots, free: list[int]) -> None:
+        slot = free.pop(0)
         try:
             self.running[slots.executors[slot].submit(work, job, self.settings, slots.sharers)] = slot, job
+            self.queue.remove(job)
         except BrokenExecutor:  # it died while idle
             slots.renew(slot)
-            self.queue.appendleft(job)
             free.append(slot)
         except Exception as error:  # a scheduler that went away
             self._lost(error)
@@ -287,15 +283,15 @@ class _Driver:
         except BrokenExecutor:
             slots.renew(slot)
             return self._died(job)
+        except WriteError:
+            raise
         except (CancelledError, Exception) as error:
             if type(error).__name__ == "KilledWorker":  # of the cluster, and maybe for another job of that worker
                 return self._died(job)
             if isinstance(slots, ClusterSlots) and isinstance(error, CancelledError | OSError | TimeoutError):
                 return self._lost(error)
             raise
-        if report.busy:
-            self.queue.append(job)
-        self.trouble = report.storage or self.trouble
+        self.stored.add(job[0].key)
         self.outcome.done += report.done
         self.outcome.unmet += report.unmet
         self.outcome.corrupt += report.corrupt
@@ -327,37 +323,25 @@ class _Driver:
     def _died(self, job: Job) -> None:
         """A worker died at the first scene of a job that has no result: it is tried again, and given up the next time.
 
-        So are all scenes of a light that killed with several.
+        The scenes after it go on without it.
         """
         self.outcome.deaths += 1
         rest = self._count_unreported(p for p in job if p.digest in self.left)
-        if not rest:
-            return
-        first, key = rest[0].digest, rest[0].key
-        self.deaths[first] += 1
-        if self.deaths[first] < DEATHS:
-            self.show(f"a worker was killed; scene {first[:12]} is tried again")
-            return self.queue.appendleft(tuple(rest))
-        self._give_up(first, f"its worker was killed {DEATHS} times; out of memory?")
-        self.fatal[key] += 1
-        if self.fatal[key] < FATAL:
-            return self.queue.appendleft(tuple(rest[1:])) if rest[1:] else None
-        others = [p for queued in self.queue if queued[0].key == key for p in queued]
-        self.queue = deque(queued for queued in self.queue if queued[0].key != key)
-        for p in (*rest[1:], *others):
-            self._give_up(p.digest, f"{FATAL} scenes with its light had their workers killed; out of memory?")
-
-    def _give_up(self, digest: str, why: str) -> None:
-        """Record a scene as failed."""
-        try:
-            self.folder.write_failure(digest, {"error": why, "time": time.time()})
-            self._failed(digest, why)
-        except WriteError as error:
-            self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
+        if rest:
+            first = rest[0].digest
+            self.deaths[first] += 1
+            if self.deaths[first] < DEATHS:
+                self.show(f"a worker was killed; scene {first[:12]} is tried again")
+            else:
+                rest, why = rest[1:], f"its worker was killed {DEATHS} times; out of memory?"
+                self.folder.write_failure(first, {"error": why, "time": time.time()})
+                self._failed(first, why)
+        if rest:
+            self.queue.insert(0, tuple(rest))
 
     def _lost(self, error: BaseException) -> None:
         log.debug("scheduler lost: %r", error)
-        self.trouble = "the scheduler went away; what is done is kept, run again to resume"
+        self.trouble = SCHEDULER_LOST
 
     def show(self, news: str = "") -> None:
         """Show how far the run is, and what just happened."""

@@ -21,24 +21,18 @@ from .folder import STORAGE, Folder
 from .jobs import Job, Planned, Settings
 from .studies import STUDIES, relative_error
 
-# Mitsuba's variant is one per process, and so is a claim: a worker with several threads still does one job at a time.
+# Mitsuba's variant is one per process: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
-# How a run ends whose folder lies on a full disk, or is no longer there.
-TAKES_NO_MORE = "the folder takes no more"
-# A worker waits so long where another traces the light that it needs. [s]
-BUSY_S = 0.5
 
 
 @dataclass
 class JobReport:
-    """What became of a job: digests of the scenes by what happened to them."""
+    """What became of a job: digests of its scenes, and of light that was damaged, by what happened to them."""
 
     done: list[str] = field(default_factory=list)
     unmet: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
     corrupt: list[str] = field(default_factory=list)
-    busy: bool = False
-    storage: str = ""
 
 
 def cores() -> int:
@@ -47,30 +41,18 @@ def cores() -> int:
 
 
 def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
-    """Do a job; what goes wrong with a scene is in the report, never raised.
-
-    The first scene traces what is missing of the light, alone; the others read it, beside other workers.
+    """Do a job; what goes wrong with a scene is in the report. The first scene traces what is missing of the light.
 
     sharers : workers among which this machine's cores are to be divided, if that has not been done.
+
+    Raises: WriteError where the folder takes no more.
     """
-    report, folder = JobReport(), Folder(settings.folder)
+    report = JobReport()
     with _one_job:
         if sharers:
             backends.set_threads(max(1, cores() // sharers))
-        try:
-            with folder.claimed(job[0].key) as mine:
-                if mine:
-                    _study(job[0], settings, report)
-            if not mine:
-                time.sleep(BUSY_S)
-                report.busy = True
-                return report
-            for p in job[1:]:
-                _study(p, settings, report)
-        except WriteError as error:
-            report.storage = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
-        except OSError as error:
-            report.storage = f"{TAKES_NO_MORE}: {error}; correct that and run again"
+        for p in job:
+            _study(p, settings, report)
     return report
 
 
@@ -92,8 +74,10 @@ def _study(p: Planned, settings: Settings, report: JobReport) -> None:
         (report.done if header["reached"] else report.unmet).append(p.digest)
     except Exception as error:
         # A disk at fault is nobody's among the scenes: it ends the batch.
-        if isinstance(error, WriteError) or (isinstance(error, OSError) and error.errno in STORAGE):
+        if isinstance(error, WriteError):
             raise
+        if isinstance(error, OSError) and error.errno in STORAGE:
+            raise WriteError(f"{error}; correct that and run again") from None
         why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
         if isinstance(error, MemoryError):
             why = f"not enough memory for it ({error})"

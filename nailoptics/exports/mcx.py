@@ -59,14 +59,6 @@ class Voxels:
         """Points in voxels from the lowest corner, as the voxels' own program counts them."""
         return np.asarray((points_mm - self.origin_mm) / self.side_mm)
 
-    def area_mm2(self, one: int, other: int) -> float:
-        """Area of the staircase between two regions. [mm^2]"""
-        faces = 0
-        for axis in range(3):
-            a, b = np.moveaxis(self.region, axis, 0)[:-1], np.moveaxis(self.region, axis, 0)[1:]
-            faces += int(np.count_nonzero((a == one) & (b == other)) + np.count_nonzero((a == other) & (b == one)))
-        return faces * self.side_mm**2
-
 
 def voxels(geometry: Geometry, side_mm: float) -> Voxels:
     """Cut a geometry into voxels, each of the region at its middle; the faces of dies and photodiodes are kept whole.
@@ -121,7 +113,7 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
     sessions = {
         led_file(exported, i, ".json"): mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))
     }
-    cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals (table above)"
+    cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals"
     behind = f"shine from there; swallow light {DIE_BACK * made.side_mm:.3f} mm or more behind"
     own = [
         ("shape", "tetrahedra that conform to the interfaces", cubes),
@@ -129,7 +121,7 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         ("faces of dies", "where they are", behind),
         ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
     ]
-    rows, text = compatibility(scene, geometry, own=own), _readme(scene, geometry, made, [*sessions])
+    rows, text = compatibility(scene, geometry, own=own), _readme(scene, made, [*sessions])
     binary = {LABELS: labels(exported, geometry, made).tobytes(order="F")}
     return write_folder(
         folder, exported, sessions, title="For MCX", text=text, rows=rows, runner="run_pmcx.py", binary=binary
@@ -196,26 +188,7 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
     }
 
 
-def staircase(geometry: Geometry, made: Voxels) -> list[str]:
-    """How far voxels are from the geometry, as lines of a table: volumes of regions and areas of interfaces."""
-    volume = np.bincount(made.region.ravel(), minlength=len(geometry.regions)) * made.side_mm**3
-    lines = ["| region or interface | exact | voxels | error |", "|---|---|---|---|"]
-    rows = [
-        (name, exact, volume[i], "mm^3")
-        for i, (name, exact) in enumerate(geometry.volumes_mm3().items(), start=1)
-        if exact > 0 and name in (*optics.TISSUES, "barrier")
-    ]
-    clear = [geometry.regions.index(name) for name in ("air", *optics.TISSUES)]
-    for (one, other), triangles in geometry.interfaces().items():
-        if one in clear and other in clear:
-            a, b, c = geometry.vertices[triangles].swapaxes(0, 1)
-            exact = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-            name = f"{geometry.regions[one]}, {geometry.regions[other]}"
-            rows.append((name, exact, made.area_mm2(one, other), "mm^2"))
-    return lines + [f"| {name} | {a:.4g} {unit} | {b:.4g} {unit} | {b / a - 1:+.1%} |" for name, a, b, unit in rows]
-
-
-def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str]) -> list[str]:
+def _readme(scene: Scene, made: Voxels, sessions: list[str]) -> list[str]:
     names = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene), "air")))
     shape = " x ".join(map(str, made.region.shape))
     return [
@@ -236,8 +209,4 @@ def _readme(scene: Scene, geometry: Geometry, made: Voxels, sessions: list[str])
         "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
         f"mcx -f {sessions[0]}",
         "```",
-        "",
-        "## The error of the staircase",
-        "",
-        *staircase(geometry, made),
     ]

@@ -190,7 +190,7 @@ def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path
     with pytest.raises(InputError, match="30 of its 30 scenes are not"):
         run_batch(other, used, workers=1)
     [axis] = calm.sweep.axes
-    values = [*axis.values, 9.0]
+    values = (*axis.values, 9.0)
     grown = phantoms(tmp_path, 2, low=values[0], high=9.0)
     longer = Sweep(
         calm.sweep.name,

@@ -13,7 +13,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.exports import run_session
 from nailoptics.exports.compatibility import as_seen
-from nailoptics.exports.mcx import labels, staircase, voxels
+from nailoptics.exports.mcx import labels, voxels
 from nailoptics.geometry import build
 from nailoptics.light import optics
 from nailoptics.scene import load_scene
@@ -150,18 +150,6 @@ def test_mcx_for_opencl_ends_photons_at_opaque_parts(session):
     assert np.float32(rows[0]) not in np.float32(rows[1:])
     epoxy = rows[1 + session["nailoptics"]["absorbers"].index("epoxy")]
     assert ((rows[0] - epoxy) / (rows[0] + epoxy)) ** 2 < 1e-10 and rows[0] > epoxy
-
-
-def test_the_readme_has_the_error_of_the_staircase_which_falls(geometry, folder):
-    assert "| plate, epoxy |" in (folder / "README.md").read_text(encoding="utf-8")
-    worst = []
-    for side_mm in (0.4, 0.1):
-        rows = [line.split(" | ") for line in staircase(geometry, voxels(geometry, side_mm))[2:]]
-        errors = {row[0].strip("| "): abs(float(row[3].rstrip("% |"))) for row in rows}
-        worst.append(max(errors[name] for name in ("plate", "bed", "bone", "pulp")))
-    assert worst[1] < worst[0] / 2 and worst[1] < 2
-    # The skin's area does not converge: a staircase around a round body shows up to 3/2 of it.
-    assert 20 < errors["air, pulp"] < 50
 
 
 def test_labels_fit_a_byte_for_every_number_of_zones(scene, geometry):
