@@ -119,15 +119,25 @@ def led_file(scene: Scene, led: int, ending: str) -> str:
     return f"{led + 1}_{scene.leds[led].name}{ending}"
 
 
-def session_of(scene: Scene, led: int, **own: Any) -> dict[str, Any]:
-    """What all sessions say of an LED's light under "nailoptics", beside what is a program's own."""
+def session_of(
+    scene: Scene, led: int, *, photons: int, longest_s: float, media: Iterable[Iterable[float]], **own: Any
+) -> dict[str, Any]:
+    """What sessions of MCX and MMC for an LED share, as JSON.
+
+    longest_s : light that has wandered for so long has been absorbed. [s]
+    media : mu_a, mu_s [mm^-1], g and n of each, from medium 0 on.
+    own : what stands under "nailoptics" beside what all sessions have there.
+    """
     names = {"absorbers": list(optics.absorbers(scene)), "photodiodes": list(scene.layout.photodiode_names)}
-    return {"led": led, "wavelength_nm": scene.leds[led].wavelength_nm, **own, **names, "scene": to_toml(scene)}
-
-
-def medium(row: Iterable[float]) -> dict[str, float]:
-    """mu_a, mu_s [mm^-1], g and n under the names of MCX and MMC."""
-    return dict(zip(("mua", "mus", "g", "n"), map(float, row), strict=True))
+    about = {"led": led, "wavelength_nm": scene.leds[led].wavelength_nm, **own, **names, "scene": to_toml(scene)}
+    flags = {"DoMismatch": 1, "DoPartialPath": 1, "DoSaveVolume": 0}
+    rows = [dict(zip(("mua", "mus", "g", "n"), map(float, row), strict=True)) for row in media]
+    return {
+        "Session": {"ID": led_file(scene, led, ""), "Photons": photons, "RNGSeed": 1} | flags,
+        "Forward": {"T0": 0.0, "T1": longest_s, "Dt": longest_s},
+        "Domain": {"Media": rows},
+        "nailoptics": about,
+    }
 
 
 def write_folder(

@@ -19,7 +19,6 @@ from .compatibility import (
     epoxy_index,
     led_file,
     media_table,
-    medium,
     session_of,
     write_folder,
 )
@@ -155,37 +154,30 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
     # Air is a medium of its own.
     rows = [[0.0, 0.0, 1.0, opaque_index], *media_table(scene, geometry, led).tolist()]
     rows.append([0.0, 0.0, 1.0, 1.0])
-    return {
-        "Session": {"ID": led_file(scene, led, ""), "Photons": MCX_PHOTONS, "RNGSeed": 1, "DoMismatch": 1}
-        # Photons leave the box of voxels without reflection.
-        | {"BCFlags": "aaaaaa", "DoPartialPath": 1, "SaveDataMask": "DPXV", "DoSaveVolume": 0},
-        "Forward": {"T0": 0.0, "T1": LONGEST_S, "Dt": LONGEST_S},
-        "Optode": {
-            "Source": {"Type": "planar", "Pos": corner.tolist(), "Dir": [*normal.tolist(), "-_Inf_"]}
-            | {f"Param{k + 1}": [*side.tolist(), 0.0] for k, side in enumerate(sides)},
-            "Detector": [
-                {
-                    "Pos": made.place(face.center_mm).tolist(),
-                    "R": float(np.linalg.norm(face.quads - face.center_mm, axis=-1).max() / made.side_mm + AROUND),
-                }
-                for face in geometry.photodiodes
-            ],
-        },
-        "Domain": {
-            "VolumeFile": LABELS,
-            "Dim": list(made.region.shape),
-            "OriginType": 1,
-            "LengthUnit": made.side_mm,
-            "MediaFormat": "byte",
-            "Media": [medium(row) for row in rows],
-        },
-        "nailoptics": session_of(
-            scene,
-            led,
-            origin_mm=made.origin_mm.tolist(),
-            photodiode_quads=[made.place(face.quads).tolist() for face in geometry.photodiodes],
-        ),
+    session = session_of(
+        scene,
+        led,
+        photons=MCX_PHOTONS,
+        longest_s=LONGEST_S,
+        media=rows,
+        origin_mm=made.origin_mm.tolist(),
+        photodiode_quads=[made.place(face.quads).tolist() for face in geometry.photodiodes],
+    )
+    # Photons leave the box of voxels without reflection.
+    session["Session"] |= {"BCFlags": "aaaaaa", "SaveDataMask": "DPXV"}
+    shape = {"VolumeFile": LABELS, "Dim": list(made.region.shape), "LengthUnit": made.side_mm}
+    session["Domain"] |= shape | {"OriginType": 1, "MediaFormat": "byte"}
+    source = {"Type": "planar", "Pos": corner.tolist(), "Dir": [*normal.tolist(), "-_Inf_"]}
+    source |= {f"Param{k + 1}": [*side.tolist(), 0.0] for k, side in enumerate(sides)}
+    reach = [np.linalg.norm(f.quads - f.center_mm, axis=-1).max() / made.side_mm + AROUND for f in geometry.photodiodes]
+    session["Optode"] = {
+        "Source": source,
+        "Detector": [
+            {"Pos": made.place(face.center_mm).tolist(), "R": float(radius)}
+            for face, radius in zip(geometry.photodiodes, reach, strict=True)
+        ],
     }
+    return session
 
 
 def _readme(scene: Scene, made: Voxels, sessions: list[str]) -> list[str]:

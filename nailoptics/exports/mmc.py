@@ -18,7 +18,6 @@ from .compatibility import (
     epoxy_index,
     led_file,
     media_table,
-    medium,
     session_of,
     write_folder,
 )
@@ -51,17 +50,6 @@ class TetMesh:
     tetrahedra: Indices
     region: Indices
 
-    @property
-    def corners_mm(self) -> Array:
-        """Corners of all tetrahedra, (m, 4, 3) float. [mm]"""
-        return self.nodes[self.tetrahedra]
-
-    @property
-    def volumes_mm3(self) -> Array:
-        """Volume of each tetrahedron, (m,) float. [mm^3]"""
-        corners = self.corners_mm
-        return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6)
-
 
 def tetrahedra(geometry: Geometry) -> TetMesh:
     """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
@@ -86,40 +74,37 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
     """A session of MMC for one LED, as JSON; its first source is one cone, all of them stand under "nailoptics"."""
     die, wavelength = geometry.leds[led], scene.leds[led].wavelength_nm
-    label = absorber_of(scene, geometry, mesh.corners_mm.mean(axis=1), mesh.region)
+    label = absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
     # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet it;
     # outside the mesh lies air.
     media = [[0.0, 0.0, 1.0, epoxy_index(scene, geometry, wavelength)], *media_table(scene, geometry, led).tolist()]
     places, angles = cones(die, CONES)
-    sources = [{"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)]
+    made = session_of(
+        scene,
+        led,
+        photons=MMC_PHOTONS,
+        longest_s=LONGEST_S,
+        media=media,
+        sources=[
+            {"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)
+        ],
+        photodiode_elements=[(np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes],
+        regions=list(geometry.regions),
+        region_of_element=mesh.region.tolist(),
+    )
+    made["Session"]["DoSaveExit"], made["Forward"]["N0"] = 1, 1.0
     normal = die.normal.mean(axis=0)
-    elements = np.column_stack([mesh.tetrahedra + 1, label])
-    return {
-        "Session": {"ID": led_file(scene, led, ""), "Photons": MMC_PHOTONS, "RNGSeed": 1}
-        | {"DoMismatch": 1, "DoPartialPath": 1, "DoSaveExit": 1, "DoSaveVolume": 0},
-        "Forward": {"T0": 0.0, "T1": LONGEST_S, "Dt": LONGEST_S, "N0": 1.0},
-        "Optode": {
-            "Source": {"Type": "cone", "Pos": places[0].tolist(), "Dir": (normal / np.linalg.norm(normal)).tolist()}
-            | {"Param1": [float(angles[0]), 0.0, 0.0, 0.0]},
-            "Detector": [_sphere(face) for face in geometry.photodiodes],
-        },
-        "Domain": {"Media": [medium(row) for row in media]},
-        "Mesh": {
-            "MeshID": led_file(scene, led, ""),
-            "InitElem": int(_containing(mesh, geometry, places[:1])[0]) + 1,
-            "LengthUnit": 1.0,
-            "MeshNode": np.round(mesh.nodes, 7).tolist(),
-            "MeshElem": elements.tolist(),
-        },
-        "nailoptics": session_of(
-            scene,
-            led,
-            sources=sources,
-            photodiode_elements=[(np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes],
-            regions=list(geometry.regions),
-            region_of_element=mesh.region.tolist(),
-        ),
+    source = {"Type": "cone", "Pos": places[0].tolist(), "Dir": (normal / np.linalg.norm(normal)).tolist()}
+    source["Param1"] = [float(angles[0]), 0.0, 0.0, 0.0]
+    made["Optode"] = {"Source": source, "Detector": [_sphere(face) for face in geometry.photodiodes]}
+    made["Mesh"] = {
+        "MeshID": led_file(scene, led, ""),
+        "InitElem": _containing(mesh, geometry, places[0]) + 1,
+        "LengthUnit": 1.0,
+        "MeshNode": np.round(mesh.nodes, 7).tolist(),
+        "MeshElem": np.column_stack([mesh.tetrahedra + 1, label]).tolist(),
     }
+    return made
 
 
 def cones(die: Face, count: int) -> tuple[Array, Array]:
@@ -148,14 +133,14 @@ def _sphere(face: Face) -> dict[str, Any]:
     return {"Pos": middle.tolist(), "R": float(MARGIN * reach + math.sqrt(face.area_mm2) / 10)}
 
 
-def _containing(mesh: TetMesh, geometry: Geometry, places: Array) -> np.ndarray:
-    """The tetrahedron of epoxy that each place lies in, (n,) int."""
+def _containing(mesh: TetMesh, geometry: Geometry, place: Array) -> int:
+    """The tetrahedron of epoxy that a place lies in."""
     own = np.flatnonzero(mesh.region == geometry.regions.index("epoxy"))
-    corners = mesh.corners_mm[own]
-    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
-    share = np.einsum("tij,ptj->pti", inverse, places[:, None] - corners[:, 0])
-    margin = np.minimum(share.min(-1), 1 - share.sum(-1))
-    return np.asarray(own[margin.argmax(-1)])
+    corners = mesh.nodes[mesh.tetrahedra[own]]
+    share = np.linalg.solve((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2), (place - corners[:, 0])[..., None])[
+        ..., 0
+    ]
+    return int(own[np.minimum(share.min(-1), 1 - share.sum(-1)).argmax()])
 
 
 def _readme(scene: Scene, mesh: TetMesh, sessions: list[str]) -> list[str]:

@@ -1,5 +1,6 @@
 """What another program detected of an exported scene, beside what the walk of photons reads of it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from .. import light
 from ..errors import InputError, as_far_as_reached
 from ..light import ProgressCallback, optics
-from ..light.transfer.moments import Moments, moments_of
+from ..light.transfer.moments import moments_of
 from ..light.transfer.records import LedTrace
 from ..light.transfer.reweight import transmission
 from ..options import Requested
@@ -90,12 +91,18 @@ class ProgramComparison:
     def as_dict(self) -> dict[str, Any]:
         """All of it for JSON."""
         ratio, stderr = self.total.ratio
-        out: dict[str, Any] = {"program": self.program, "led": self.led, "photons": self.photons}
-        out |= {"their_photons": self.their_photons, "chi2": self.chi2, "degrees_of_freedom": len(self.readings)}
-        out |= {"p_value": self.p_value, "ratio_of_sums": ratio, "ratio_of_sums_stderr": stderr}
-        out |= {"readings": {name: pair.as_dict() for name, pair in self.readings.items()}, "unread": self.unread}
-        out |= {"total": self.total.as_dict(), "paths_mm": {name: p.as_dict() for name, p in self.paths_mm.items()}}
-        return out | {"changes": [{"blood_fraction": f, **pair.as_dict()} for f, pair in self.changes.items()]}
+        return {
+            **vars(self),
+            "chi2": self.chi2,
+            "degrees_of_freedom": len(self.readings),
+            "p_value": self.p_value,
+            "ratio_of_sums": ratio,
+            "ratio_of_sums_stderr": stderr,
+            "readings": {name: pair.as_dict() for name, pair in self.readings.items()},
+            "total": self.total.as_dict(),
+            "paths_mm": {name: pair.as_dict() for name, pair in self.paths_mm.items()},
+            "changes": [{"blood_fraction": fraction, **pair.as_dict()} for fraction, pair in self.changes.items()],
+        }
 
     def lines(self) -> list[str]:
         """All of it as a table for the terminal."""
@@ -185,52 +192,46 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
     scene, both = theirs.scene, (ours, theirs.trace)
     wavelength, names = scene.leds[theirs.led].wavelength_nm, scene.layout.photodiode_names
     weights = [_weights(trace, optics.absorption(scene, wavelength)) for trace in both]
-    each = [_sums(trace, trace.photodiode, w, len(names)) for trace, w in zip(both, weights, strict=True)]
-    total = [_sums(trace, np.zeros(len(w), int), w, 1) for trace, w in zip(both, weights, strict=True)]
+    regions = [*dict.fromkeys(absorber.region for absorber in optics.absorbing(scene))]
+    columns = np.array([[a.region == region for region in regions] for a in optics.absorbing(scene)], np.float32)
+    each, total = [], []
+    for trace, weight in zip(both, weights, strict=True):
+        path_mm = trace.path_mm @ columns
+        each.append(moments_of(trace.photons, trace.photodiode, weight, path_mm, len(names)))
+        total.append(moments_of(trace.photons, np.zeros(len(weight), int), weight, path_mm, 1))
     read = [i for i in range(len(names)) if all(m.effective_photons[i] >= LEAST_PHOTONS for m in each)]
     if not read:
         raise InputError(f"too few photons reached any photodiode in nailoptics or {theirs.program}; send more.")
     changes = {}
     for factor in BLOOD_FACTORS:
         fraction = min(factor * scene.blood.rest_blood_fraction, 1.0)
-        blood = np.full(optics.zones(scene).count, fraction)
-        mu_a = optics.absorption(scene, wavelength, blood_fraction=blood)
-        changes[fraction] = _pair([_change(w, _weights(t, mu_a)) for t, w in zip(both, weights, strict=True)])
-    regions = dict.fromkeys(absorber.region for absorber in optics.absorbing(scene))
-    columns = np.array([[a.region == region for region in regions] for a in optics.absorbing(scene)], np.float32)
-    paths = [
-        moments_of(trace.photons, np.zeros(len(w), int), w, trace.path_mm @ columns, 1).mean_path
-        for trace, w in zip(both, weights, strict=True)
-    ]
+        mu_a = optics.absorption(scene, wavelength, blood_fraction=np.full(optics.zones(scene).count, fraction))
+        changes[fraction] = _pair(_change(w, _weights(t, mu_a)) for t, w in zip(both, weights, strict=True))
+    paths = [m.mean_path for m in total]
     return ProgramComparison(
         program=theirs.program,
         led=scene.leds[theirs.led].name,
         photons=ours.photons,
         their_photons=theirs.trace.photons,
-        readings={names[i]: _pair([(m.fraction[i], m.stderr[i]) for m in each]) for i in read},
+        readings={names[i]: _pair((m.fraction[i], m.stderr[i]) for m in each) for i in read},
         unread=tuple(name for i, name in enumerate(names) if i not in read),
-        total=_pair([(m.fraction[0], m.stderr[0]) for m in total]),
+        total=_pair((m.fraction[0], m.stderr[0]) for m in total),
         changes=changes,
         paths_mm={
-            name: _pair([(mean[0, r], stderr[0, r]) for mean, stderr in paths])
+            name: _pair((mean[0, r], stderr[0, r]) for mean, stderr in paths)
             for r, name in enumerate(regions)
             if all(stderr[0, r] > 0 for _, stderr in paths)
         },
     )
 
 
-def _pair(both: list[tuple[Any, Any]]) -> Pair:
-    (ours, ours_stderr), (theirs, theirs_stderr) = both
-    return Pair(float(ours), float(ours_stderr), float(theirs), float(theirs_stderr))
+def _pair(both: Iterable[tuple[Any, Any]]) -> Pair:
+    return Pair(*(float(number) for estimate in both for number in estimate))
 
 
 def _weights(trace: LedTrace, mu_a: np.ndarray) -> np.ndarray:
     """Weight of each photon at an absorption, (1, r) float, (n,) float."""
     return np.asarray(trace.weight * transmission(trace.path_mm, mu_a - trace.mu_a, np.ones(1)))
-
-
-def _sums(trace: LedTrace, place: np.ndarray, weight: np.ndarray, count: int) -> Moments:
-    return moments_of(trace.photons, place, weight, trace.path_mm, count)
 
 
 def _change(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:

@@ -7,6 +7,7 @@ import stat
 import tomllib
 from array import array
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,46 +39,43 @@ def read_text(path: Path, expected: str, *, shown: str | None = None, any_encodi
 
     Raises: InputError.
     """
-    name = shown or str(path)
-    try:
-        data = read_bytes(path, expected, shown=shown)
-        text = decoded(data) if any_encoding else data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{name}: is not a text file; give {expected}.") from None
+    with _reading(path, expected, shown or str(path)):
+        data = path.read_bytes()
+        if not any_encoding:
+            text = data.decode("utf-8-sig")
+        elif data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            text = data.decode("utf-16")
+        else:
+            try:
+                text = data.decode("utf-8-sig")
+            except UnicodeDecodeError:
+                text = data.decode("cp1252")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def decoded(data: bytes) -> str:
-    """The text that bytes are, in UTF-16 if they begin so, else in UTF-8, else in Windows' own; UnicodeDecodeError."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252")
-
-
-def read_bytes(path: Path, expected: str, *, shown: str | None = None) -> bytes:
+def read_bytes(path: Path, expected: str) -> bytes:
     """All that is in an ordinary file of bounded size; arguments as for `read_text`. Raises: InputError."""
-    name = shown or str(path)
-    try:
-        _check_size(path, expected, name)
+    with _reading(path, expected, str(path)):
         return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
 
 
-def _check_size(path: Path, expected: str, name: str) -> None:
-    """Raise InputError unless the path is an ordinary file of bounded size; OSError where it cannot be examined."""
+@contextmanager
+def _reading(path: Path, expected: str, name: str) -> Iterator[None]:
+    """InputError where the path is no ordinary file of bounded size, cannot be read, or holds no text."""
     try:
         status = path.stat()
+        if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
+            # A pipe would be waited for without end.
+            raise InputError(f"{name}: is no ordinary file; give {expected}.")
+        if status.st_size > MOST_BYTES:
+            raise InputError(f"{name}: has {status.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
+        yield
+    except OSError as error:
+        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{name}: is not a text file; give {expected}.") from None
     except ValueError:  # a path with a character that none may have
         raise InputError(f"{short(repr(name))}: is no path; give {expected}.") from None
-    if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
-        # A pipe would be waited for without end.
-        raise InputError(f"{name}: is no ordinary file; give {expected}.")
-    if status.st_size > MOST_BYTES:
-        raise InputError(f"{name}: has {status.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
 
 
 def is_there(path: Path) -> bool:
@@ -94,19 +92,14 @@ def read_rows(path: Path, expected: str, *, shown: str | None = None) -> Rows:
     Raises: InputError as `read_text`.
     """
     name = shown or str(path)
-    try:
-        _check_size(path, expected, name)
-        with path.open(encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
+    with _reading(path, expected, name), path.open(encoding="utf-8-sig") as file:
+        reader = csv.reader(file)
+        try:
             for row in reader:
                 if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#":
                     yield reader.line_num, row
-    except UnicodeDecodeError:
-        raise InputError(f"{name}: is not a text file; give {expected}.") from None
-    except OSError as error:
-        raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
-    except csv.Error as error:
-        raise InputError(f"{name} line {reader.line_num}: is no line of a table ({error}).") from None
+        except csv.Error as error:
+            raise InputError(f"{name} line {reader.line_num}: is no line of a table ({error}).") from None
 
 
 def number_columns(
