@@ -23,8 +23,7 @@ from .errors import (
     as_far_as_reached,
     exit_message,
 )
-from .interrupts import counted
-from .io import check_writable, leave_dask_out, make_folder, write_text
+from .io import check_writable, leave_dask_out, make_folder, to_json, write_text
 from .options import TraceOptions
 from .terminal import say
 
@@ -90,7 +89,7 @@ def main() -> None:
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are one line on stderr."""
-    with terminal.plain_messages(), counted() as interrupts:
+    with terminal.plain_messages(), terminal.counted() as interrupts:
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
             if sys.stdout:
@@ -654,7 +653,7 @@ def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
     from .scene.sweep import sweep_json_schema
 
     # As scenes/scene.schema.json is, byte for byte.
-    terminal.print_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1)
+    print(to_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1))
 
 
 @app.command(name="store")
@@ -797,7 +796,7 @@ def _finish(
     """
     cut_off = {"cut_off": str(unmet)} if unmet else {}
     if as_json:
-        terminal.print_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}})
+        print(to_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}}))
     else:
         # A study's own table has several lines; a text or a path, and what is called so, one.
         shown = [terminal.escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]

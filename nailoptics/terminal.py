@@ -1,18 +1,18 @@
-"""The terminal around a command: messages, progress and JSON."""
+"""The terminal around a command: messages, Ctrl-C and progress."""
 
 import logging
 import math
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
-from .interrupts import after_batch
-from .io import to_json
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
@@ -60,69 +60,101 @@ def text_lines(stream: TextIO | None) -> Iterator[str]:
         raise InputError(f"stdin: cannot be read: {error.strerror}; pipe a recording into it.") from None
 
 
-class _Plain(logging.Formatter):
-    """Messages in which names steer no terminal; only a traceback, for NAILOPTICS_DEBUG, has lines."""
+class _Lines(logging.Handler):
+    """Each message of the log once, from warnings on."""
 
-    def format(self, record: logging.LogRecord) -> str:
-        return escaped(super().format(record), lines=bool(record.exc_info))
+    def __init__(self, show: Callable[[str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self.lines, self.show = list[str](), show
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if (line := record.getMessage()) not in self.lines:
+            self.lines.append(line)
+            self.show(line)
 
 
 @contextmanager
 def plain_messages() -> Iterator[None]:
     """Our own warnings become one line each on stderr; those of other packages are for NAILOPTICS_DEBUG only."""
-    debug = bool(os.environ.get("NAILOPTICS_DEBUG"))
+    debug, log, handler = bool(os.environ.get("NAILOPTICS_DEBUG")), logging.getLogger(), _Lines(say)
 
-    def show(
-        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
         if category.__module__.startswith("nailoptics"):
             say(str(message))
         elif debug:
             say(f"{filename}:{lineno}: {category.__name__}: {message}")
 
-    shown: set[str] = set()
-
-    def is_new(record: logging.LogRecord) -> bool:
-        line, count = record.getMessage(), len(shown)
-        shown.add(line)
-        return len(shown) > count
-
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Plain("nailoptics: %(message)s"))
-    handler.setLevel(logging.WARNING)
     handler.addFilter(lambda record: debug or record.name.startswith("nailoptics"))
-    handler.addFilter(is_new)
-    logging.getLogger().addHandler(handler)
+    log.addHandler(handler)
     try:
         with warnings.catch_warnings():
             warnings.showwarning = show
             yield
     finally:
-        logging.getLogger().removeHandler(handler)
+        log.removeHandler(handler)
 
 
 @contextmanager
 def collected_warnings() -> Iterator[list[str]]:
     """Our own warnings meanwhile, each once; they are lines on stderr only where an error ends this."""
-    lines: dict[str, None] = {}
-
-    class Collector(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            lines[record.getMessage()] = None
-
-    ours, collector, collected = logging.getLogger("nailoptics"), Collector(logging.WARNING), list[str]()
+    ours, collector = logging.getLogger("nailoptics"), _Lines(lambda line: None)
     ours.addHandler(collector)
     ours.propagate = False
     try:
-        yield collected
+        yield collector.lines
     except Exception:
-        for line in lines:
+        for line in collector.lines:
             say(line)
         raise
     finally:
         ours.removeHandler(collector)
         ours.propagate = True
-        collected += lines
+
+
+@contextmanager
+def counted() -> Iterator[list[int]]:
+    """Every Ctrl-C meanwhile; each raises KeyboardInterrupt, of which imports and compiled code make other errors."""
+    pressed: list[int] = []
+
+    def interrupt(number: int, frame: Any) -> None:
+        pressed.append(number)
+        raise KeyboardInterrupt
+
+    with _handled_by(interrupt):
+        yield pressed
+
+
+@contextmanager
+def interruptible() -> Iterator[Callable[[], None]]:
+    """A check for between batches that raises KeyboardInterrupt after a first Ctrl-C; a second raises it at once."""
+    pressed: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: Any) -> None:
+        pressed.append(number)
+        signal.signal(signal.SIGINT, before)
+        say("stopping after this batch; press Ctrl-C again to stop at once.")
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    with _handled_by(note):
+        yield check
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, Any], None]) -> Iterator[None]:
+    """Ctrl-C is handled so; not where this process is to ignore it, as in the background of a script."""
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # Shows how far something is: its name, a text, the fraction done, seconds passed and left, and a line that stays.
@@ -146,11 +178,6 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
             check()
 
         yield report_progress
-
-
-def interruptible() -> AbstractContextManager[Callable[[], None]]:
-    """A check that raises KeyboardInterrupt after a first Ctrl-C; another ends the command at once."""
-    return after_batch(lambda: say("stopping after this batch; press Ctrl-C again to stop at once."))
 
 
 @contextmanager
@@ -209,8 +236,3 @@ def _left(fraction: float, seconds_left: float | None) -> str:
     """The time left while it is known and not over."""
     known = seconds_left is not None and seconds_left < math.inf and fraction < 1
     return f", {seconds_left:.0f} s left" if known else ""
-
-
-def print_json(value: Any, *, indent: int = 2) -> None:
-    """Print a value as JSON on stdout."""
-    print(to_json(value, indent=indent))
