@@ -78,7 +78,9 @@ def plain_messages() -> Iterator[None]:
     """Our own warnings become one line each on stderr; those of other packages are for NAILOPTICS_DEBUG only."""
     debug, log, handler = bool(os.environ.get("NAILOPTICS_DEBUG")), logging.getLogger(), _Lines(say)
 
-    def show(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+    def show(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
+    ) -> None:
         if category.__module__.startswith("nailoptics"):
             say(str(message))
         elif debug:

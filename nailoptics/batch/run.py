@@ -1,11 +1,12 @@
 """The driver of a batch: plans jobs, hands them to workers here or on a cluster, and replaces workers that die."""
 
+import contextlib
 import logging
 import multiprocessing
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -145,6 +146,10 @@ class LocalSlots:
         self.executors[slot].shutdown(wait=False, cancel_futures=True)
         self.executors[slot] = self._new()
 
+    def deserted(self) -> bool:
+        """Whether nobody is left to work, though others may come."""
+        return False
+
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
         if now:
@@ -185,6 +190,12 @@ class ClusterSlots(LocalSlots):
     def renew(self, slot: int) -> None:
         """The scheduler does."""
 
+    def deserted(self) -> bool:
+        """Whether the cluster has lost all its workers."""
+        with contextlib.suppress(Exception):  # the scheduler went away, which its futures report
+            return not self.client.nthreads()
+        return False
+
     def close(self, *, now: bool) -> None:
         """Leave the cluster."""
         self.client.close(timeout=5)
@@ -216,21 +227,22 @@ class _Driver:
         self.queue = jobs_of(self.left.values())
         self.started = time.time()
 
-    def _state(self, p: Planned) -> str:
-        return self.folder.state(p.digest, self.settings.required(p.scene), self.made)
+    def _settle(self, p: Planned, done: list[str]) -> str:
+        """The state of a scene as the folder has it; one that is done goes to a list and is no longer left."""
+        state = self.folder.state(p.digest, self.settings.required(p.scene), self.made)
+        if state == "done":
+            done.append(p.digest)
+        elif state == "failed":
+            self.outcome.failed[p.digest] = self.folder.why_failed(p.digest)
+        if state in ("done", "failed"):
+            del self.left[p.digest]
+        return state
 
     def _check(self, p: Planned, retry_failed: bool) -> None:
         """Take a scene out of those that are left if it was done before, or failed and is not to be retried."""
-        state = self._state(p)
-        if state == "done":
-            self.outcome.kept.append(p.digest)
-            del self.left[p.digest]
-        elif state == "failed" and not retry_failed:
-            self.outcome.failed[p.digest] = self.folder.why_failed(p.digest)
-            del self.left[p.digest]
-        elif state == "failed":
+        if retry_failed:
             self.folder.failure(p.digest).unlink(missing_ok=True)
-        elif state in DAMAGE:
+        if (state := self._settle(p, self.outcome.kept)) in DAMAGE:
             self.outcome.corrupt.append(p.digest)
             self.show(f"result {p.digest[:12]} is {DAMAGE[state]}; made again")
 
@@ -251,7 +263,7 @@ class _Driver:
                         self._book(future, slot, job, slots)
                     except WriteError as error:
                         self.trouble = f"{TAKES_NO_MORE}: {str(error).rstrip('.')}"
-                if self.trouble == SCHEDULER_LOST:
+                if self.trouble == SCHEDULER_LOST or (self.settings.is_late() and slots.deserted()):
                     break
                 self.show()
             finished = True
@@ -307,26 +319,15 @@ class _Driver:
         self.left.pop(digest, None)
         self.show(f"scene {digest[:12]} failed: {why}")
 
-    def _count_unreported(self, scenes: Iterable[Planned]) -> list[Planned]:
-        """Count what became of scenes of which no report came; returns those of which nothing did."""
-        nothing = []
-        for p in scenes:
-            if (state := self._state(p)) == "done":
-                del self.left[p.digest]
-                self.outcome.done.append(p.digest)
-            elif state == "failed":
-                self._failed(p.digest, self.folder.why_failed(p.digest))
-            else:
-                nothing.append(p)
-        return nothing
-
     def _died(self, job: Job) -> None:
         """A worker died at the first scene of a job that has no result: it is tried again, and given up the next time.
 
         The scenes after it go on without it.
         """
         self.outcome.deaths += 1
-        rest = self._count_unreported(p for p in job if p.digest in self.left)
+        # Of some a result is there, though no report came.
+        left = [p for p in job if p.digest in self.left]
+        rest = [p for p in left if self._settle(p, self.outcome.done) not in ("done", "failed")]
         if rest:
             first = rest[0].digest
             self.deaths[first] += 1
@@ -357,7 +358,8 @@ class _Driver:
         """The outcome, or NotReachedError with it as result where anything is missing."""
         outcome, trouble = self.outcome, self.trouble
         if trouble:
-            self._count_unreported([*self.left.values()])
+            for p in [*self.left.values()]:
+                self._settle(p, outcome.done)
         outcome.unfinished, outcome.seconds = len(self.left), time.time() - self.begin
         reasons = [trouble] if trouble else []
         if outcome.failed:

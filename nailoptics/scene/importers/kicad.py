@@ -1,5 +1,6 @@
 """KiCad boards, versions 5 to 9: footprints, outline and origins read; a layout written as a board."""
 
+import cmath
 import math
 import re
 import uuid
@@ -154,18 +155,15 @@ def _arc(center: Point, start: Point, sweep_rad: float) -> Polygon:
 
 def _arc_through(start: Point, middle: Point, end: Point) -> Polygon:
     """The arc through three points; a straight line where they lie on one."""
-    (ax, ay), (bx, by), (cx, cy) = start, middle, end
-    twice = 2 * (ax * (by - cy) + bx * (cy - ay) + cx * (ay - by))
-    if abs(twice) < 1e-9:
+    first = complex(*start)
+    a, b = complex(*middle) - first, complex(*end) - first
+    twice_mm2 = (a.conjugate() * b).imag
+    if abs(twice_mm2) < 5e-10:
         return start, middle, end
-    a, b, c = (x * x + y * y for x, y in (start, middle, end))
-    center = (
-        (a * (by - cy) + b * (cy - ay) + c * (ay - by)) / twice,
-        (a * (cx - bx) + b * (ax - cx) + c * (bx - ax)) / twice,
-    )
-    first, last = (math.atan2(p[1] - center[1], p[0] - center[0]) for p in (start, end))
-    sweep = (last - first) % math.tau
-    line = _arc(center, start, sweep if twice > 0 else sweep - math.tau)
+    away = 1j * (abs(b) ** 2 * a - abs(a) ** 2 * b) / (2 * twice_mm2)  # from the start to the centre
+    sweep = cmath.phase((away - b) / away) % math.tau
+    center = first + away
+    line = _arc((center.real, center.imag), start, sweep if twice_mm2 > 0 else sweep - math.tau)
     return (*line[:-1], end)
 
 

@@ -230,36 +230,17 @@ def area_mm2(corners: Sequence[Point]) -> float:
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
 
 
-def within(point: Point, corners: Sequence[Point]) -> bool:
-    """Whether a point lies in a polygon, by the crossings of a ray along x."""
-    x, y = point
-    start = np.asarray(corners)
-    (a, b), (c, d) = start.T, np.roll(start, -1, axis=0).T
-    crossing = (b > y) != (d > y)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return bool(np.count_nonzero(crossing & (x < a + (y - b) * (c - a) / (d - b))) % 2)
-
-
 def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:
     """Whether a rectangle lies within a border and outside of its holes; it may touch their lines.
 
     half_mm : Half its size along x and y. [mm]
     """
-    inside = within(center, corners) and not any(within(center, hole) for hole in holes)
-    return inside and not any(_cuts(center, half_mm, polygon) for polygon in (corners, *holes))
+    # Quick with many corners, and everywhere, while shapely is an extra.
+    from matplotlib.path import Path as Line
+    from matplotlib.transforms import Bbox
 
-
-def _cuts(center: Point, half_mm: Point, corners: Sequence[Point]) -> bool:
-    """Whether a polygon's line passes through a rectangle's inside."""
-    start = np.asarray(corners) - center
-    along = np.roll(start, -1, axis=0) - start
-    # The part of each side, from 0 to 1, that lies between the rectangle's edges on both axes.
     least = np.asarray(half_mm) - 1e-9
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low, high = (-least - start) / along, (least - start) / along
-    low, high = np.minimum(low, high), np.maximum(low, high)
-    still = along == 0
-    between = np.abs(start) < least
-    low = np.where(still, np.where(between, -np.inf, np.inf), low)
-    high = np.where(still, np.where(between, np.inf, -np.inf), high)
-    return bool(np.any(np.maximum(low.max(1), 0) < np.minimum(high.min(1), 1)))
+    box = Bbox([center - least, center + least])
+    border, *others = (Line([*line, line[0]]) for line in (corners, *holes))
+    inside = border.contains_point(center) and not any(hole.contains_point(center) for hole in others)
+    return inside and not any(line.intersects_bbox(box, filled=False) for line in (border, *others))
