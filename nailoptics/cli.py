@@ -144,7 +144,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     loaded, engine = _load(scene, options)
     if output is not None and engine == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
-    _check_files(output)
+    _check_file(output)
     rest, unmet = _traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
@@ -288,9 +288,8 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     from .report.pages.explore.page import write_exploration
     from .studies.exploration.explore import explore as study
 
-    _check_suffix(output, ".html", "a page")
+    _check_file(output, ".html", "a page")
     loaded, _ = _load(scene, options)
-    _check_files(output)
     result, unmet = _traced(study, loaded, options=options)
     make_folder(output.parent)
     write_exploration(result, output)
@@ -365,10 +364,8 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
     from .report.pages.explain import EXPLANATION, write_explanation
     from .studies.model_error.explain import explain as study
 
-    _check_suffix(output, ".toml", "a scene file")
+    _check_file(output, ".toml", "a scene file")
     loaded, _ = _load(scene, options)
-    if output is not None:
-        _check_files(output, output.with_suffix(".html"))
     result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
     paths = write_explanation(result, output) if output else {}
     _show(EXPLANATION, result, paths, options.json, unmet)
@@ -546,9 +543,8 @@ def calibrate(
     from .report.pages.force import CALIBRATION, write_calibration
     from .studies.force.calibrate import calibrate as study
 
-    _check_suffix(output, ".toml", "a subject file")
+    _check_file(output, ".toml", "a subject file")
     loaded, _ = _load(scene, options)
-    _check_files(output, output.with_suffix(".html"))
     result, unmet = _traced(study, loaded, recordings, model=model, options=options)
     _show(CALIBRATION, result, write_calibration(result, output), options.json, unmet, output)
 
@@ -726,24 +722,24 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     return scene, engine_for(scene, chosen)
 
 
-def _results(output: Path | None, scene: str, report: "Report", *others: Path | None) -> Path:
-    """The folder for the results of a scene; raises WriteError where they, or other files, cannot be written."""
+def _results(output: Path | None, scene: str, report: "Report", other: Path | None = None) -> Path:
+    """The folder for the results of a scene; raises WriteError where they, or another file, cannot be written."""
     folder = output or Path("results") / Path(scene).stem
     check_writable(folder, *report.files)
-    _check_files(*others)
+    _check_file(other)
     return folder
 
 
-def _check_files(*paths: Path | None) -> None:
-    """Raise WriteError where a file, if there is to be one, cannot be written."""
-    for path in paths:
-        if path is not None:
-            check_writable(path.parent, path.name)
+def _check_file(path: Path | None, suffix: str = "", what: str = "") -> None:
+    """Raise WriteError where a file, if there is to be one, or a page beside it cannot be written.
 
-
-def _check_suffix(path: Path | None, suffix: str, what: str) -> None:
-    if path is not None and path.suffix != suffix:
+    suffix, what : what its name must end in, and what it is.
+    """
+    if path is None:
+        return
+    if suffix and path.suffix != suffix:
         raise InputError(f"{path}: {what} ends in {suffix}; rename it.")
+    check_writable(path.parent, path.name, *([path.with_suffix(".html").name] if suffix else []))
 
 
 def _write(path: Path, text: str) -> Path:

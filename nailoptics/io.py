@@ -188,26 +188,18 @@ def cache_folder() -> Path:
 
 
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
-    """Write a dataset to NetCDF by the CF conventions, and make its folder; raises WriteError.
+    """Write a dataset to NetCDF by the CF conventions, its axes in words, and make its folder; raises WriteError.
 
     It is made in memory: HDF5 ends the process where a disk is full.
     """
-    data = BytesIO()
-    _as_cf(dataset).to_netcdf(data, engine="h5netcdf")
-    make_folder(path.parent)
-    write_bytes(path, data.getbuffer())
-
-
-def _as_cf(dataset: "xr.Dataset") -> "xr.Dataset":
-    """A copy of a dataset that says by which conventions it is written, and in words what each axis is."""
-    written = dataset.copy()
+    written, data = dataset.copy(), BytesIO()
     written.attrs = {"Conventions": CONVENTIONS} | dataset.attrs
     for name in written.coords.keys() & AXES.keys():
-        attributes = {"long_name": AXES[str(name)]}
-        if written[name].dtype.kind in _NUMBERS:
-            attributes["units"] = "1"
-        written[name].attrs = attributes | written[name].attrs
-    return written
+        units = {"units": "1"} if written[name].dtype.kind in _NUMBERS else {}
+        written[name].attrs = {"long_name": AXES[str(name)], **units} | written[name].attrs
+    written.to_netcdf(data, engine="h5netcdf")
+    make_folder(path.parent)
+    write_bytes(path, data.getbuffer())
 
 
 def leave_dask_out() -> None:

@@ -10,7 +10,7 @@ from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, 
 from .finger import DermisAbsorption
 from .importers.board_files import read_board_file
 from .importers.outlines import is_point, middle, read_outline
-from .importers.positions import UNITS_MM, FileUnit, check_each_once, read_positions, reading_of, warn_of_mirrored
+from .importers.positions import UNITS_MM, FileUnit, read_positions, reading_of, warn_of_mirrored
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
@@ -63,7 +63,8 @@ class Candidate(BoardFile):
         parts = read_positions(path, **reading_of(data))
         groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
         used = [*groups["leds"], *groups["photodiodes"]]
-        check_each_once(used, path)
+        # Fiducials and holes, which nobody asks for, may share one.
+        check_unique([part.ref for part in used], f"{path}: Ref")
         warn_of_mirrored(data, parts, used)
         filled = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}

@@ -3,15 +3,16 @@
 import csv
 
 import pytest
+from pydantic import ValidationError
 
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.positions import (
     PlacedPart,
-    check_each_once,
     read_positions,
     warn_of_mirrored,
     write_positions,
 )
+from nailoptics.scene.placement import Candidate
 from nailoptics.scene.rectangles import turned
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
@@ -110,13 +111,15 @@ def test_a_wrong_position_file_is_refused_in_one_line(tmp_path, text, words):
     assert len(str(caught.value).splitlines()) == 1 and "pos.csv" in str(caught.value)
 
 
-def test_a_reference_that_is_there_twice_is_refused(tmp_path):
+def test_a_reference_that_is_there_twice_is_refused_for_parts_alone(tmp_path):
     path = tmp_path / "pos.csv"
-    path.write_text(POSITIONS.replace('"LED2"', '"D1"') + "REF**,,,1,1,0,top\nREF**,,,2,1,0,top\n")
-    parts = read_positions(path)
-    with pytest.raises(InputError, match='pos.csv: Ref "D1" is there twice'):
-        check_each_once([part for part in parts if part.is_led], path)
-    check_each_once([part for part in parts if part.is_photodiode], path)
+    holes = "REF**,,,1,1,0,top\nREF**,,,2,1,0,top\n"
+    table = {"name": "a", "positions": "pos.csv", "negate_x_on_bottom": False}
+    path.write_text(POSITIONS + holes)
+    assert len(Candidate.model_validate(table, context={"folder": tmp_path}).leds_mm) == 2
+    path.write_text(POSITIONS.replace('"LED2"', '"D1"') + holes)
+    with pytest.raises(ValidationError, match='pos.csv: Ref: the name "D1" is used twice'):
+        Candidate.model_validate(table, context={"folder": tmp_path})
 
 
 def test_where_no_column_tells_the_side_a_warning_says_so(tmp_path, caplog):

@@ -113,15 +113,6 @@ def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
     return {"unit": table.get("positions_unit") or "mm", "negate_x_on_bottom": table.get("negate_x_on_bottom", False)}
 
 
-def check_each_once(parts: Iterable[PlacedPart], path: Path) -> None:
-    """Raise InputError where two parts have one reference, as fiducials and holes may, which nobody asks for."""
-    refs: set[str] = set()
-    for part in parts:
-        if part.ref in refs:
-            raise InputError(f'{path}: Ref "{part.ref}" is there twice; give each LED and photodiode its own.')
-        refs.add(part.ref)
-
-
 def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
     """Say in a line that X of the bottom side may be negated, where the scene does not say whether it is.
 
