@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -141,37 +142,46 @@ def session_of(
 
 
 def write_folder(
+    program: str,
     folder: Path,
     scene: Scene,
-    sessions: dict[str, Any],
+    files: dict[str, Any],
     *,
-    title: str,
-    text: Iterable[str],
     rows: Iterable[Row],
-    runner: str | None = None,
     binary: dict[str, bytes] | None = None,
+    **values: object,
 ) -> dict[str, Path]:
-    """Write an export: files of the LEDs by name, a runner, binary files, the scene and a README with its table.
+    """Write an export: files of the LEDs by name, the runner of sessions, binary files, the scene and a README.
 
-    sessions : bytes, or what becomes JSON, by the file's name.
-    text : lines of the README.
+    program : names the README's template; values are what else that holds.
+    files : bytes, or sessions, which become JSON.
 
     Returns: paths by what they are.
     """
     make_folder(folder)
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
-    for k, (name, session) in enumerate(sessions.items(), start=1):
+    for k, (name, content) in enumerate(files.items(), start=1):
         paths[f"led_{k}"] = folder / name
-        data = session if isinstance(session, bytes) else json.dumps(session, separators=(",", ":")).encode()
+        data = content if isinstance(content, bytes) else json.dumps(content, separators=(",", ":")).encode()
         write_bytes(paths[f"led_{k}"], data)
     for name, data in (binary or {}).items():
         paths[Path(name).stem] = folder / name
         write_bytes(folder / name, data)
-    if runner:
-        paths["run"] = folder / runner
+    if program != "mitsuba":
+        paths["run"] = folder / f"run_p{program}.py"
         write_text(paths["run"], Path(__file__).with_name("run_session.py").read_text(encoding="utf-8"))
     write_text(paths["scene"], to_toml(scene))
-    table = ["| of the scene | here | there |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
-    page = [f"# {title}", "", *text, "", "## What does not carry over", "", *table, ""]
-    write_text(paths["readme"], "\n".join(page))
+    page = Template(Path(__file__).with_name(f"{program}.md").read_text(encoding="utf-8"))
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    write_text(paths["readme"], page.substitute(values, rows=table, first=next(iter(files))))
     return paths
+
+
+def listed(files: Iterable[str], what: str) -> str:
+    """Lines of a README that say of each file what it is."""
+    return "\n".join(f"- `{name}`: {what}" for name in files)
+
+
+def numbered(names: Iterable[str], start: int = 0) -> str:
+    """Names with their numbers, for a README."""
+    return ", ".join(f"{number} {name}" for number, name in enumerate(names, start))

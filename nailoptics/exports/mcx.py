@@ -18,7 +18,9 @@ from .compatibility import (
     compatibility,
     epoxy_index,
     led_file,
+    listed,
     media_table,
+    numbered,
     session_of,
     write_folder,
 )
@@ -120,10 +122,18 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         ("faces of dies", "where they are", behind),
         ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
     ]
-    rows, text = compatibility(scene, geometry, own=own), _readme(scene, made, [*sessions])
-    binary = {LABELS: labels(exported, geometry, made).tobytes(order="F")}
     return write_folder(
-        folder, exported, sessions, title="For MCX", text=text, rows=rows, runner="run_pmcx.py", binary=binary
+        "mcx",
+        folder,
+        exported,
+        sessions,
+        rows=compatibility(scene, geometry, own=own),
+        binary={LABELS: labels(exported, geometry, made).tobytes(order="F")},
+        shape=" x ".join(map(str, made.region.shape)),
+        side_mm=f"{made.side_mm:g}",
+        about=listed(sessions, "a session of one LED; coefficients in 1/mm, places in voxels"),
+        media=numbered(("opaque", *optics.absorbers(scene), "air")),
+        photons=MCX_PHOTONS,
     )
 
 
@@ -178,27 +188,3 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
         ],
     }
     return session
-
-
-def _readme(scene: Scene, made: Voxels, sessions: list[str]) -> list[str]:
-    names = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene), "air")))
-    shape = " x ".join(map(str, made.region.shape))
-    return [
-        f"A fingertip with its sensor for MCX and pmcx (mcx.space): {shape} voxels of {made.side_mm:g} mm, x across "
-        "the nail, y to the tip, z out of the nail. No export of this kind has been run in MCX, which needs a "
-        "GPU. In pmcxcl, its sister for OpenCL, the eight readings of the prototype came to 9 % above ours in cubes of "
-        "0.1 mm, and to 2 % in cubes of 0.05 mm.",
-        "",
-        *(f"- `{name}`: a session of one LED; coefficients in 1/mm, places in voxels" for name in sessions),
-        f"- `{LABELS}`: a medium for each voxel, uint8, x fastest: {names}",
-        "- `run_pmcx.py`: runs a session in pmcx, and its function `config` gives the keyword arguments of `pmcx.run`. "
-        "A photodiode ends photons as all that is opaque does; by where a photon left, and the way it went, the runner "
-        "tells which one it reached. With `--opencl` it runs pmcxcl, MCX for OpenCL, which can do without a GPU",
-        "- `scene.toml`: the scene as MCX gets it but for the staircase, for nailoptics",
-        "",
-        "```",
-        f"python run_pmcx.py {sessions[0]} --photons {MCX_PHOTONS} --seed 1 -o detected.npz  # --opencl: no GPU",
-        "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
-        f"mcx -f {sessions[0]}",
-        "```",
-    ]

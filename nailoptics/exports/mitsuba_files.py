@@ -9,7 +9,7 @@ from ..io import make_folder
 from ..light import optics
 from ..light.reference.mitsuba_scene import finger_scene
 from ..scene import Scene
-from .compatibility import as_seen, compatibility, led_file, write_folder
+from .compatibility import as_seen, compatibility, led_file, listed, numbered, write_folder
 
 # What an object of a scene is called in XML, by its type.
 TAGS = {"volpath": "integrator", "homogeneous": "medium", "hg": "phase", "ply": "shape", "area": "emitter"}
@@ -39,7 +39,10 @@ def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
         ("paths in the tissue", "recorded for every photon", "none: render again for other absorption"),
     ]
     rows = compatibility(scene, geometry, own=own, reflecting=True)
-    return write_folder(folder, exported, files, title="For Mitsuba", text=_readme([*files], names), rows=rows)
+    about = listed(files, "one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`")
+    return write_folder(
+        "mitsuba", folder, exported, files, rows=rows, about=about, photodiodes=numbered(names, start=1)
+    )
 
 
 def _document(made: dict[str, Any], photodiodes: list[str], folder: Path) -> bytes:
@@ -76,30 +79,3 @@ def _add(parent: ElementTree.Element, name: str, value: Any, folder: Path, *, to
         for key, part in value.items():
             if key != "type":
                 _add(child, key, part, folder)
-
-
-def _readme(files: list[str], photodiodes: list[str]) -> list[str]:
-    return [
-        "A fingertip with its sensor for Mitsuba 3.9 (mitsuba-renderer.org), without nailoptics. Roles are swapped: "
-        "the LED is the sensor and each photodiode a lamp of radiance 1, which by reciprocity gives the same reading "
-        "with less noise. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
-        "",
-        *(f"- `{name}`: one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`" for name in files),
-        f"- `{MESHES}/`: one mesh for each interface, with the media on both sides named in the scene",
-        "- `scene.toml`: the scene as Mitsuba gets it, for nailoptics",
-        "",
-        "The three colours are no colours but tell photodiodes apart: a parameter `photodiode_N` says which one lights "
-        "up in which, at first 1 to 3. The mean over the picture, divided by pi, is the fraction of the LED's light "
-        "that is detected:",
-        "",
-        "```python",
-        "import mitsuba as mi, numpy as np",
-        'mi.set_variant("scalar_rgb")  # or llvm_ad_rgb, which is faster',
-        f'scene = mi.load_file("{files[0]}", optimize=False)  # photodiode_1="0,0,0", photodiode_4="1,0,0" for others',
-        "image = np.array(mi.render(scene, spp=256, seed=1), float)  # at most 10000: the film counts in float32",
-        "pixels = image.reshape(-1, 3) / np.pi",
-        "print(pixels.mean(0), pixels.std(0, ddof=1) / len(pixels) ** 0.5)  # detected fractions, standard errors",
-        "```",
-        "",
-        f"Photodiodes: {', '.join(f'{k} {name}' for k, name in enumerate(photodiodes, start=1))}.",
-    ]

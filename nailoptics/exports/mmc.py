@@ -17,7 +17,9 @@ from .compatibility import (
     compatibility,
     epoxy_index,
     led_file,
+    listed,
     media_table,
+    numbered,
     session_of,
     write_folder,
 )
@@ -67,8 +69,18 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     sessions = {led_file(exported, i, ".json"): session(exported, geometry, mesh, i) for i in range(len(exported.leds))}
     there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
     own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
-    rows, text = compatibility(scene, geometry, own=own), _readme(scene, mesh, [*sessions])
-    return write_folder(folder, exported, sessions, title="For MMC", text=text, rows=rows, runner="run_pmmc.py")
+    return write_folder(
+        "mmc",
+        folder,
+        exported,
+        sessions,
+        rows=compatibility(scene, geometry, own=own),
+        tetrahedra=len(mesh.tetrahedra),
+        nodes=len(mesh.nodes),
+        about=listed(sessions, "a session of one LED, mesh included; coefficients in 1/mm"),
+        media=numbered(("opaque", *optics.absorbers(scene))),
+        photons=MMC_PHOTONS,
+    )
 
 
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
@@ -141,28 +153,3 @@ def _containing(mesh: TetMesh, geometry: Geometry, place: Array) -> int:
         ..., 0
     ]
     return int(own[np.minimum(share.min(-1), 1 - share.sum(-1)).argmax()])
-
-
-def _readme(scene: Scene, mesh: TetMesh, sessions: list[str]) -> list[str]:
-    media = ", ".join(f"{i} {name}" for i, name in enumerate(("opaque", *optics.absorbers(scene))))
-    return [
-        f"A fingertip with its sensor for MMC and pmmc (mcx.space): {len(mesh.tetrahedra)} tetrahedra, "
-        f"{len(mesh.nodes)} nodes. Millimetres; x across the nail, y to the tip, z out of the nail, from its middle.",
-        "",
-        *(f"- `{name}`: a session of one LED, mesh included; coefficients in 1/mm" for name in sessions),
-        "- `run_pmmc.py`: runs a session in pmmc, and its function `config` gives the keyword arguments of `pmmc.run`",
-        "- `scene.toml`: the scene as MMC gets it, for nailoptics",
-        "",
-        f"Media: {media}. Photons end in opaque tetrahedra; those of a photodiode are listed under "
-        "`nailoptics.photodiode_elements`, from 1 on. What lies outside the mesh is air.",
-        "",
-        "```",
-        f"python run_pmmc.py {sessions[0]} --photons {MMC_PHOTONS} --seed 1 -o detected.npz",
-        "nailoptics compare-with detected.npz        # its readings beside ours, with chi^2",
-        f"mmc -f {sessions[0]} -c sse -M S              # the first of the cones alone",
-        "```",
-        "",
-        "Both look for an OpenCL device even where they compute on the processor, and fail with `Unknown` where there "
-        "is none: install PoCL (Debian, Ubuntu: apt install pocl-opencl-icd). `-c sse`: MMC's OpenCL kernel sends a "
-        "cone along +z, whatever its direction. MMC v2025.10 does so on the processor, too; take later sources.",
-    ]
