@@ -65,13 +65,46 @@ def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
 
     At rest blood gives off its oxygen evenly along a capillary: the zone has the mean of both. A touch that shuts the
     veins lets the arteries pool fresh blood in it (the paper's section II): what is there beyond rest is arterial. What
-    is squeezed out is blood as it was. Tissue needs minutes to use up what pooled; that is left out.
+    is squeezed out is blood as it was. Tissue needs a minute to use up what pooled: `saturation_over_time`.
     """
     fraction = np.asarray(blood_fraction, dtype=float)
     at_rest = blood.rest_so2
     pooled = np.maximum(fraction - blood.rest_blood_fraction, 0.0)
     part = np.divide(pooled, fraction, out=np.zeros_like(fraction), where=fraction > 0.0)
     return at_rest + (blood.so2 - at_rest) * part
+
+
+def saturation_over_time(blood: Blood, time_s: ArrayLike, blood_fraction: ArrayLike, flow: ArrayLike) -> np.ndarray:
+    """The oxygen saturation of the blood in each zone by the balance of inflow and consumption, (zones, t) float.
+
+    blood : of a scene, with venous_so2.
+    time_s : (t,) float. [s]
+    blood_fraction : (zones, t) float. Blood in capillaries, without the pulse. [1]
+    flow : (zones, t) float. What flows through them over that at rest. [1]
+
+    Blood f of saturation S loses oxygen evenly from inflow (S_a) to outflow (2 S - S_a), fills with arterial blood and
+    is squeezed out as it is: f dS/dt = (2 q + max(df/dt, 0)) (S_a - S) - q_0 (S_a - S_v), with the flow q, which at
+    rest is q_0 = f_0 / exchange_s, and consumption as at rest as long as there is oxygen. It begins in balance.
+
+    References: M. Nitzan et al., J. Biomed. Opt. 5, 155 (2000), inflow x (S_a - S_v) = consumption; G. N. Stamatas, N.
+    Kollias, J. Biomed. Opt. 9, 315 (2004), stasis in skin.
+    """
+    assert blood.venous_so2 is not None
+    fraction, through = np.asarray(blood_fraction, float), np.asarray(flow, float)
+    rest_flow = blood.rest_blood_fraction / blood.exchange_s
+    used = rest_flow * (blood.so2 - blood.venous_so2)
+    step_s, tiny = np.diff(time_s), np.finfo(float).tiny
+    filled = np.maximum(np.diff(fraction), 0.0)
+    # Within a step the rates are constant: exact for any length of it.
+    mean = np.maximum(0.5 * (fraction[:, 1:] + fraction[:, :-1]), tiny)
+    exchanged = (rest_flow * (through[:, 1:] + through[:, :-1]) * step_s + filled) / mean
+    part = -np.expm1(-exchanged)
+    lost = used * step_s / mean * np.divide(part, exchanged, out=np.ones_like(part), where=exchanged > 1e-12)
+    below = np.empty_like(fraction)
+    below[:, 0] = np.minimum(used / np.maximum(2.0 * rest_flow * through[:, 0], tiny), blood.so2)
+    for k in range(len(step_s)):
+        below[:, k + 1] = np.minimum(below[:, k] * (1.0 - part[:, k]) + lost[:, k], blood.so2)
+    return np.asarray(blood.so2 - below)
 
 
 def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, float]) -> np.ndarray:

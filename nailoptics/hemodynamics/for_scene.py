@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
+from scipy.ndimage import uniform_filter1d
 
 from .. import hemodynamics
 from ..errors import InputError
@@ -16,6 +17,7 @@ from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.oximeter import two_leds
 from ..scene.touch import value_at
 from ..variables import precision, variable
+from .arterioles import Arterioles, arterioles_of
 from .parameters import each_bed
 from .respond import Model, touch_variables
 from .waves import fastest_hz, waves_pressure
@@ -191,6 +193,19 @@ class BloodModel:
     blood: Blood
     zone_ends_mm: np.ndarray
 
+    @property
+    def arterioles(self) -> Arterioles | None:
+        """Small arteries and arterioles; None where no heart beats, or the bed has no blood."""
+        if self.blood.rest_blood_fraction == 0.0:
+            return None
+        return arterioles_of(self.body, mean_pa=self.parameters.arterial_pressure_pa)
+
+    @property
+    def rest_fraction(self) -> float:
+        """Blood fraction at rest, that of arterioles included. [1]"""
+        small = self.arterioles
+        return self.blood.rest_blood_fraction + (small.blood_fraction if small else 0.0)
+
     def fraction(self, diameter_m: np.ndarray, touch_pa: ArrayLike, *, unit: int | None = None) -> np.ndarray:
         """Blood fraction of each zone, or of one, by the diameter of its capillaries and the touch on them. [1]"""
         own: dict[str, Any] = {"rest_blood_fraction": self.blood.rest_blood_fraction, "zones": self.zones, "unit": unit}
@@ -199,7 +214,11 @@ class BloodModel:
     def steady(self, pressure_pa: np.ndarray) -> np.ndarray:
         """Blood fractions once pressures (M, n) have been held for long, (n, zones) float. [1]"""
         state = hemodynamics.steady_state(self.parameters, pressure_pa=pressure_pa, zones=self.zones)
-        return self.fraction(state.capillary_diameter_m, self.zones.on_walls(pressure_pa)[:-1]).T
+        touch_pa, small = self.zones.on_walls(pressure_pa)[:-1], self.arterioles
+        fraction = self.fraction(state.capillary_diameter_m, touch_pa)
+        if small is not None:
+            fraction = fraction + small.fraction(small.mean_pa - touch_pa)
+        return fraction.T
 
     def without_shear(self) -> "BloodModel":
         """The same for the proximal and the distal pressure alone."""
@@ -212,7 +231,7 @@ class BloodModel:
 
         blood_fraction : (zones, t) float. Taken for that at the middle of each zone, and for linear between.
         """
-        ends, part = self.zone_ends_mm, blood_fraction / self.blood.rest_blood_fraction
+        ends, part = self.zone_ends_mm, blood_fraction / self.rest_fraction
         return hemodynamics.white_band_mm(0.5 * (ends[1:] + ends[:-1]), part, ends_mm=(ends[0], ends[-1]))
 
     def arterial_waveform(self) -> hemodynamics.Waveform | None:
@@ -226,6 +245,41 @@ class BloodModel:
         since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
         pressure = waves_pressure(body, since_s, mean_pressure_pa=self.parameters.arterial_pressure_pa)
         return hemodynamics.Waveform(time_s=times_s[0] + since_s, pressure_pa=pressure)
+
+    def arteriolar_pressure_pa(self) -> np.ndarray:
+        """The pressure in arterioles at the samples of the touch, (t,) float, or that of arterioles at rest. [Pa]"""
+        small, since_s = self.arterioles, self.touch.samples_s - self.touch.samples_s[0]
+        if self.body is None or small is None:
+            return np.full(since_s.shape, self.parameters.arterial_pressure_pa)
+        return waves_pressure(self.body, since_s, mean_pressure_pa=small.mean_pa, pulse_ratio=small.pulse_ratio)
+
+    def capillary_saturation(self, run: xr.Dataset, fraction: np.ndarray) -> np.ndarray:
+        """Saturation of the capillaries' blood by the balance of oxygen, whose pulse is arterial, (zones, t) float. [1]
+
+        run : of `respond`, with pressures. fraction : (zones, t) float. Blood of the capillaries. [1]
+        """
+        time_s, beat = run.time.values, 1
+        if self.body is not None and self.body.heartbeat is not None:
+            beat = max(round(60.0 / self.body.heartbeat.rate_per_min / float(np.median(np.diff(time_s)))), 1)
+
+        def without_pulse(values: np.ndarray) -> np.ndarray:
+            return np.asarray(uniform_filter1d(values, beat, axis=-1, mode="nearest"))
+
+        def flows(diameter_m: Any, capillary_pa: Any, vein_pa: Any, high_pa: Any) -> tuple[Any, Any]:
+            """Inflow, which goes with the fourth power of the diameter, and outflow."""
+            return (high_pa - capillary_pa) * diameter_m**4, capillary_pa - vein_pa
+
+        rest = hemodynamics.steady_state(self.parameters, zones=self.zones)
+        pressures = rest.capillary_diameter_m, rest.capillary_pressure_pa, rest.vein_pressure_pa
+        at_rest = flows(*pressures, self.parameters.arterial_pressure_pa)
+        names = "capillary_diameter_m", "capillary_pressure_pa", "vein_pressure_pa", "arterial_pressure_pa"
+        both = zip(flows(*(run[name].values for name in names)), at_rest, strict=True)
+        # What a wall that moves takes up or gives off does not flow through.
+        through = np.minimum(*(np.maximum(flow / rest_flow[:, None], 0.0) for flow, rest_flow in both))
+        steady = without_pulse(fraction.astype(float))
+        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(through))
+        oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
+        return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
     def over_touch(self, *, model: Model, rtol: float) -> xr.Dataset:
         """What `blood_over_touch` returns of the blood."""
@@ -242,15 +296,23 @@ class BloodModel:
             start="steady",
             model=model,
             rtol=rtol,
-            only_diameters=True,
+            only_diameters=not self.blood.oxygen_balance,
         ).isel(time=slice(len(before_s), None))
         run = run.drop_vars("zone_position")
         # Zone by zone: of very many samples the arrays between are large.
-        diameter_m, kind = run.capillary_diameter_m, precision(len(time_s))
+        diameter_m, kind, small = run.capillary_diameter_m, precision(len(time_s)), self.arterioles
         fraction, over_time_pa = np.empty(diameter_m.shape, kind), [row.at(time_s) for row in pressures]
+        arteriolar, arterial_pa = np.zeros_like(fraction), self.arteriolar_pressure_pa()
         for i, row_m in enumerate(diameter_m.values):
             touch_pa = sum(part * row for part, row in zip(self.zones.reach[i], over_time_pa, strict=True))
             fraction[i] = self.fraction(row_m, touch_pa, unit=i)
+            if small is not None:
+                arteriolar[i] = small.fraction(arterial_pa - touch_pa)
+        so2 = self.capillary_saturation(run, fraction) if self.blood.oxygen_balance else None
+        if small is not None:
+            so2 = None if so2 is None else (fraction * so2 + arteriolar * self.blood.so2) / (fraction + arteriolar)
+            fraction += arteriolar
+        run = run[["capillary_diameter_m", "vein_diameter_m"]]
         # One by one, as they come as parts of one array.
         run["capillary_diameter_m"], run["vein_diameter_m"] = diameter_m.astype(kind), run.vein_diameter_m.astype(float)
         over, force_n = ("zone", "time"), value_at(course.time_s, course.force_n, time_s)
@@ -263,8 +325,8 @@ class BloodModel:
             data |= variable("arterial_pressure_pa", "time", high.at(time_s), "arterial pressure P_H", units="Pa")
         data |= variable("blood_fraction", over, fraction, "blood fraction of the nail bed")
         if self.blood.venous_so2 is not None:
-            so2, text = hemodynamics.saturation(self.blood, fraction), "oxygen saturation of the nail bed's blood"
-            data |= variable("so2", over, so2, text)
+            so2 = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2
+            data |= variable("so2", over, so2, "oxygen saturation of the nail bed's blood")
         if len(fraction) > 2:
             text = "width of the band at the tip that holds less than half of its blood at rest"
             data |= variable("white_band_mm", "time", self.white_band_mm(fraction), text, units="mm")
@@ -336,7 +398,13 @@ def blood_by_arterial_pressure(scene: Scene, frequency_hz: ArrayLike, force_n: f
     state = hemodynamics.steady_state(p, pressure_pa=pressure_pa[:, None], zones=model.zones)
     # Blood of capillaries goes with the square of the diameter; venules, shut here, stay as they are.
     capillary = model.fraction(state.capillary_diameter_m, np.inf)
-    return np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
+    change = np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
+    if (small := model.arterioles) is not None:
+        # All that is slower than a beat has the height in arterioles that it has in P_H.
+        beats = np.asarray(frequency_hz) > 0.99 * heart_rate_per_min(scene) / 60.0
+        compliance = small.compliance_per_pa(small.mean_pa - model.zones.on_walls(pressure_pa[:, None])[:-1])
+        change = change + compliance * np.where(beats, small.pulse_ratio, 1.0)
+    return change
 
 
 @dataclass(frozen=True)

@@ -203,12 +203,14 @@ VASOMOTION = Wave(
     coherence_s=4.0,  # slow waves come and go
 )
 WAVES = (HEARTBEAT, BREATHING, VASOMOTION)
+# What tables of [body] hold beside the wave in P_H.
+NO_WAVE = {"mean_pressure_pa", "arterial_pulse_pressure_pa", "arteriolar_blood_fraction", "arteriolar_peak_pa"}
 
 
 def waves_of(body: Body) -> list[tuple[Wave, dict[str, Any]]]:
     """The waves that a scene's body has, each with the fields of its table."""
     tables = body.waves
-    return [(wave, tables[wave.name].model_dump(exclude={"mean_pressure_pa"})) for wave in WAVES if wave.name in tables]
+    return [(wave, tables[wave.name].model_dump(exclude=NO_WAVE)) for wave in WAVES if wave.name in tables]
 
 
 def fastest_hz(body: Body) -> float:
@@ -216,9 +218,16 @@ def fastest_hz(body: Body) -> float:
     return max((wave.fastest_hz(**fields) for wave, fields in waves_of(body)), default=0.0)
 
 
-def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float) -> Array:
-    """The arterial pressure by all waves of a body about a mean, (t,) float; a recorded one is not in it. [Pa]"""
-    parts = [wave.pressure_pa(time_s, seed=body.seed, **fields) for wave, fields in waves_of(body)]
+def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float, pulse_ratio: float = 1.0) -> Array:
+    """The arterial pressure by all waves of a body about a mean, (t,) float; a recorded one is not in it. [Pa]
+
+    pulse_ratio : The heartbeat's part of it over that in P_H.
+    """
+    ratios = [pulse_ratio if wave is HEARTBEAT else 1.0 for wave, _ in waves_of(body)]
+    parts = [
+        ratio * wave.pressure_pa(time_s, seed=body.seed, **fields)
+        for ratio, (wave, fields) in zip(ratios, waves_of(body), strict=True)
+    ]
     return sum(parts, start=np.full(time_s.shape, mean_pressure_pa))
 
 

@@ -142,6 +142,16 @@ def absorption(
     return np.stack(columns, -1)
 
 
+def equivalent_blood(scene: Scene, led: Led, blood_fraction: np.ndarray, so2: np.ndarray) -> np.ndarray:
+    """Blood fractions that absorb as much of an LED's light, by the saturation that `absorption` takes for them, as
+    others of known saturations, any shape. At the LED's peak, exact but for the width of its line. [1]"""
+    rest = scene.blood.rest_blood_fraction
+    mixed, pooled = (tissue.blood_mu_a_per_mm(led.wavelength_nm, s) for s in (scene.blood.rest_so2, scene.blood.so2))
+    equal = blood_fraction * np.asarray(tissue.blood_mu_a_per_mm(led.wavelength_nm, so2)) / mixed
+    # Beyond rest blood is arterial.
+    return np.where(equal <= rest, equal, rest + (equal - rest) * mixed / pooled).astype(blood_fraction.dtype)
+
+
 def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:
     """The wavelengths and weights that integrate over an LED's Gaussian line (Gauss-Hermite), (q,) float each. [nm]"""
     if led.fwhm_nm == 0:

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from ..assets import asset_path
 from .base import Positive, Table, check_unique
+from .body import Body
 
 
 class PriorRange(Table):
@@ -61,7 +62,15 @@ class Priors(Table):
         return self
 
     def of_finger(self) -> tuple[Prior, ...]:
-        """The shipped priors without the known fields, with the scene's own ranges."""
+        """The shipped priors without the known fields and those of [body], with the scene's own ranges."""
+        return tuple(one for one in self._unknown() if not one.field.startswith("body."))
+
+    def of_body(self, body: Body | None) -> tuple[Prior, ...]:
+        """The same of [body], for the tables that it has."""
+        tables = body.waves if body is not None else {}
+        return tuple(one for one in self._unknown() if one.field.split(".")[1] in tables)
+
+    def _unknown(self) -> tuple[Prior, ...]:
         own = {one.field: {"low": one.low, "high": one.high} for one in self.ranges}
         return tuple(
             one.model_copy(update=own.get(one.field, {})) for one in shipped_priors() if one.field not in self.known

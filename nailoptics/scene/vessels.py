@@ -122,6 +122,14 @@ class Blood(Table):
     """Oxygen saturation of venous blood. If given, the bed at rest contains a mixture of half arterial, half venous
     blood, and additional blood that pools is arterial; 0.86 is typical of a finger with an arterial saturation of
     0.95. If not given all blood has so2."""
+    oxygen_balance: bool = False
+    """Let the bed's oxygen follow inflow and consumption over a touch: what pools there gives it off by and by. Needs
+    venous_so2, from which consumption follows. If not set, what pools keeps its oxygen."""
+    # (so2 - venous_so2) / exchange_s is the desaturation of stagnant blood: 13 to 18 % in a minute in the hand
+    # (vascular occlusion of 3 min, thenar: PMC2786105), and in a finger to some 26 % within 25 min (Marcinkevics 2018,
+    # Proc. SPIE 10685, 106851A). Arteries and veins of fingers differ by 0.083 (Nitzan 2000, J. Biomed. Opt. 5:155).
+    exchange_s: Positive = 40.0
+    """Time in which as much blood flows through the bed at rest as it holds; 20 to 80 are plausible. [s]"""
     zones: Annotated[int, Field(ge=2, le=MOST_ZONES)] | None = None
     """Number of equal blood zones along the nail, instead of zone_edges_mm."""
     zone_edges_mm: Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_ZONES - 1)] = (0.0,)
@@ -148,6 +156,8 @@ class Blood(Table):
                 )
         if self.venous_so2 is not None and self.venous_so2 > self.so2:
             raise ValueError(f"venous_so2 = {self.venous_so2} must not be above so2 = {self.so2}, that of the arteries")
+        if self.oxygen_balance and self.venous_so2 is None:
+            raise ValueError(f"oxygen_balance needs venous_so2; {max(self.so2 - 0.08, 0.0):.2g} is usual in a finger")
         return self
 
     @property

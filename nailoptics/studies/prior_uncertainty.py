@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, cast
 
 import numpy as np
 import xarray as xr
@@ -27,14 +29,17 @@ LEAST_OWN_PHOTONS = 1 << 14
 
 def at_value(scene: Scene, field: str, value: float) -> Scene:
     """The scene with another value of one field, such as "finger.plate_absorption"."""
-    table, name = field.split(".")
-    return scene.model_copy(update={table: getattr(scene, table).model_copy(update={name: value})})
+
+    def changed(table: Any, names: Sequence[str]) -> Any:
+        new = changed(getattr(table, names[0]), names[1:]) if len(names) > 1 else value
+        return table.model_copy(update={names[0]: new})
+
+    return cast(Scene, changed(scene, field.split(".")))
 
 
 def value_of(scene: Scene, field: str) -> float:
     """The scene's value of a field."""
-    table, name = field.split(".")
-    return float(getattr(getattr(scene, table), name))
+    return float(attrgetter(field)(scene))
 
 
 def only_absorbs(scene: Scene, prior: Prior) -> bool:

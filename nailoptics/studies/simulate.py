@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Unpack
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from ..errors import InputError, NotReachedError, as_far_as_reached
 from ..hemodynamics.for_scene import blood_over_touch
 from ..light import DetectedLight, ProgressCallback, Transfer, optics, section
+from ..light.transfer.series import ReadingSeries
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Scene
@@ -129,7 +131,7 @@ def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: S
     moved : as for `simulate_from`.
     """
     blood = course.blood_fraction.values.T
-    readings = light.readings_at(blood)
+    readings = _read_light(scene, light, course)
     worn = drift_and_motion(scene, course.time.values)
     motion, about_motion = motion_artefact(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
@@ -171,6 +173,18 @@ def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: S
     data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, names | {"absorber": absorbers}).merge(worn)
+
+
+def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> ReadingSeries:
+    """The light over the course, whose blood has saturations of its own where the scene balances its oxygen."""
+    blood = course.blood_fraction.values
+    if not scene.blood.oxygen_balance:
+        return light.readings_at(blood.T)
+    states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
+    by_led = [light.readings_at(state) for state in states]
+    return ReadingSeries(
+        *(np.stack([getattr(read, one.name)[i] for i, read in enumerate(by_led)]) for one in fields(ReadingSeries))
+    )
 
 
 def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:

@@ -25,6 +25,7 @@ from nailoptics.studies.prior_uncertainty import (
     only_absorbs,
     over_priors,
     readings_over_priors,
+    value_of,
 )
 
 OPTIONS = TraceOptions(seed=1)
@@ -236,8 +237,9 @@ def test_impossible_priors_are_refused_in_one_line(lines, words):
 
 
 def test_every_prior_has_a_source_and_a_field_in_its_range():
-    scene = prototype()
-    assert len({one.field for one in shipped_priors()}) == len(shipped_priors()) >= 12
+    scene = load_scene(data_dir("scenes") / "placement.toml")
+    assert len({one.field for one in shipped_priors()}) == len(shipped_priors()) >= 16
     for prior in shipped_priors():
-        table, name = prior.field.split(".")
-        assert prior.source and prior.low <= getattr(getattr(scene, table), name) <= prior.high
+        assert prior.source and prior.low <= value_of(scene, prior.field) <= prior.high
+    assert {*scene.priors.of_finger(), *scene.priors.of_body(scene.body)} == {*shipped_priors()}
+    assert scene.priors.of_body(None) == ()

@@ -21,7 +21,7 @@ from ...statistics import jackknife, seed_of
 Array = NDArray[np.float64]
 
 # Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
-NODES = 6
+NODES = 7
 # SpO2 = intercept + slope R, in percent. The first is that of textbooks, the second was measured on fingers against a
 # reference, 70 to 98 %, with residuals of 3.2 % rms.
 TEXTBOOK = (110.0, -25.0)

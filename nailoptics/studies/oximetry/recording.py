@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ... import hemodynamics, tissue
 from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
@@ -47,22 +48,31 @@ def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int], *, s
     touch = scene.touch.model_copy(update={"sample_rate_hz": frame_hz})
     touched = blood_over_touch(scene.model_copy(update={"touch": touch}))
     blood = touched.blood_fraction.values.T
-    return touched.time.values, light_over(transfer, leds, scene.blood.so2, blood, seed=seed)
+    so2 = touched.so2.values.T if scene.blood.oxygen_balance else None
+    return touched.time.values, light_over(transfer, leds, scene.blood.so2, blood, zone_so2=so2, seed=seed)
 
 
-def light_over(transfer: Transfer, leds: tuple[int, int], so2: float, blood: Array, *, seed: int) -> Array:
+def light_over(
+    transfer: Transfer, leds: tuple[int, int], so2: float, blood: Array, *, zone_so2: Array | None = None, seed: int
+) -> Array:
     """Detected fractions over a course of the blood whose median is mixed and all else arterial, (2, photodiodes, t).
 
-    blood : (t, zones) float.
+    blood : (t, zones) float. zone_so2 : (t, zones) float. Its saturation, where it is known from the course.
     """
-    resting = np.median(blood, axis=0)
-    away = blood - resting
-    components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, : len(NODES)]
-    places = away @ components
-    box = ChebyshevBox(places.min(0), places.max(0) + 1e-12, NODES[: places.shape[1]])
-    weights = box.weights(places).T
-    pulses = box.nodes @ components.T
-    return np.stack([read_states(transfer, led, [(so2, resting, pulses)], seed=seed)[0] @ weights for led in leds])
+    resting, light = np.median(blood, axis=0), []
+    for led in leds:
+        away, nm = blood - resting, transfer.scene.leds[led].wavelength_nm
+        if zone_so2 is not None:
+            # Arterial blood that absorbs, at the LED's peak, what there is beyond the median's.
+            mixed = tissue.blood_mu_a_per_mm(nm, hemodynamics.saturation(transfer.scene.blood, resting))
+            absorbed = blood * np.asarray(tissue.blood_mu_a_per_mm(nm, zone_so2)) - resting * np.asarray(mixed)
+            away = absorbed / np.asarray(tissue.blood_mu_a_per_mm(nm, so2))
+        components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, : len(NODES)]
+        places = away @ components
+        box = ChebyshevBox(places.min(0), places.max(0) + 1e-12, NODES[: places.shape[1]])
+        states = [(so2, resting, box.nodes @ components.T)]
+        light.append(read_states(transfer, led, states, seed=seed)[0] @ box.weights(places).T)
+    return np.stack(light)
 
 
 def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:

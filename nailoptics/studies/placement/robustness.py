@@ -130,7 +130,8 @@ def resolution_over_priors(
     """
     scene = layouts[0].board
     points: dict[Any, OperatingPoint] = {}
-    priors = sorted(scene.priors.of_finger(), key=lambda one: not only_absorbs(scene, one))
+    known = (*scene.priors.of_finger(), *scene.priors.of_body(scene.body))
+    priors = sorted(known, key=lambda one: not only_absorbs(scene, one))
     untraced = [one for one in priors if not (only_absorbs(scene, one) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, one in enumerate(layouts) if i < TOP_RANKED or one.name == "paper"]

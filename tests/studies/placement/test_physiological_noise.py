@@ -148,7 +148,7 @@ def test_the_bodys_lines_hold_the_variance_of_its_pressure():
     time_s = np.arange(0.0, 600.0, 0.02)
     for table, course in (
         ("[body.heartbeat]\nrate_variability = 0.0", hemodynamics.cardiac_pressure(time_s)),
-        ("[body.breathing]", hemodynamics.breathing_pressure(time_s, amplitude_pa=200.0)),
+        ("[body.breathing]", hemodynamics.breathing_pressure(time_s, amplitude_pa=600.0)),
         ("[body.vasomotion]", hemodynamics.vasomotion_pressure(time_s, amplitude_pa=600.0)),
     ):
         body = parse_scene(_with_body(table)).body
@@ -203,7 +203,9 @@ def test_the_slowest_waves_move_the_blood_as_steady_states_do():
 
 
 def test_waves_faster_than_the_stage_are_left_out():
-    usual = parse_scene(SCENE)
+    # Arterioles are there where a heart beats alone.
+    heart = "[body.heartbeat]\narteriolar_blood_fraction = 0.0\n"
+    usual = parse_scene(_with_body(heart + "[body.breathing]\n[body.vasomotion]"))
     slow = usual.model_copy(update={"electronics": usual.electronics.model_copy(update={"bandwidth_hz": 0.2})})
     without_beat = parse_scene(_with_body("[body.vasomotion]"))
     found, expected = (physiological_noise(one, 0.5, since_rest_s=60.0) for one in (slow, without_beat))
