@@ -13,6 +13,8 @@ from .style import write_figure
 
 # What commands call their files, by their endings; of several, the first.
 ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv"}
+# What a summary says of how its result was made, where that is known.
+RUN = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,12 @@ def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:
             if content is not None:
                 written.setdefault(ROLES.get(path.suffix, ""), path)
     return {role: written[role] for role in ROLES.values() if role in written}
+
+
+def run_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
+    """How a result was made, as its summary has it."""
+    made = {name: attributes[name] for name in RUN if name in attributes}
+    return made | {"cut_off": attributes.get("cut_off"), "reused": bool(attributes.get("reused", 0))}
 
 
 def scene_text(scene: Scene, attributes: Mapping[Any, Any]) -> str:

@@ -3,7 +3,6 @@
 import base64
 import hashlib
 import html
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -32,6 +31,10 @@ PROVENANCE = {
 INVISIBLE = ("Cc", "Cf", "Cs")
 
 
+class Html(str):
+    """Text that is HTML already; any other is escaped where it comes onto a page."""
+
+
 def document(
     *,
     kicker: str,
@@ -43,7 +46,7 @@ def document(
     cards: Sequence[tuple[str, str]] = (),
     scripts: Sequence[str] = (),
 ) -> str:
-    """A whole page as text; body holds HTML, everything else plain words.
+    """A whole page as text; body is HTML, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
@@ -56,8 +59,8 @@ def document(
     items = [f"<li><b>{escaped(number)}</b><span>{escaped(words)}</span></li>" for number, words in cards]
     parts = [
         f"<header><p class='kicker'>nailoptics · {escaped(kicker)}</p><h1>{escaped(title)}</h1>",
-        f"<p class='lead'>{escaped(lead)}</p>",
-        *(f"<p class='warning'>{escaped(line)}</p>" for line in (*cut_off, *warnings)),
+        paragraph(lead, kind="lead"),
+        *(paragraph(line, kind="warning") for line in (*cut_off, *warnings)),
         *(["<ul class='findings'>", *items, "</ul>"] if items else []),
         "</header>",
         *body,
@@ -83,63 +86,74 @@ def _policy(scripts: Iterable[str]) -> str:
     return f"{inside}; base-uri 'none'; form-action 'none'"
 
 
-def section(heading: str, *content: str) -> str:
-    """A part of a page under a heading, all of it HTML; what is empty is left out."""
-    return "\n".join([f"<section><h2>{heading}</h2>", *filter(None, content), "</section>"])
+def section(heading: str, *content: str) -> Html:
+    """A part of a page under a heading; text that is no HTML is a paragraph, and what is empty is left out."""
+    parts = [one if isinstance(one, Html) else paragraph(one) for one in content if one]
+    return Html("\n".join([f"<section><h2>{escaped(heading)}</h2>", *parts, "</section>"]))
 
 
-def figure(drawing: "Figure", name: str, caption: str, *, narrow: bool = False) -> str:
-    """A figure with its caption; no two of a page have one name."""
-    svg = style.to_svg(drawing, name=name, description=caption)
-    kind = ' class="narrow"' if narrow else ""
-    return f'<figure{kind}><div class="scroll">{svg}</div><figcaption>{escaped(caption)}</figcaption></figure>'
+def subheading(text: str) -> Html:
+    """A heading within a section."""
+    return Html(f"<h3>{escaped(text)}</h3>")
 
 
-def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], *, kind: str = "", groups: Sequence[str] | None = None
-) -> str:
-    """A table whose heads and cells are HTML; the first cell of a row heads it.
+def paragraph(text: str, *, kind: str = "") -> Html:
+    """A paragraph; kind : its class in the style sheet."""
+    return Html(f"<p class='{kind}'>{escaped(text)}</p>" if kind else f"<p>{escaped(text)}</p>")
+
+
+def small(text: str) -> Html:
+    """A paragraph in small type, for notes; empty without a text."""
+    return paragraph(text, kind="small") if text else Html()
+
+
+def figure(drawing: "Figure", caption: str, *, narrow: bool = False) -> Html:
+    """A figure with its caption."""
+    svg, kind = style.to_svg(drawing, description=caption), ' class="narrow"' if narrow else ""
+    return Html(f'<figure{kind}><div class="scroll">{svg}</div><figcaption>{escaped(caption)}</figcaption></figure>')
+
+
+def table(rows: Sequence[Mapping[str, object]], *, kind: str = "", groups: Sequence[str] | None = None) -> Html:
+    """A table of records with the same keys, which are the heads; the first cell of each heads its row.
 
     kind : its class in the style sheet.
     groups : what each row belongs to; where that is not the same for all, each group has a heading.
     """
-    opening = f'<table class="{kind}">' if kind else "<table>"
-    lines = [f'<div class="scroll">{opening}<thead><tr>', *(f"<th>{title}</th>" for title in head)]
+    opening, head = f'<table class="{kind}">' if kind else "<table>", list(rows[0]) if rows else []
+    lines = [f'<div class="scroll">{opening}<thead><tr>', *(f"<th>{_head(title)}</th>" for title in head)]
     lines.append("</tr></thead><tbody>")
     shown = groups[0] if groups and len(set(groups)) == 1 else None
-    for i, (first, *rest) in enumerate(rows):
+    for i, row in enumerate(rows):
         if groups and groups[i] != shown:
             shown = groups[i]
             lines.append(f'<tr class="group"><th colspan="{len(head)}">{escaped(shown)}</th></tr>')
+        first, *rest = map(escaped, row.values())
         lines.append(f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>")
-    return "\n".join([*lines, "</tbody></table></div>"])
+    return Html("\n".join([*lines, "</tbody></table></div>"]))
 
 
-def number(value: float, text: str) -> str:
-    """A number for people with its exact value for machines."""
-    shown = escaped(text)
-    return f'<data value="{value!r}">{shown}</data>' if math.isfinite(value) else shown
+def _head(title: str) -> str:
+    """The head of a column, its unit on a line of its own."""
+    return escaped(title).replace(" [", "<br>[")
 
 
-def small(text: str) -> str:
-    """A paragraph of HTML in small type, for notes."""
-    return f"<p class='small'>{text}</p>"
-
-
-def escaped(text: object) -> str:
+def escaped(text: object) -> Html:
     """Plain words as HTML; invisible characters, such as one that turns the writing round, are written out."""
+    if isinstance(text, Html):
+        return text
     shown = (c if c in "\n\t" or category(c) not in INVISIBLE else ascii(c)[1:-1] for c in str(text))
-    return html.escape("".join(shown))
+    return Html(html.escape("".join(shown)))
 
 
 def _provenance(attributes: Mapping[str, Any]) -> str:
-    lines = ["<section class='provenance'><h2>Reproduce this result</h2>"]
-    given = [(label, attributes[name]) for name, label in PROVENANCE.items() if name in attributes]
-    shown = [(label, significant(value) if isinstance(value, float) else value) for label, value in given]
-    if shown:
-        lines.append(
-            "<dl>" + "".join(f"<div><dt>{escaped(a)}</dt><dd>{escaped(b)}</dd></div>" for a, b in shown) + "</dl>"
-        )
+    lines = ["<section class='provenance'><h2>Reproduce this result</h2><dl>"]
+    for name, label in PROVENANCE.items():
+        if name not in attributes:
+            continue
+        value = attributes[name]
+        shown = significant(value) if isinstance(value, float) else value
+        lines.append(f"<div><dt>{label}</dt><dd>{escaped(shown)}</dd></div>")
+    lines.append("</dl>")
     if "scene" in attributes:
         scene = escaped(attributes["scene"])
         lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")

@@ -1,8 +1,9 @@
-"""Numbers for people: rounded to their uncertainty, in a prefix of the unit that suits them."""
+"""Numbers for people, rounded to their uncertainty, in a prefix of the unit that suits them; and for summaries."""
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # What a terminal without Unicode lacks.
@@ -77,6 +78,21 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
     return f"({text}){tail}" if tail else text
 
 
+def estimated(one: Any, name: str, scale: float = 1.0) -> str:
+    """An estimate of a dataset or a record, times a scale, ± its standard error."""
+    return with_error(*(scale * float(one[f"{name}{end}"]) for end in ("", "_stderr")))
+
+
+def plain(one: Any, *names: str, **renamed: str) -> dict[str, Any]:
+    """Variables of a dataset as plain numbers, texts and lists of them, by their names or, renamed, by a key."""
+    return {key: one[name].values.tolist() for key, name in ({name: name for name in names} | renamed).items()}
+
+
+def with_stderr(one: Any, name: str) -> dict[str, Any]:
+    """An estimate of a dataset as a summary has it."""
+    return plain(one, value=name, stderr=f"{name}_stderr")
+
+
 def unit_of(field: str) -> str:
     """The unit that a field's name ends with: "N/m" of blood.tuning.vein_stiffness_n_per_m; "1" where it has none."""
     head, *below = re.sub(r"\[\d+\]", "", field).rpartition(".")[2].split("_per_")
@@ -111,18 +127,14 @@ def duration(seconds: float) -> str:
     return f"{seconds / size:.{0 if seconds >= 100 * size else 2}{'f' if seconds >= 100 * size else 'g'}} {name}"
 
 
-def aligned(rows: Sequence[Sequence[str]], *, left: Collection[int] = (0,)) -> list[str]:
-    """Lines of a table for the terminal, in ASCII but for names, with columns as wide as their widest cell.
-
-    left : columns that begin at their left edge; others end at their right. The last cell of a row that is shorter than
-        others is a remark.
-    """
-    rows = [[cell.translate(_ASCII) for cell in row] for row in rows]
-    columns = max(map(len, rows), default=0)
-    cells = [row if len(row) == columns else row[:-1] for row in rows]
-    widths = [max((len(row[k]) for row in cells if k < len(row)), default=0) for k in range(columns)]
+def aligned(rows: Sequence[Mapping[str, str]]) -> list[str]:
+    """Lines of a table of records for the terminal, in ASCII but for names; columns of numbers end at the right."""
+    cells = [[str(cell).translate(_ASCII) for cell in row] for row in (rows[0], *(row.values() for row in rows))]
+    columns = list(zip(*cells, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    numeric = [2 * sum(cell[:1] in "-+(<0123456789" for cell in column[1:]) > len(column) for column in columns]
     lines = []
-    for row, full in zip(rows, cells, strict=True):
-        padded = [full[k].ljust(widths[k]) if k in left else full[k].rjust(widths[k]) for k in range(len(full))]
-        lines.append("  ".join([*padded, *row[len(full) :]]).rstrip())
+    for row in cells:
+        padded = zip(row, widths, numeric, strict=True)
+        lines.append("  ".join(cell.rjust(w) if right else cell.ljust(w) for cell, w, right in padded).rstrip())
     return lines

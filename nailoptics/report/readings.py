@@ -1,8 +1,7 @@
-"""The readings of a touch and of a trace in numbers: as rows, as a summary, and as lines for the terminal."""
+"""The readings of a touch and of a trace in numbers: as a table, as a summary, and as lines for the terminal."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -11,177 +10,130 @@ import xarray as xr
 
 from ..scene import Scene
 from ..studies.simulate import hold_end
+from .files import run_summary
 from .maps import order_along_nail
-from .numbers import aligned
+from .numbers import aligned, prefix, significant, with_error, with_stderr
 from .uncertainty_section import spread_summary
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ..light import RestReadings
 
-
-@dataclass(frozen=True)
-class Reading:
-    """One photodiode under one LED: at rest, its change at the end of the hold, and its largest change."""
-
-    led: str
-    photodiode: str
-    led_index: int
-    photodiode_index: int
-    zone: str
-    distance_mm: float
-    force_change_n: float
-    saturated: bool
-    peak_s: float
-    rest_v: float
-    rest_stderr_v: float
-    noise_rms_v: float
-    change_v: float
-    change_stderr_v: float
-    peak_v: float
-    peak_stderr_v: float
-    rest_spread: float = math.nan
-    """Relative standard deviations over the priors of the finger."""
-    change_spread: float = math.nan
-
-    @property
-    def change_percent(self) -> float:
-        """Change at the end of the hold, in percent of the reading at rest."""
-        return 100 * self.change_v / self.rest_v if self.rest_v else math.nan
-
-    @property
-    def sigmas(self) -> float:
-        """Change in standard errors of the trace: the z score of its sign."""
-        return _ratio(abs(self.change_v), self.change_stderr_v)
-
-    @property
-    def signal_to_noise(self) -> float:
-        """Change over the electronics' noise of one sample."""
-        return _ratio(abs(self.change_v), self.noise_rms_v)
-
-    @property
-    def resolution_n(self) -> float:
-        """Force that one sample resolves: noise over the mean slope from rest to hold; NaN without a touch. [N]"""
-        force_n = abs(self.force_change_n)
-        return _ratio(self.noise_rms_v * force_n, abs(self.change_v)) if force_n else math.nan
+# Residuals of the reduced optics, and spreads over the priors where they were computed.
+RESIDUALS = ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")
+SPREADS = ("reading_spread", "change_spread")
+# What of the page's table has no room in a terminal.
+PAGE_ALONE = ("Blood zone", "Of rest [%]", "z score [σ]", "SNR [1]")
 
 
-def _ratio(value: float, by: float) -> float:
-    if by > 0:
-        return value / by
-    return math.inf if value > 0 else math.nan
+def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> "pd.DataFrame":
+    """Every LED and photodiode, LED by LED, photodiodes from proximal to distal: at rest, change, noise.
 
-
-def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> list[Reading]:
-    """Every LED and photodiode, LED by LED, photodiodes from proximal to distal."""
-    rest, held = result.isel(time=0), result.isel(time=hold_end(result))
+    Columns are those of the summary and `zone`, `distance_mm`, `change_percent`; `z_score`, the change in standard
+    errors of the trace; `signal_to_noise`, the change over the electronics' noise of one sample; and `resolution_n`,
+    the force that one sample resolves: noise over the mean slope from rest to the end of the hold, NaN without a touch.
+    """
+    rest, held = result.isel(time=0, drop=True), result.isel(time=hold_end(result), drop=True)
+    pair = ("led", "photodiode")
     # Pair by pair, as of a million samples each copy of all readings is large.
     swings = [[int(np.nanargmax(np.abs(one))) for one in of_led] for of_led in result.volts_change]
-    largest = xr.DataArray(swings, dims=("led", "photodiode"))
-    peak = result[["volts_change", "volts_change_stderr"]].isel(time=largest)
+    peak = result[["volts_change", "volts_change_stderr"]].isel(time=xr.DataArray(swings, dims=pair)).drop_vars("time")
     columns = {
-        "peak_s": result.time[largest],
-        "rest_v": rest.volts,
-        "rest_stderr_v": rest.volts_stderr,
-        "noise_rms_v": held.volts_noise_rms,
-        "change_v": held.volts_change,
-        "change_stderr_v": held.volts_change_stderr,
-        "peak_v": peak.volts_change,
-        "peak_stderr_v": peak.volts_change_stderr,
+        "volts_start": rest.volts,
+        "volts_start_stderr": rest.volts_stderr,
+        "volts_change": held.volts_change,
+        "volts_change_stderr": held.volts_change_stderr,
+        "volts_change_peak": peak.volts_change,
+        "volts_change_peak_stderr": peak.volts_change_stderr,
+        "time_of_peak_s": (pair, result.time.values[swings]),
+        "volts_noise_rms": held.volts_noise_rms,
+        "time_of_change_s": float(result.time[hold_end(result)]),
+        "saturated": result.saturated.any("time"),
+        "zone": ("photodiode", result.zone.values[result.zone_of_photodiode]),
+        **{name: result[name] for name in (*RESIDUALS, *SPREADS) if name in result},
     }
-    if "reading_spread" in result:
-        columns |= {"rest_spread": result.reading_spread, "change_spread": result.change_spread}
-    return [
-        Reading(
-            led=str(result.led.values[i]),
-            photodiode=str(result.photodiode.values[j]),
-            led_index=i,
-            photodiode_index=j,
-            zone=str(result.zone.values[int(result.zone_of_photodiode[j])]),
-            distance_mm=math.nan
-            if scene is None
-            else math.dist(scene.layout.leds[i].center_mm, scene.layout.photodiode_areas[j].center_mm),
-            force_change_n=float(held.force_n - rest.force_n),
-            saturated=bool(result.saturated[i, j].any()),
-            **{name: float(values[i, j]) for name, values in columns.items()},
-        )
-        for i, j in product(range(result.sizes["led"]), order_along_nail(scene, result.sizes["photodiode"]))
-    ]
+    if scene is not None:
+        leds, areas = scene.layout.leds, scene.layout.photodiode_areas
+        columns["distance_mm"] = pair, [[math.dist(led.center_mm, a.center_mm) for a in areas] for led in leds]
+    order = order_along_nail(scene, result.sizes["photodiode"])
+    table = xr.Dataset(columns).isel(photodiode=order).to_dataframe(dim_order=pair).reset_index()
+    change, force_n = table.volts_change.abs(), float(abs(held.force_n - rest.force_n))
+    table["change_percent"] = 100 * table.volts_change / table.volts_start
+    table["z_score"] = change / table.volts_change_stderr
+    table["signal_to_noise"] = change / table.volts_noise_rms
+    table["resolution_n"] = table.volts_noise_rms * force_n / change if force_n else math.nan
+    return table
 
 
 def simulation_summary(result: xr.Dataset) -> dict[str, Any]:
     """Volts at the start, their change to the end of the hold, the largest change, and their noise."""
-    rows, hold_s = [], float(result.time[hold_end(result)])
-    for r in photodiode_readings(result, None):
-        row: dict[str, Any] = {
-            "led": r.led,
-            "photodiode": r.photodiode,
-            "volts_start": r.rest_v,
-            "volts_start_stderr": r.rest_stderr_v,
-            "volts_change": r.change_v,
-            "volts_change_stderr": r.change_stderr_v,
-            "volts_change_peak": r.peak_v,
-            "volts_change_peak_stderr": r.peak_stderr_v,
-            "time_of_peak_s": r.peak_s,
-            "volts_noise_rms": r.noise_rms_v,
-            "time_of_change_s": hold_s,
-            "saturated": r.saturated,
-        }
-        for name in ("beer_lambert_residual_rms_v", "taylor_residual_rms_v"):
-            row[name] = float(result[name][r.led_index, r.photodiode_index])
-        if not math.isnan(r.rest_spread):
-            row["volts_start_spread"] = abs(r.rest_v) * r.rest_spread
-            row["volts_change_spread"] = abs(r.change_v) * r.change_spread
-        rows.append(row)
-    absorbed = {}
+    table = photodiode_readings(result, None)
+    for name, column, of in (("start", "reading_spread", "volts_start"), ("change", "change_spread", "volts_change")):
+        if column in table:
+            table[f"volts_{name}_spread"] = table[of].abs() * table[column]
+    names = ["led", "photodiode", "saturated", *RESIDUALS, *(n for n in table if n.startswith(("volts", "time")))]
+    absorbed: dict[str, Any] = {}
     if "absorbed_fraction" in result:
         part = result[["absorbed_fraction", "absorbed_fraction_stderr"]]
-        part = part.rename(absorbed_fraction="value", absorbed_fraction_stderr="stderr").transpose("led", "region")
-        absorbed = {
-            str(led): {
-                str(region): {k: float(part[k][i, n]) for k in part} for n, region in enumerate(part.region.values)
-            }
-            for i, led in enumerate(part.led.values)
-        }
-    names = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
-    # volpath stores no light.
-    more = {"reused": bool(result.attrs.get("reused", 0))} | {name: result.attrs[name] for name in names}
-    return {"readings": rows, "absorbed": absorbed} | spread_summary(result) | more
+        for led, region in product(part.led.values, part.region.values):
+            end = with_stderr(part.sel(led=led, region=region), "absorbed_fraction")
+            absorbed.setdefault(str(led), {})[str(region)] = end
+    readings = table[names].to_dict("records")
+    return {"readings": readings, "absorbed": absorbed} | spread_summary(result) | run_summary(result.attrs)
 
 
-def simulation_lines(summary: dict[str, Any]) -> list[str]:
-    """The readings of a `simulation_summary` as a table."""
-    readings = summary["readings"]
-    spread = ["spread"] if any("volts_start_spread" in row for row in readings) else []
-    head = ["LED", "photodiode", "start V", "+-", *spread, "change mV", "+-", *spread, "peak mV", "noise mV"]
+def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
+    """The readings in words, of `photodiode_readings`, for the page and the terminal; those at the limit have one."""
+    names = ("volts_start", "volts_change_peak", "volts_noise_rms")
+    scales = (prefix(float(table[name].abs().max())) for name in names)
+    (volts, letter), (change, change_letter), (noise, noise_letter) = scales
     rows = []
-    for row in readings:
-        cells = [row["led"], row["photodiode"], f"{row['volts_start']:.4f}"]
-        if row["saturated"]:
-            rows.append([*cells, "saturated: the converter is at its limit, these volts do not measure the light"])
-            continue
-        over = [row.get(f"volts_{name}_spread", math.nan) for name in ("start", "change") if spread]
-        cells += [f"{volts:.4f}" for volts in (row["volts_start_stderr"], *over[:1])]
-        millivolts = [row["volts_change"], row["volts_change_stderr"], *over[1:], row["volts_change_peak"]]
-        rows.append([*cells, *(f"{1e3 * volts:.3f}" for volts in millivolts), f"{1e3 * row['volts_noise_rms']:.4f}"])
-    lines = aligned([head, *rows], left=(0, 1))
-    hold_s = readings[0]["time_of_change_s"]
-    lines.append(
-        f"start: the first sample; change: from there to the end of the hold, at {hold_s:.3g} s; peak: the largest one"
-    )
-    if spread:
-        lines.append("+-: standard error of the trace; spread: one standard deviation over the priors of the finger")
-    return [*lines, *absorbed_lines(summary.get("absorbed", {})), *summary.get("conclusions", [])]
+    for r in table.itertuples():
+        distance = {"Distance to LED [mm]": significant(r.distance_mm)} if "distance_mm" in table else {}
+        row = {"Photodiode": r.photodiode, "Blood zone": r.zone} | distance
+        row[f"At rest [{letter}V]"] = with_error(r.volts_start / volts, r.volts_start_stderr / volts)
+        moved = with_error(r.volts_change / change, r.volts_change_stderr / change, sign=True)
+        row[f"Change [{change_letter}V]"] = moved
+        row["Of rest [%]"] = significant(r.change_percent, 3, sign=True)
+        row["z score [σ]"] = significant(r.z_score, 2)
+        row[f"Peak change [{change_letter}V]"] = significant(r.volts_change_peak / change, 3, sign=True)
+        if "reading_spread" in table:
+            row["Prior std at rest [%]"] = significant(100 * r.reading_spread, 2)
+            row["Prior std of change [%]"] = significant(100 * r.change_spread, 2)
+        row[f"Noise, rms [{noise_letter}V]"] = significant(r.volts_noise_rms / noise)
+        row["SNR [1]"] = significant(r.signal_to_noise)
+        row["Resolution [mN]"] = significant(1e3 * r.resolution_n)
+        if r.saturated:
+            row = dict.fromkeys(row, "–") | {"Photodiode": f"{r.photodiode} saturated", "Blood zone": r.zone} | distance
+            row[f"At rest [{letter}V]"] = significant(r.volts_start / volts)
+        rows.append(row)
+    return rows
+
+
+def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
+    """The readings of a touch as a table, where the light ends, and conclusions over the priors."""
+    table = photodiode_readings(result, None)
+    several = result.sizes["led"] > 1
+    rows = [
+        ({"LED": led} if several else {}) | {head: cell for head, cell in row.items() if head not in PAGE_ALONE}
+        for led, row in zip(table.led, reading_rows(table), strict=True)
+    ]
+    hold = f"change: from the first sample to the end of the hold, at {table.time_of_change_s[0]:.3g} s"
+    lines = [*aligned(rows), f"{hold}; +-: standard error of the trace; resolution: noise over the slope"]
+    if table.saturated.any():
+        lines.append("saturated: the converter is at its limit, these volts do not measure the light")
+    return [*lines, *absorbed_lines(summary["absorbed"]), *summary.get("conclusions", [])]
 
 
 def rest_lines(rest: "RestReadings") -> list[str]:
     """The readings of a trace, and where its light went."""
-    rows = []
-    for row in rest.readings:
+    names, lines = [f"{row['led']}  {row['photodiode']}" for row in rest.readings], []
+    for name, row in zip(names, rest.readings, strict=True):
         error = _plus_minus(row["stderr"], ".1e")
         if "upper_limit_95" in row:
             error = f"below {row['upper_limit_95']:.1e} (95 %)"
-        rows.append([row["led"], row["photodiode"], f"{row['detected_fraction']:.4e} {error}"])
-    lines = aligned(rows, left=(0, 1, 2))
+        lines.append(f"{name:<{max(map(len, names))}}  {row['detected_fraction']:.4e} {error}")
     for part, share in (rest.energy or {}).items():
         lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
     lines += absorbed_lines(rest.transfer.absorbed()) if rest.transfer else []

@@ -189,19 +189,13 @@ def in_lines(text: str, width: int = 30) -> str:
     return "\n".join(textwrap.wrap(text, width))
 
 
-def spread(places: Sequence[float], gap: float) -> list[float]:
+def spread(places: Sequence[float], gap: float) -> np.ndarray:
     """Places for labels, in the same order, at least a gap apart and as near as can be to where they belong."""
-    order = np.argsort(np.asarray(places, float), kind="stable")
-    groups: list[list[float]] = []  # centre, count
-    for index in order:
-        groups.append([float(places[index]), 1])
-        while len(groups) > 1 and groups[-1][0] - groups[-2][0] < gap * (groups[-1][1] + groups[-2][1]) / 2:
-            (one, n), (other, m) = groups[-2], groups[-1]
-            groups[-2:] = [[(one * n + other * m) / (n + m), n + m]]
-    sorted_places = [c + gap * (i - (n - 1) / 2) for c, n in groups for i in range(int(n))]
-    result = [0.0] * len(sorted_places)
-    for index, place in zip(order, sorted_places, strict=True):
-        result[index] = place
+    from scipy.optimize import isotonic_regression
+
+    result, order = np.array(places, float), np.argsort(places, kind="stable")
+    steps = gap * np.arange(len(result))
+    result[order] = isotonic_regression(result[order] - steps).x + steps
     return result
 
 
@@ -212,7 +206,7 @@ def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
     write_bytes(path, data.getbuffer())
 
 
-def to_svg(figure: "Figure", *, name: str, description: str) -> str:
+def to_svg(figure: "Figure", *, description: str) -> str:
     """The figure as an SVG element for a page: no ids that could clash, no references, colours of the page."""
     import html
 
@@ -220,7 +214,7 @@ def to_svg(figure: "Figure", *, name: str, description: str) -> str:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer, metadata = StringIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with drawing(), matplotlib.rc_context({"svg.hashsalt": name}):
+    with drawing(), matplotlib.rc_context({"svg.hashsalt": "nailoptics"}):
         # What savefig does, without drawing all of it once before for a size that the figure has.
         FigureCanvasSVG(figure).print_svg(buffer, metadata=metadata)
     text = buffer.getvalue()

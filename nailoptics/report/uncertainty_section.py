@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .html import escaped, number, section, small, table
-from .numbers import significant, with_error
+from .html import section, small, table
+from .numbers import estimated, plain, significant
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
@@ -29,21 +29,17 @@ def _kinds(result: xr.Dataset) -> list[str]:
 
 def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
     """The priors, the most influential first, by the best layout or the photodiode that each affects most."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     # Without the rest of the result, which would be cut as often.
     priors = result[[name for name in result.data_vars if str(name).startswith("prior_")]]
-    for i, name in enumerate(result.prior.values):
-        one = priors.isel(prior=i)
-        texts = ("field", "how", "source")
-        row: dict[str, Any] = {"name": str(name)} | {text: str(one[f"prior_{text}"].item()) for text in texts}
+    priors = priors.isel(layout=0) if "layout" in priors.dims else priors
+    for name, one in ((name, priors.sel(prior=name)) for name in priors.prior.values):
+        row = {"name": str(name)} | plain(one, field="prior_field", how="prior_how", source="prior_source")
         row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1]), "offset": float(one.prior_offset)}
         for kind in _kinds(result):
-            values, errors = (one[f"prior_{kind}_spread{end}"] for end in ("", "_stderr"))
-            if "layout" in values.dims:
-                values, errors = values.isel(layout=0), errors.isel(layout=0)
-            worst = np.unravel_index(int(np.nan_to_num(values.values, nan=-1.0).argmax()), values.shape)
-            row[f"{kind}_spread"] = float(values.values[worst])
-            row[f"{kind}_spread_stderr"] = float(errors.values[worst])
+            spread = one[[f"prior_{kind}_spread", f"prior_{kind}_spread_stderr"]]
+            at = np.nan_to_num(spread[f"prior_{kind}_spread"].values, nan=-1.0).argmax()
+            row |= {str(key).removeprefix("prior_"): float(values.values.flat[at]) for key, values in spread.items()}
         rows.append(row)
     return sorted(rows, key=lambda row: -max(np.nan_to_num(row[f"{kind}_spread"], nan=-1.0) for kind in _kinds(result)))
 
@@ -63,10 +59,10 @@ def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) ->
 
 def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     """What the priors make of a simulated touch."""
-    # A converter at its limit has no change, whatever its light does.
-    usable = ~result.saturated.any("time")
     if not traced:
         return []
+    # A converter at its limit has no change, whatever its light does.
+    usable = ~result.saturated.any("time")
     words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
     names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
     spreads = (_range(one.where(usable)) for one in (result.reading_spread, result.change_spread))
@@ -97,8 +93,8 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
         n = result.resolution_at_node_n.isel(layout=0).values
         ends = " to ".join(f"{1e3 * x:.3g}" for x in (np.nanmin(n), np.nanmax(n)))
-        spread, error = (100 * float(result[f"resolution_spread{end}"][0]) for end in ("", "_stderr"))
-        text = f"Its force resolution varies by {with_error(spread, error)} % (one standard deviation)"
+        spread = estimated(result.isel(layout=0), "resolution_spread", 100)
+        text = f"Its force resolution varies by {spread} % (one standard deviation)"
         lines.append(f"{text}, from {ends} mN at the ends of their ranges, one at a time, most with {most}.")
     return lines
 
@@ -116,30 +112,20 @@ def spread_section(result: xr.Dataset) -> str:
     """The section of a page on uncertainty over the priors; empty where none was requested."""
     if "prior" not in result.dims:
         return ""
-    kinds, rows = _kinds(result), _rows(result)
-    head = ["Parameter", "95 % range", *(f"{KINDS[kind]}, largest<br>std [%]" for kind in kinds), "Method"]
+    rows = _rows(result)
     lines = [
-        [
-            escaped(row["name"]),
-            f"{significant(row['low'])} to {significant(row['high'])}",
-            *(_percent(row[f"{kind}_spread"], row[f"{kind}_spread_stderr"]) for kind in kinds),
-            escaped(row["how"]),
-        ]
+        {"Parameter": row["name"], "95 % range": f"{significant(row['low'])} to {significant(row['high'])}"}
+        | {f"{KINDS[kind]}, largest std [%]": _percent(row, f"{kind}_spread") for kind in _kinds(result)}
+        | {"Method": row["how"]}
         for row in rows
     ]
-    said = "".join(f"<p>{escaped(line)}</p>" for line in conclusions(result, rows))
     sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
-    return section(
-        "Uncertainty over the priors",
-        said,
-        table(head, lines),
-        small(
-            "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
-            "layout; contributions add in quadrature. Ranges of absorption and scattering are factors. "
-            f"{escaped(sources)}."
-        ),
+    note = (
+        "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
+        f"layout; contributions add in quadrature. Ranges of absorption and scattering are factors. {sources}."
     )
+    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), small(note))
 
 
-def _percent(value: float, error: float) -> str:
-    return number(value, with_error(100 * value, 100 * error)) if math.isfinite(value) else "not traced"
+def _percent(row: dict[str, Any], name: str) -> str:
+    return estimated(row, name, 100) if math.isfinite(row[name]) else "not traced"

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 
 from nailoptics.assets import data_dir
 from nailoptics.report import html
-from nailoptics.report.pages import force, oximeter, sweep, tradeoff
-from nailoptics.report.pages.place import page as place
+from nailoptics.report.pages import force, oximeter, placement, sweep, tradeoff
 from nailoptics.report.pages.simulate import page as touch_page
 from nailoptics.scene import load_scene, to_toml
 
@@ -26,7 +25,8 @@ def test_every_slot_of_a_page_shows_a_name_as_text(name):
     assert_text_alone(html.document(**plain, cards=[], attributes={}, warnings=[name]), name)
     for attribute in ("scene", "cut_off", *html.PROVENANCE):
         assert_text_alone(html.document(**plain, cards=[], attributes={"scene": "", attribute: name}), name)
-    assert_text_alone(html.table(["head"], [["cell"], ["other"]], groups=[name, "another"]), name)
+    assert_text_alone(html.table([{name: name}, {name: "other"}], groups=[name, "another"]), name)
+    assert_text_alone(html.section(name, name, html.small(name), html.subheading(name)), name)
 
 
 def test_what_nobody_sees_is_written_out_on_a_page():
@@ -43,7 +43,7 @@ def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, monkeypatch, 
     """In every slot, table and figure, and on pages of a touch, a prediction and a sweep: no dialog, no request."""
     name, drawing = "".join(HOSTILE), Figure()
     drawing.subplots().set_title(name.replace("$", r"\$"))
-    body = [html.table([html.escaped(name)], [[html.escaped(name)]], groups=[name]), html.figure(drawing, "one", name)]
+    body = [html.table([{name: name}], groups=[name]), html.figure(drawing, name)]
     given = {"kicker": name, "title": name, "lead": name, "warnings": name, "cards": [(name, name)], "body": body}
     about = dict.fromkeys(("scene", "cut_off", *html.PROVENANCE), name)
     result = make(section=False).assign_coords(led=[name], photodiode=[f"{name}{i}" for i in range(8)])
@@ -76,7 +76,7 @@ def test_a_drawing_and_its_caption_show_a_name_as_text(name):
     axes.plot([0, 1], label=shown)
     axes.set(title=shown, xlabel=shown)
     axes.legend()
-    text = html.figure(drawing, "drawing", name)
+    text = html.figure(drawing, name)
     assert_text_alone(text, name)
     assert Tags(text).found.count("svg") == 1
 
@@ -87,19 +87,18 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     numbers += ["proximal_pressure_pa", "distal_pressure_pa", "condition_number", "least_snr", "adc_headroom"]
     numbers += ["share_resolution", "share_resolution_stderr"]
     row = dict.fromkeys(numbers, 1.0) | {"layout": name, "rank": 1, "tied": False}
-    # An underscore in a layout's name is a space on the page.
-    assert_text_alone(place._table([row]), name.replace("_", " "))
+    assert_text_alone(html.table(placement._ranking_rows([row])), name)
     person = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
-    assert_text_alone(force._factors_table({"parameters": {name: person}}), name)
+    assert_text_alone(html.table(force._factors({"parameters": {name: person}})), name)
     result = xr.Dataset(
         {"spo2_stderr_by_cause": (("photodiode", "cause"), np.ones((1, 1)))}
         | {key: ("photodiode", np.ones(1)) for key in ("spo2_stderr", "spo2_stderr_beat")},
         coords={"photodiode": [name], "cause": [name]},
     )
-    assert_text_alone(oximeter._errors(result), name)
+    assert_text_alone(html.table(oximeter._errors(result)), name)
     level = SimpleNamespace(name=name, beforehand=name, lines=(name,), call=name)
     found = SimpleNamespace(levels=[level])
-    assert_text_alone(tradeoff._needs(found), name)
+    assert_text_alone(html.table(tradeoff._needs(found)), name)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

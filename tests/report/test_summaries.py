@@ -14,14 +14,14 @@ def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     # A peak after the touch, which the end of the hold does not see.
     result.volts_change[..., -1] = 1.0
     rows = simulation_summary(result)["readings"]
-    assert [row["volts_change"] for row in rows] == [r.change_v for r in photodiode_readings(result, None)]
+    assert [row["volts_change"] for row in rows] == [*photodiode_readings(result, None).volts_change]
     assert {row["volts_change_peak"] for row in rows} == {1.0}
     assert {row["time_of_peak_s"] for row in rows} == {float(result.time[-1])}
     hold = hold_end(result)
     assert {row["time_of_change_s"] for row in rows} == {float(result.time[hold])}
     assert result.force_n[hold] == 1 and result.force_n[hold + 1] == 0
-    assert f"to the end of the hold, at {float(result.time[hold]):.3g} s" in simulation_lines({"readings": rows})[-1]
-    assert "1000.000" in simulation_lines({"readings": rows})[1]
+    lines = simulation_lines(result, simulation_summary(result))
+    assert f"to the end of the hold, at {float(result.time[hold]):.3g} s" in lines[-1] and "+1.00" in lines[1]
 
 
 def test_saturated_readings_are_marked(make):
@@ -29,9 +29,9 @@ def test_saturated_readings_are_marked(make):
     result.saturated[0, 2, 5] = True
     summary = simulation_summary(result)
     assert [row["saturated"] for row in summary["readings"]] == list(np.arange(8) == 2)
-    lines = simulation_lines(summary)
-    assert "saturated" in lines[3] and "proximal.12" in lines[3]
-    assert sum("saturated" in line for line in lines) == 1
+    lines = simulation_lines(result, summary)
+    assert lines[3].startswith("proximal.12 saturated") and lines[-1].startswith("saturated: the converter")
+    assert sum("saturated" in line for line in lines) == 2
 
 
 def with_priors(result, offset):

@@ -13,9 +13,9 @@ from ...scene import Scene, parse_scene
 from ...statistics import Z95
 from ...studies.colour.colorimetry import measured_colours
 from .. import style
-from ..files import Report
-from ..html import document, escaped, figure, section, small, table
-from ..numbers import significant, with_error
+from ..files import Report, run_summary
+from ..html import Html, document, escaped, figure, section, small, table
+from ..numbers import aligned, estimated, plain, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,44 +31,31 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
 
     photographs : the finger at rest and pressed, as PNG; press : the animation, as GIF.
     """
-    most = float(result.force_n.max())
-    lab = result.lab.values[result.sizes["place"] // 2, 0]
-    band = result.white_band_mm.values[-1], result.white_band_mm_stderr.values[-1]
+    most, last = f"{float(result.force_n.max()):g} N", result.isel(state=-1)
+    middle = result.lab.values[result.sizes["place"] // 2, 0]
     cards = [
-        (" / ".join(significant(value, 3) for value in lab), "L*, a*, b* in the middle of the nail at rest"),
+        (" / ".join(significant(value, 3) for value in middle), "L*, a*, b* in the middle of the nail at rest"),
         (significant(float(result.colour_stderr.max()), 2), "largest standard error of a place's colour, CIEDE2000"),
-        (f"{with_error(*band)} mm", f"white band at {result.force_n.values[-1]:g} N"),
+        (f"{estimated(last, 'white_band_mm')} mm", f"white band at {float(last.force_n):g} N"),
     ]
-    if "refill_s" in result and np.isfinite(result.refill_s.values).any():
-        refill = float(np.nanmax(result.refill_s.values))
-        cards.append((f"{significant(refill, 2)} s", f"after {most:g} N until no eye sees a difference to rest"))
-    rows = []
-    for p, v_mm in enumerate(result.v_mm.values):
-        here = result.isel(place=p)
-        place = "skin" if p in (0, result.sizes["place"] - 1) else "nail"
-        lab = [with_error(*pair) for pair in zip(here.lab.values[0], here.lab_stderr.values[0], strict=True)]
-        change = with_error(float(here.delta_e_2000[-1]), float(here.delta_e_2000_stderr[-1]))
-        rows.append([f"{v_mm:+.1f} mm, {place}", *lab, change])
+    refill_s = summary(result)["refill_s"]
+    if refill_s is not None:
+        cards.append((f"{significant(refill_s, 2)} s", f"after {most} until no eye sees a difference to rest"))
     strip = strip_figure(result, width_mm=_nail_width_mm(result))
-    photos = "".join(
-        _image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most:g} N."), strict=False)
-    )
+    photos = [_image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
     press_parts = []
     if "press_lab" in result:
-        press_parts = [figure(_press_figure(result), "press", "Redness over a press; the touch acts at once.")]
-        press_parts += [_image(press, "gif", f"A press of {most:g} N and its release.")] if press else []
+        press_parts = [figure(_press_figure(result), "Redness over a press; the touch acts at once.")]
+        press_parts += [_image(press, "gif", f"A press of {most} and its release.")] if press else []
     body = [
-        section("The nail under force", figure(strip, "strip", "The nail under each force, each held.")),
-        section("As a photograph", f"<div class='scroll'>{photos}</div>", small(escaped(A_PICTURE))) if photos else "",
-        section("Along the nail", figure(_along_figure(result), "along", "Colour along the nail; bands: 95 %.")),
-        section("Over force", figure(_over_force_figure(result), "force", "What an eye sees; bars: 95 %.")),
+        section("The nail under force", figure(strip, "The nail under each force, each held.")),
+        section("As a photograph", *photos, small(A_PICTURE)) if photos else "",
+        section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
+        section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         section("A press", *press_parts) if press_parts else "",
         _beat(result),
         _unknowns(result),
-        section(
-            "Colours at rest",
-            table(["Place", "L*", "a*", "b*", f"Difference at {result.force_n.values[-1]:g} N, CIEDE2000"], rows),
-        ),
+        section("Colours at rest", table(_at_rest(result))),
     ]
     return document(
         kicker="colour",
@@ -78,6 +65,21 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
         body=body,
         attributes=result.attrs,
     )
+
+
+def _at_rest(result: xr.Dataset) -> list[dict[str, str]]:
+    """Colours at rest along the nail, and their change by the last force."""
+    rows, last = [], f"Difference at {result.force_n.values[-1]:g} N, CIEDE2000"
+    for p, v_mm in enumerate(result.v_mm.values):
+        here, site = result.isel(place=p), "skin" if p in (0, result.sizes["place"] - 1) else "nail"
+        row = {"Place": f"{v_mm:+.1f} mm, {site}"} | _lab(here.isel(state=0), "lab")
+        rows.append(row | {last: estimated(here.isel(state=-1), "delta_e_2000")})
+    return rows
+
+
+def _lab(one: xr.Dataset, name: str) -> dict[str, str]:
+    """L*, a* and b* with their standard errors."""
+    return {str(band): estimated(one.sel(band=band), name) for band in one.band.values}
 
 
 def _nail_width_mm(result: xr.Dataset) -> float:
@@ -91,9 +93,8 @@ def _beat(result: xr.Dataset) -> str:
     if "beat_delta_e_2000" not in result:
         return ""
     most = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-    change = with_error(float(most.beat_delta_e_2000), float(most.beat_delta_e_2000_stderr))
-    text = f"A heartbeat changes the colour by {change} CIEDE2000 at most, {float(most.v_mm):+.1f} mm along."
-    return section("A beat", f"<p>{escaped(text)}</p>")
+    change, v_mm = estimated(most, "beat_delta_e_2000"), float(most.v_mm)
+    return section("A beat", f"A heartbeat changes the colour by {change} CIEDE2000 at most, {v_mm:+.1f} mm along.")
 
 
 def _unknowns(result: xr.Dataset) -> str:
@@ -101,25 +102,23 @@ def _unknowns(result: xr.Dataset) -> str:
     if "lab_spread" not in result:
         return ""
     rows = []
-    order = np.argsort(-result.prior_lab_spread.sel(site="nail").values.max(1))
-    for i in order:
-        one = result.isel(prior=int(i))
+    nail = result.sel(site="nail")
+    for i in np.argsort(-nail.prior_lab_spread.values.max(1)):
+        one = nail.isel(prior=int(i))
         low, high = one.prior_range.values
-        values, errors = (one[f"prior_lab_spread{end}"].sel(site="nail").values for end in ("", "_stderr"))
-        shown = [with_error(float(v), float(e)) for v, e in zip(values, errors, strict=True)]
-        rows.append([escaped(str(one.prior.item())), f"{low:g} to {high:g}", *shown])
+        row = {"Prior": str(one.prior.item()), "Range": f"{low:g} to {high:g}"}
+        rows.append(row | _lab(one, "prior_lab_spread"))
     sources = "; ".join(f"{one.name}: {one.source}" for one in measured_colours())
     text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
-    drawn = figure(_ranges_figure(result), "ranges", "At rest; bars: 95 % of fingers, of people.")
-    names = ["Prior", "Range", "L*", "a*", "b*"]
-    return section("Uncertainty over the priors", drawn, table(names, rows), small(escaped(text)))
+    drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers, of people.")
+    return section("Uncertainty over the priors", drawn, table(rows), small(text))
 
 
-def _image(data: bytes, kind: str, caption: str) -> str:
+def _image(data: bytes, kind: str, caption: str) -> Html:
     """A picture inside the page."""
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     alt = escaped(caption)
-    return f'<figure><img alt="{alt}" style="max-width:100%" src="{source}"><figcaption>{alt}</figcaption></figure>'
+    return Html(f'<figure><img alt="{alt}" src="{source}"><figcaption>{alt}</figcaption></figure>')
 
 
 # The animation of a press: frames a second, and its size. [px]
@@ -134,37 +133,25 @@ def _nail(result: xr.Dataset) -> slice:
     return slice(1, result.sizes["place"] - 1)
 
 
-def _outline(width: float, low: float, high: float, power: float) -> np.ndarray:
-    """A rounded rectangle about the vertical axis, (n, 2) float: |x|^power + |y|^power = 1, stretched."""
-    angle = np.linspace(0, 2 * np.pi, 181)
-    x, y = (np.sign(f(angle)) * np.abs(f(angle)) ** (2 / power) for f in (np.cos, np.sin))
-    return np.column_stack([x * width / 2, (low + high) / 2 + y * (high - low) / 2])
-
-
 def _nail_shape(panel: Any, colours: np.ndarray, v_mm: np.ndarray, *, width_mm: float, skin: np.ndarray) -> None:
     """A nail in its colours along its length, the tip upwards, on the skin around it.
 
     skin : (2, 3) float. Its colour behind the nail and before it.
     """
-    from matplotlib.patches import Polygon
+    from matplotlib.patches import FancyBboxPatch
 
-    pitch = v_mm[1] - v_mm[0]
+    pitch, margin = v_mm[1] - v_mm[0], 0.2 * width_mm
     low, high = v_mm[0] - pitch / 2, v_mm[-1] + pitch / 2
-    margin = 0.2 * width_mm
-    at = np.linspace(0, 1, 200)
-    for outline, ends, layer in (
-        (_outline(width_mm + 2 * margin, low - 5 * margin, high + 1.3 * margin, 3.2), skin, 1),
-        (_outline(width_mm, low, high, 4.5), colours, 2),
-    ):
-        from_mm, to_mm = outline[:, 1].min(), outline[:, 1].max()
-        # Skin changes along the nail, and is the same beyond it.
-        know = np.linspace(low, high, len(ends)) if layer == 1 else v_mm
-        fine = np.stack([np.interp(from_mm + at * (to_mm - from_mm), know, ends[:, k]) for k in range(3)], -1)
-        half = np.abs(outline[:, 0]).max()
-        extent = (-half, half, from_mm, to_mm)
-        image = panel.imshow(fine[:, None], origin="lower", extent=extent, aspect="equal", zorder=layer)
-        image.set_interpolation("bilinear")
-        image.set_clip_path(Polygon(outline, transform=panel.transData))
+    # Skin changes along the nail, and is the same beyond it.
+    finger = width_mm + 2 * margin, low - 5 * margin, high + 1.3 * margin, skin, np.array([low, high])
+    for wide, from_mm, to_mm, shades, at_mm in (finger, (width_mm, low, high, colours, v_mm)):
+        along_mm = np.linspace(from_mm, to_mm, 200)
+        fine = np.stack([np.interp(along_mm, at_mm, shades[:, k]) for k in range(3)], -1)
+        extent, look = (-wide / 2, wide / 2, from_mm, to_mm), {"origin": "lower", "interpolation": "bilinear"}
+        image = panel.imshow(fine[:, None], extent=extent, aspect="equal", **look)
+        rounded = f"round,pad=0,rounding_size={0.3 * wide}"
+        size = (-wide / 2, from_mm), wide, to_mm - from_mm
+        image.set_clip_path(FancyBboxPatch(*size, boxstyle=rounded, transform=panel.transData))
     panel.set_xlim(-width_mm / 2 - 1.3 * margin, width_mm / 2 + 1.3 * margin)
     panel.set_ylim(low - 1.2 * margin, high + 2.2 * margin)
     panel.set_axis_off()
@@ -325,12 +312,11 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """Colours by force and place, with the largest standard errors, refill and spread over priors."""
     names, states = ("v_mm", "lab", "lab_stderr", "srgb", "delta_e_2000", "delta_e_2000_stderr"), []
-    for s, force_n in enumerate(result.force_n.values.tolist()):
+    for s in range(result.sizes["state"]):
         one = result.isel(state=s)
-        columns = [one[name].values.tolist() for name in names]
-        places = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
-        band = {"white_band_mm": float(one.white_band_mm), "white_band_stderr_mm": float(one.white_band_mm_stderr)}
-        states.append({"force_n": force_n, "places": places, **band})
+        places = [plain(one.isel(place=p), *names) for p in range(result.sizes["place"])]
+        band = plain(one, "white_band_mm", white_band_stderr_mm="white_band_mm_stderr")
+        states.append(plain(one, "force_n") | {"places": places} | band)
     summed: dict[str, Any] = {
         **{name: result.attrs[name] for name in ("illuminant", "observer")},
         "states": states,
@@ -342,25 +328,26 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     }
     if "refill_s" in result and not np.isnan(result.refill_s).all():
         slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
-        summed |= {"refill_s": float(slowest.refill_s), "refill_stderr_s": float(slowest.refill_s_stderr)}
+        summed |= plain(slowest, "refill_s", refill_stderr_s="refill_s_stderr")
     if "beat_delta_e_2000" in result:
         moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-        summed |= {name: float(moved[name]) for name in ("beat_delta_e_2000", "beat_delta_e_2000_stderr")}
+        summed |= plain(moved, "beat_delta_e_2000", "beat_delta_e_2000_stderr")
     if "lab_spread" in result:
         spread = result.lab_spread.transpose("site", "band").values.tolist()
         summed["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
-    return summed | {name: result.attrs[name] for name in ("photons", "backend", "cpu_seconds", "wall_seconds")}
+    return summed | run_summary(result.attrs)
 
 
 def lines(summary: dict[str, Any]) -> list[str]:
     """The same in a few lines for a terminal: the middle of the nail under each force."""
-    lines = ["force [N]  L*     a*     b*     difference to rest  white band [mm]"]
+    rows = []
     for state in summary["states"]:
-        middle = state["places"][len(state["places"]) // 2]
-        lab = "  ".join(f"{value:5.1f}" for value in middle["lab"])
-        most = max(place["delta_e_2000"] for place in state["places"])
-        lines.append(f"{state['force_n']:<9g}  {lab}  {most:<18.1f}  {state['white_band_mm']:.1f}")
-    errors = summary["colour_stderr"], summary["change_stderr"]
+        middle = state["places"][len(state["places"]) // 2]["lab"]
+        row = {"Force [N]": f"{state['force_n']:g}"}
+        row |= {band: f"{value:.1f}" for band, value in zip(("L*", "a*", "b*"), middle, strict=True)}
+        row["Difference to rest"] = f"{max(place['delta_e_2000'] for place in state['places']):.1f}"
+        rows.append(row | {"White band [mm]": f"{state['white_band_mm']:.1f}"})
+    lines, errors = aligned(rows), (summary["colour_stderr"], summary["change_stderr"])
     lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
     if summary["refill_s"] is not None:
         lines.append(f"colour as at rest {summary['refill_s']:.3g} +- {summary['refill_stderr_s']:.1g} s after release")

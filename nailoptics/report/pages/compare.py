@@ -9,13 +9,12 @@ import xarray as xr
 from ...statistics import Z95
 from ...studies.comparison.compare import Verdict, verdict
 from .. import style
-from ..files import Report
-from ..html import document, escaped, figure, section, small, table
+from ..files import Report, run_summary
+from ..html import Html, document, figure, section, small, subheading, table
 from ..maps import led_name
-from ..numbers import significant, with_error
+from ..numbers import estimated, plain, significant, with_stderr
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 HOLDS = (
@@ -29,10 +28,9 @@ SPLIT = (
     "with the blood is the spread of paths: one path for all light."
 )
 READINGS = "Traced readings and models, as change from the start of the sweep."
-ALPHA = (
-    "αD² is the mean path in the bed times the absorption of its blood: the exponent of Beer–Lambert (8). Below each "
-    "bar, with 95 % intervals, where the error of Taylor (9) reaches 1 % (circle) and 5 % (square) of the swing over "
-    "{}. An open arrow: it stays below that over the whole sweep, and lies at its end."
+LIMITS = (
+    "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is the mean path in the bed times the "
+    "absorption of all its blood: the exponent of Beer–Lambert (8); the last two columns are over {}."
 )
 
 
@@ -51,18 +49,15 @@ def page(result: xr.Dataset) -> str:
     )
 
 
-def _led_section(result: xr.Dataset, led: int) -> str:
+def _led_section(result: xr.Dataset, led: int) -> Html:
     """How far the models hold under one LED, and why not further."""
-    alpha = ALPHA.format(result.sweep.values[-1])
-    lines = [figure(_range_errors_figure(result, led=led), f"holds{led}", HOLDS), _limits(result, led)]
-    for sweep in (str(s) for s in result.sweep.values):
-        lines += [
-            f"<h3>What Taylor (9) leaves out, over {escaped(sweep)}</h3>",
-            figure(_error_parts_figure(result, led=led, sweep=sweep), f"split{led}{sweep}", SPLIT),
-            figure(_changes_figure(result, led=led, sweep=sweep), f"readings{led}{sweep}", READINGS),
-        ]
-    lines += ["<h3>How large αD² is</h3>", figure(_alpha_d2_figure(result, led=led), f"alpha{led}", alpha)]
-    return section(f"How far the models hold: {escaped(led_name(result, led))}", *lines)
+    limits, note = table(_limits(result, led), kind="dense"), small(LIMITS.format(result.sweep.values[-1]))
+    parts = [figure(_range_errors_figure(result, led=led), HOLDS), limits, note]
+    for sweep in map(str, result.sweep.values):
+        parts.append(subheading(f"What Taylor (9) leaves out, over {sweep}"))
+        parts.append(figure(_error_parts_figure(result, led=led, sweep=sweep), SPLIT))
+        parts.append(figure(_changes_figure(result, led=led, sweep=sweep), READINGS))
+    return section(f"How far the models hold: {led_name(result, led)}", *parts)
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
@@ -88,40 +83,38 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
 
 
-def _limits(result: xr.Dataset, led: int) -> str:
+def _limits(result: xr.Dataset, led: int) -> list[dict[str, str]]:
     """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
-    head, rows = ["Photodiode", "Swing<br>[% of reading]", "Mean path<br>in own<br>zone [mm]"], []
-    columns = list(product(map(str, result.sweep.values), FORMULAS, result.within.values))
-    for sweep, model, within in columns:
-        formula, unit = FORMULAS[model].replace("–", "–<br>"), "N" if sweep == "force" else "%"
-        head.append(f"{formula}<br>to {100 * within:g} %<br>{escaped(sweep)} [{unit}]")
-    head += ["αD² at which<br>Taylor (9)<br>errs by 1 %", "at which<br>Taylor (9)<br>errs by 5 %"]
+    rows, withins = [], result.within.values
     for j in _photodiode_order(result):
         one = result.isel(led=led, photodiode=j)
-        first = one.isel(sweep=0)
-        swing = with_error(*(100 * float(first[f"relative_swing{end}"]) for end in ("", "_stderr")))
-        path_mm = with_error(float(first.path_mm), float(first.path_mm_stderr))
-        cells = [escaped(one.photodiode.values), swing, path_mm]
-        for sweep, model, within in columns:
+        first, last = one.isel(sweep=0), one.isel(sweep=-1).sel(way="fitted", model="taylor")
+        row = {
+            "Photodiode": str(one.photodiode.values),
+            "Swing [% of reading]": estimated(first, "relative_swing", 100),
+        }
+        row["Mean path in own zone [mm]"] = estimated(first, "path_mm")
+        for sweep, model, within in product(map(str, result.sweep.values), FORMULAS, withins):
+            unit = "N" if sweep == "force" else "%"
             at = one.sel(sweep=sweep, way="fitted", model=model, within=within)
-            cells.append(_interval(at, "limit", _display_scale(sweep)))
-        for within in result.within.values:
-            at = one.isel(sweep=-1).sel(way="fitted", model="taylor", within=within)
-            cells.append(_interval(at, "limit_bed_alpha_d2", 1.0))
-        rows.append(cells)
-    note = (
-        "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is that of all the blood in the bed, "
-        f"over {escaped(result.sweep.values[-1])}."
-    )
-    return table(head, rows, kind="dense") + small(note)
+            head = f"{FORMULAS[model]} to {100 * within:g} %, {sweep} [{unit}]"
+            row[head] = _interval(at, "limit", _display_scale(sweep))
+        ends = (significant(float(f(first.bed_alpha_d2)), 2) for f in (np.min, np.max))
+        row[f"αD² over {first.sweep.values}"] = " – ".join(ends)
+        for within in withins:
+            at = last.sel(within=within)
+            row[f"αD² at which Taylor (9) errs by {100 * within:g} %"] = _interval(at, "limit_bed_alpha_d2", 1.0)
+        rows.append(row)
+    return rows
 
 
 def _interval(one: xr.Dataset, name: str, by: float) -> str:
     value, low, high = (by * float(one[f"{name}{suffix}"]) for suffix in ("", "_low", "_high"))
     if not bool(one.limit_ends):
-        return "all" if name == "limit" else f"&gt; {significant(value, 2)}"
+        return "all" if name == "limit" else f"> {significant(value, 2)}"
     low, high = max(min(low, high), 0.0), max(low, high)
-    return f"{significant(value, 2)}<br><span class='small'>({significant(low, 2)}–{significant(high, 2)})</span>"
+    shown, ends = significant(value, 2), f"({significant(low, 2)}–{significant(high, 2)})"
+    return Html(f"{shown}<br><span class='small'>{ends}</span>")
 
 
 X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
@@ -186,17 +179,24 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
 @style.drawing()
 def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
-    places = _photodiode_order(result)
-    height_in, count = 1.3 + 0.42 * len(places), result.sizes["way"]
+    places, count = _photodiode_order(result), result.sizes["way"]
+    rows, height_in = np.arange(len(places)), 1.3 + 0.42 * len(places)
     figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)
     for axes, way in zip(panels[0], result.way.values, strict=True):
-        one = result.sel(sweep=sweep, way=way).isel(led=led)
-        for row, j in enumerate(places):
-            at = int(np.abs(one.error.sel(model="taylor").values[j]).argmax())
-            axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5 * (row % 2), lw=0)
-            for k, part in enumerate(result.part.values):
-                here = one.sel(part=part).isel(photodiode=j, point=at)
-                _dot(axes, here, row + 0.17 * (k - 1.5), labelled=row == 0)
+        one = result.sel(sweep=sweep, way=way).isel(led=led, photodiode=places)
+        error = one.error.sel(model="taylor", drop=True)
+        worst = one[["part_error", "part_error_stderr"]].isel(point=abs(error).fillna(0.0).argmax("point"))
+        for row in rows[1::2]:
+            axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5, lw=0)
+        for k, part in enumerate(map(str, result.part.values)):
+            label, colour, mark = PARTS[part]
+            size, spread = (
+                100 * abs(worst[name].sel(part=part).values) for name in ("part_error", "part_error_stderr")
+            )
+            spread, y = Z95 * spread, rows + 0.17 * (k - 1.5)
+            axes.hlines(y, np.maximum(size - spread, 1e-3), size + spread, color=colour, lw=1.2)
+            faces = np.where(size > spread, colour, style.PAPER)
+            axes.scatter(size, y, 30, faces, mark, edgecolors=colour, linewidths=1.0, zorder=3, label=label)
         axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
         axes.minorticks_off()
         for tolerance in (1, 5):
@@ -206,67 +206,10 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
     first.set_xlim(max(low, 0.01), min(high, 2000))
     ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
     first.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    _name_rows(first, result, places)
+    first.set_yticks(rows, [style.plain(result.photodiode.values[j]) for j in places])
     first.set_ylim(len(places) - 0.5, -0.5)
     style.legend_above(figure, first, ncols=4)
     return figure
-
-
-def _name_rows(axes: "Axes", result: xr.Dataset, places: list[int]) -> None:
-    axes.set_yticks(range(len(places)), [style.plain(result.photodiode.values[j]) for j in places])
-
-
-def _dot(axes: "Axes", part: xr.Dataset, y: float, *, labelled: bool) -> None:
-    """One part of an error with its 95 % interval; hollow where that holds 0."""
-    size, spread = 100 * abs(float(part.part_error)), 100 * Z95 * float(part.part_error_stderr)
-    name, colour, mark = PARTS[str(part.part.values)]
-    look: Any = {"color": colour, "ls": "none", "marker": mark, "label": name if labelled else None}
-    if np.isfinite(size) and size > 0:
-        axes.plot([max(size - spread, 1e-3), size + spread], [y, y], color=colour, lw=1.2)
-        axes.plot([size], [y], markerfacecolor=colour if size > spread else style.PAPER, markersize=5.5, **look)
-    elif labelled:
-        axes.plot([], [], **look)
-
-
-@style.drawing()
-def _alpha_d2_figure(result: xr.Dataset, *, led: int) -> "Figure":
-    """How large alpha D^2 is over the first sweep and up to which (9) holds over the last, beside the paper's 1e-2."""
-    from matplotlib.ticker import LogLocator
-
-    places = _photodiode_order(result)
-    first = result.isel(led=led, sweep=0)
-    fails = result.isel(led=led, sweep=-1).sel(way="fitted", model="taylor")
-    figure, axes = style.panels(9.6, 1.3 + 0.4 * len(places))
-    for row, (j, colour) in enumerate(zip(places, style.place_colours(len(places)), strict=True)):
-        values = first.bed_alpha_d2.values[j]
-        ends = [max(values.min(), 1e-4), values.max()]
-        axes.plot(ends, [row, row], color=colour, lw=7, solid_capstyle="butt", alpha=0.75)
-        axes.plot(values[0], row, "|", color=style.INK, ms=13, mew=2, label="at the start" if row == 0 else None)
-        _limits_of_taylor(axes, fails.isel(photodiode=j), row + 0.27, labelled=row == 0)
-    axes.axvline(0.01, color=style.ZONES[0], lw=1.4, ls=(0, (5, 2)))
-    axes.text(0.0103, -0.62, "the paper: about 10$^{-2}$", color=style.ZONES[0], fontsize=8.5, va="bottom")
-    axes.set_xscale("log")
-    _name_rows(axes, result, places)
-    axes.set_ylim(len(places) - 0.4, -0.7)
-    axes.set_xlabel(f"αD² of all the blood in the bed: bars, its range over {first.sweep.values} [1]")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)
-    axes.xaxis.set_minor_locator(LogLocator(subs=(2, 4)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter("{x:g}")
-    return figure
-
-
-def _limits_of_taylor(axes: "Axes", fails: xr.Dataset, y: float, *, labelled: bool) -> None:
-    """Alpha D^2 at which (9) errs by 1 % and 5 %, with 95 % intervals; an arrow where it does not within the sweep."""
-    for mark, within in (("o", 0.01), ("s", 0.05)):
-        here = fails.sel(within=within)
-        value, low, high = (float(here[f"limit_bed_alpha_d2{s}"]) for s in ("", "_low", "_high"))
-        axes.plot([low, high], [y, y], color=style.INK, lw=1)
-        if not here.limit_ends:
-            axes.plot(value, y, ">", ms=5, color=style.INK, markerfacecolor=style.PAPER)
-            break
-        label = f"error of Taylor (9): {100 * within:g} % of swing, over {fails.sweep.values}" if labelled else None
-        axes.plot(value, y, mark, ms=5, color=style.INK, label=label)
 
 
 @style.drawing()
@@ -304,42 +247,37 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     """A comparison: readings by sweep, LED and photodiode, and the paper's claim."""
     places = np.ndindex(*(result.sizes[name] for name in _DIMS))
     rows = [_row(result.isel(dict(zip(_DIMS, at, strict=True)))) for at in places]
-    names = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest")
-    whole = {"comparisons": rows, "claim": paper_claim(result), "cut_off": result.attrs.get("cut_off")}
-    whole |= {"reused": bool(result.attrs.get("reused", 0))}
-    return whole | {name: result.attrs[name] for name in names}
+    return {"comparisons": rows, "claim": paper_claim(result)} | run_summary(result.attrs)
 
 
 def _row(one: xr.Dataset) -> dict[str, Any]:
     """One photodiode under one LED over one sweep."""
-    row: dict[str, Any] = {name: str(one[name].values) for name in _DIMS}
-    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": _with_stderr(one, "path_mm")}
-    for name in _ALPHA_D2:
-        row |= {f"{name}_{end}": _with_stderr(one.isel(point=at), name) for end, at in (("start", 0), ("end", -1))}
-    for way, model in product(map(str, one.way.values), map(str, one.model.values)):
+    row = plain(one, *_DIMS)
+    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": with_stderr(one, "path_mm")}
+    for name, (end, at) in product(_ALPHA_D2, (("start", 0), ("end", -1))):
+        row[f"{name}_{end}"] = with_stderr(one.isel(point=at), name)
+    for way, model in product(one.way.values, one.model.values):
         here = one.sel(way=way, model=model)
         limits = {f"{within:g}": _limit(here.sel(within=within)) for within in one.within.values}
-        row[f"{model}_{way}"] = {"error_of_swing": _with_stderr(here.isel(point=-1), "range_error"), "holds_to": limits}
-    for way in map(str, one.way.values):
+        row[f"{model}_{way}"] = {"error_of_swing": with_stderr(here.isel(point=-1), "range_error"), "holds_to": limits}
+    for way in one.way.values:
         worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
         parts = one.sel(way=way).isel(point=worst)
-        row[f"parts_{way}"] = {str(p): _with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
+        row[f"parts_{way}"] = {str(p): with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
     return row
 
 
 def _limit(here: xr.Dataset) -> dict[str, Any]:
     """Up to where a model holds, in every measure."""
-    limits: dict[str, Any] = {"ends_within_sweep": bool(here.limit_ends)}
-    for name in ("setting", "blood_fraction", *_ALPHA_D2):
-        limit = "limit" if name == "setting" else f"limit_{name}"
-        limits[name] = {"value": float(here[limit])} | {end: float(here[f"{limit}_{end}"]) for end in ("low", "high")}
-    return limits
+    names = {"setting": "limit"} | {name: f"limit_{name}" for name in ("blood_fraction", *_ALPHA_D2)}
+    limits = {key: plain(here, value=name, low=f"{name}_low", high=f"{name}_high") for key, name in names.items()}
+    return {"ends_within_sweep": bool(here.limit_ends)} | limits
 
 
 def paper_claim(result: xr.Dataset) -> dict[str, Any]:
     """How large alpha D^2 is over the first sweep, beside the paper's 1e-2."""
     first = result.isel(sweep=0)
-    claim: dict[str, Any] = {"paper": 0.01, "sweep": str(result.sweep.values[0])}
+    claim: dict[str, Any] = {"paper": 0.01, "sweep": str(first.sweep.values)}
     for name in _ALPHA_D2:
         ends = {}
         for key, values in (("at_start", first[name].isel(point=0)), ("over_sweep", first[name])):
@@ -349,14 +287,10 @@ def paper_claim(result: xr.Dataset) -> dict[str, Any]:
     return claim
 
 
-def _with_stderr(one: xr.Dataset, name: str) -> dict[str, float]:
-    return {"value": float(one[name]), "stderr": float(one[f"{name}_stderr"])}
-
-
 def verdict_line(judged: Verdict) -> str:
     """Whether a model holds over a sweep, how sure that is, and its largest error."""
     largest, low, high = (f"{100 * x:.3g}" for x in (judged.worst_error, judged.worst_low, judged.worst_high))
-    name = {"taylor": "Taylor (9)", "beer_lambert": "Beer-Lambert (8)"}[judged.model]
+    name = FORMULAS[judged.model].replace("–", "-")
     of = f"{100 * judged.tolerance:g} % of the swing of all {judged.readings} readings over the {judged.sweep}"
     confidence = "over 99.9" if judged.sure > 0.999 else f"{100 * judged.sure:.3g}"
     words = {

@@ -11,7 +11,7 @@ from ...studies.model_error.changes import lines_of, merged
 from ...studies.model_error.explain import Effect, Explanation
 from .. import style
 from ..files import Report, scene_text, write_files
-from ..html import document, escaped, figure, section, small, table
+from ..html import Html, document, escaped, figure, section, small, table
 from ..numbers import aligned, significant, with_error
 
 if TYPE_CHECKING:
@@ -48,13 +48,10 @@ def write_explanation(result: Explanation, path: Path) -> dict[str, Path]:
 def page(result: Explanation) -> str:
     """The page of an explanation."""
     known = [one for one in result.effects if math.isfinite(one.change)]
-    head = ["Effect", "In scene", "Change of reading<br>[%]", "of", "Upper bound<br>[%]", "Signal, upper<br>bound [%]"]
-    rows = [[escaped(cell) for cell in _cells(one)] for one in _all(result)]
-    effects = table([*head, "Matters", "Changed to"], rows, kind="effects dense") + small(NOTE)
-    required = [
-        f"<p>{escaped(text)}</p>" + (f"<pre>{escaped(lines)}</pre>" if lines else "")
-        for text, lines in _requires(result)
-    ]
+    required: list[str] = []
+    for text, lines in _requires(result):
+        required += [text, Html(f"<pre>{escaped(lines)}</pre>") if lines else ""]
+    drawing, effects = figure(draw(result), CAPTION) if known else "", table(_rows(result), kind="effects dense")
     return document(
         kicker="effects on the readings",
         title=_title(known),
@@ -62,7 +59,7 @@ def page(result: Explanation) -> str:
         f"common random numbers. Changes of a reading by more than {100 * result.tolerance:g} % matter.",
         cards=_cards(result, known),
         body=[
-            section("Effects on the readings", figure(draw(result), "effects", CAPTION) if known else "", effects),
+            section("Effects on the readings", drawing, effects, small(NOTE)),
             section("What the scene requires", *required),
         ],
         attributes=result.attributes,
@@ -125,19 +122,19 @@ def draw(result: Explanation) -> "Figure":
     return drawing
 
 
-def _all(result: Explanation) -> list[Effect]:
-    """All effects, the largest first, and what leaving out all that is not needed does."""
-    return [*result.effects, *([result.together] if result.together else [])]
-
-
-def _cells(one: Effect) -> list[str]:
-    """An effect in the columns of the table, on the page and in the terminal."""
-    signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
-    of = one.photodiode + (" (signal)" if one.of == "signal" else "")
-    change = [_change(one), of] if math.isfinite(one.change) else ["not known", "–"]
-    modelled = "unknown" if one.unknown else "yes" if one.modelled else "no"
-    most = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
-    return [one.name, modelled, *change, most, signal, one.matters, one.changed_to]
+def _rows(result: Explanation) -> list[dict[str, str]]:
+    """All effects, the largest first, and that of leaving out all that is not needed, on the page and the terminal."""
+    rows = []
+    for one in (*result.effects, *([result.together] if result.together else [])):
+        known = math.isfinite(one.change)
+        of = one.photodiode + (" (signal)" if one.of == "signal" else "")
+        signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
+        row = {"Effect": one.name, "In scene": "unknown" if one.unknown else "yes" if one.modelled else "no"}
+        row |= {"Change of reading [%]": _change(one) if known else "not known", "of": of if known else "–"}
+        row["Upper bound [%]"] = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
+        row |= {"Signal, upper bound [%]": signal, "Matters": one.matters, "Changed to": one.changed_to}
+        rows.append(row)
+    return rows
 
 
 def _requires(result: Explanation) -> list[tuple[str, str]]:
@@ -159,23 +156,22 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
 
 def summary(result: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
-
-    def row(effect: Effect) -> dict[str, Any]:
-        return vars(effect) | {"matters": effect.matters, "lines": effect.lines}
-
+    made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
     return {
-        "effects": [row(e) for e in result.effects],
-        "not_needed": [e.name for e in result.needless],
-        "missing": [e.name for e in result.missing],
-        "together": result.together and row(result.together),
-    } | {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
+        "effects": [_effect(one) for one in result.effects],
+        "not_needed": [one.name for one in result.needless],
+        "missing": [one.name for one in result.missing],
+        "together": result.together and _effect(result.together),
+    } | made
+
+
+def _effect(one: Effect) -> dict[str, Any]:
+    return vars(one) | {"matters": one.matters, "lines": one.lines}
 
 
 def lines(result: Explanation) -> list[str]:
     """The table of effects and what the scene requires, for the terminal."""
-    head = ["effect", "in scene", "change of reading [%]", "of", "at most [%]", "signal [%]", "matters", "changed to"]
-    out = [f"Changes of a reading by more than {100 * result.tolerance:g} % matter."]
-    out += aligned([head, *map(_cells, _all(result))], left=(0, 1, 3, 6, 7))
+    out = [f"Changes of a reading by more than {100 * result.tolerance:g} % matter.", *aligned(_rows(result))]
     for text, scene_lines in _requires(result):
         out += [text, *(f"  {line}" for line in scene_lines.splitlines())]
     return out

@@ -13,8 +13,8 @@ from ...studies.force.predict import TOUCH_N, csv_rows
 from ...studies.force.subject import parse_subject
 from .. import style
 from ..files import Report, write_files
-from ..html import document, escaped, figure, section, small, table
-from ..numbers import significant, with_error
+from ..html import document, figure, section, small, table
+from ..numbers import estimated, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,9 +53,12 @@ def calibration_page(result: xr.Dataset) -> str:
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
         (f"× {significant(summary['widening'], 2)}", COVERAGE),
     ]
-    fits = figure(_fit_figure(result), "fit", FIT), figure(_residual_figure(result), "left", RESIDUALS)
-    person = _factors_table(summary), *_profiles(result), small(KNOWN)
-    readings = _readings_table(result, summary), small(GAINS)
+    fits = figure(_fit_figure(result), FIT), figure(_residual_figure(result), RESIDUALS)
+    bent = ", ".join(name.replace("_", " ") for name in result.attrs["bent_factors"])
+    profiles = [small("In every factor the fit is quadratic to a quarter of a standard error.")]
+    if bent:
+        profiles = [small(f"The fit is not quadratic in {bent}: there the curve gives the interval.")]
+        profiles.append(figure(profiles_figure(result), PROFILES))
     return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -65,55 +68,41 @@ def calibration_page(result: xr.Dataset) -> str:
         cards=cards,
         body=[
             section("Recorded and fitted", *fits),
-            section("The person", *person),
-            section("The readings", *readings),
+            section("The person", table(_factors(summary)), *profiles, small(KNOWN)),
+            section("The readings", table(_readings(result, summary)), small(GAINS)),
         ],
         attributes=result.attrs,
     )
 
 
-def _profiles(result: xr.Dataset) -> list[str]:
-    """Where the fit is not quadratic in a factor: the factor's profile likelihood."""
-    bent = [name.replace("_", " ") for name in result.attrs["bent_factors"]]
-    if not bent:
-        return [small("In every factor the fit is quadratic to a quarter of a standard error.")]
-    return [
-        small(f"The fit is not quadratic in {escaped(', '.join(bent))}: there the curve gives the interval."),
-        figure(profiles_figure(result), "profiles", PROFILES),
-    ]
-
-
-def _factors_table(summary: dict[str, Any]) -> str:
+def _factors(summary: dict[str, Any]) -> list[dict[str, str]]:
     """What the recordings say of the person, beside what was known before."""
-    factors = [
-        [
-            escaped(name.replace("_", " ")),
-            with_error(one["value"], one["stderr"]),
-            escaped(one["prior"].removeprefix("lognormal about 1, ")),
-            "recording" if one["informed"] else "prior",
-            escaped(one["what"]),
-        ]
+    return [
+        {
+            "Factor on the scene's": name.replace("_", " "),
+            "Value": with_error(one["value"], one["stderr"]),
+            "Before, about 1": one["prior"].removeprefix("lognormal about 1, "),
+            "Known by": "recording" if one["informed"] else "prior",
+            "What it is": one["what"],
+        }
         for name, one in summary["parameters"].items()
     ]
-    return table(["Factor on the scene's", "Value", "Before, about 1", "Known by", "What it is"], factors)
 
 
-def _readings_table(result: xr.Dataset, summary: dict[str, Any]) -> str:
+def _readings(result: xr.Dataset, summary: dict[str, Any]) -> list[dict[str, str]]:
     """Gain, offset, noise and headroom of each reading."""
     limit_v = parse_scene(str(result.attrs["scene"]), name="the scene").electronics.adc_range_v
-    most = f"Largest, of {limit_v:g} V [V]"
-    rows = [
-        [
-            escaped(name),
-            with_error(one["gain"], one["gain_stderr"]),
-            with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
-            significant(1e3 * one["residual_rms_v"], 2),
-            significant(1e6 * one["noise_v"], 2),
-            significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
-        ]
+    return [
+        {
+            "Reading": name,
+            "Gain": estimated(one, "gain"),
+            "Offset [mV]": with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
+            "Residual, rms [mV]": significant(1e3 * one["residual_rms_v"], 2),
+            "Noise, rms [µV]": significant(1e6 * one["noise_v"], 2),
+            f"Largest, of {limit_v:g} V [V]": significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
+        }
         for name, one in summary["readings"].items()
     ]
-    return table(["Reading", "Gain", "Offset [mV]", "Residual, rms [mV]", "Noise, rms [µV]", most], rows)
 
 
 def prediction_page(result: xr.Dataset) -> str:
@@ -126,21 +115,21 @@ def prediction_page(result: xr.Dataset) -> str:
         )
     is_open = float(np.isinf(result.force_high_n.values).mean())
     cards = [(f"{significant(summary['open_above_n'], 2)} N", "force above which intervals have no upper bound")]
+    methods: list[dict[str, str]] = []
     if np.isfinite(summary["rms_n"]):
-        cards = [
-            (f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"),
-            (f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"),
-            (f"{significant(1e3 * summary['baseline_rms_n']['linear'], 2)} mN", "linear regression's error, rms"),
-            *cards,
-        ]
-    rows = [
-        [escaped(one["kind"]), significant(one["time_s"], 4), significant(1e3 * one["latency_s"], 2)]
+        named = {"linear": "linear regression", "components": "principal component regression"}
+        errors = {"Kalman filter on the vessels": summary["rms_n"]}
+        errors |= {named[name]: error for name, error in summary["baseline_rms_n"].items()}
+        methods = [{"Force by": name, "Error, rms [mN]": significant(1e3 * error, 2)} for name, error in errors.items()]
+        inside = f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"
+        cards = [(f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"), inside, *cards]
+    events = [
+        {
+            "Event": one["kind"],
+            "At [s]": significant(one["time_s"], 4),
+            "After the known force [ms]": significant(1e3 * one["latency_s"], 2),
+        }
         for one in summary["events"]
-    ]
-    body = [
-        section("Force", figure(force_figure(result), "force", FORCE), _methods(summary)),
-        section("Place, body and fit", figure(_share_figure(result), "share", SHARE)),
-        section("The virtual switch", table(["Event", "At [s]", "After the known force [ms]"], rows)) if rows else "",
     ]
     return document(
         kicker="prediction",
@@ -148,22 +137,17 @@ def prediction_page(result: xr.Dataset) -> str:
         lead=f"{result.sizes['time']} samples; the interval has no upper bound in {100 * is_open:.0f} % of them.",
         warnings=warnings,
         cards=cards,
-        body=body,
+        body=[
+            section("Force", figure(force_figure(result), FORCE), table(methods) if methods else ""),
+            section("Place, body and fit", figure(_share_figure(result), SHARE)),
+            section("The virtual switch", table(events)) if events else "",
+        ],
         attributes=result.attrs | {"digest": result.attrs["scene_digest"]},
     )
 
 
-def _methods(summary: dict[str, Any]) -> str:
-    """Errors of the force by the filter and by regressions on the same calibration; empty where no force is known."""
-    if not np.isfinite(summary["rms_n"]):
-        return ""
-    named = {"linear": "linear regression", "components": "principal component regression"}
-    errors = {"Kalman filter on the vessels": summary["rms_n"]}
-    errors |= {named[name]: error for name, error in summary["baseline_rms_n"].items()}
-    rows = [[name, significant(1e3 * error, 2)] for name, error in errors.items()]
-    return table(["Force by", "Error, rms [mN]"], rows)
-
-
+# Of an event of the virtual switch.
+EVENT = ("time_s", "kind", "latency_s")
 # Points that a line is drawn with; more cannot be seen and make pages heavy.
 POINTS = 1500
 # How far above the largest known force an interval that is open above is drawn.
@@ -301,17 +285,13 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """Errors, coverage, consistency and events of a prediction."""
     names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
     names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
+    events = (result[f"event_{name}"].values.tolist() for name in EVENT)
     return {name: result.attrs[name] for name in names} | {
         "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
         "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
-        "events": [
-            {"time_s": float(time), "kind": str(kind), "latency_s": float(latency)}
-            for time, kind, latency in zip(
-                result.event_time_s.values, result.event_kind.values, result.event_latency_s.values, strict=True
-            )
-        ],
+        "events": [dict(zip(EVENT, one, strict=True)) for one in zip(*events, strict=True)],
     }
 
 

@@ -11,9 +11,9 @@ from ...statistics import Z95
 from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
 from ...studies.oximetry.recording import spo2_rows
 from .. import maps, style
-from ..files import Report
-from ..html import document, escaped, figure, section, small, table
-from ..numbers import aligned, polynomial, significant, with_error
+from ..files import Report, run_summary
+from ..html import document, figure, section, small, table
+from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,21 +31,31 @@ DISTURB = (
     "Bias of SpO2, displayed less true saturation, of an oximeter calibrated with the scene as it is, as one thing "
     "changes, with the 95 % interval of the trace."
 )
+CALIBRATION = (
+    "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over the "
+    "infrared's: R is in proportion to it."
+)
+ERRORS = (
+    "Electronics: shot and thermal noise and that of the sample-and-hold. Ambient light: the shot noise that it adds. "
+    "Trace: photon noise of the simulation, which more photons reduce."
+)
+DISTURBANCES = (
+    "The resting blood is as venous as the scene says, what pulsates is arterial. Where lines of LEDs move, light "
+    "scatters as at the traced wavelength. Sunlight is full at 100 klx, on all of the finger; nails of other thickness "
+    "have traces of their own."
+)
 
 
 def oximeter_page(result: xr.Dataset) -> str:
     """The page of an oximeter."""
     best = result.sel(photodiode=result.attrs["best"])
-    a, b = best.linear.values
+    a, b = best.linear.values.tolist()
+    red, infrared = (f"{significant(1e2 * one, 2)} %" for one in best.perfusion_index.values.tolist())
     cards = [
-        (f"{significant(float(a), 4)} − {significant(-float(b), 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
+        (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
         (significant(float(best.ratio_at_rest), 3), f"R at a saturation of {100 * result.attrs['so2']:g} %"),
         (f"{significant(float(best.spo2_stderr), 2)} %", "standard error of SpO2 over 8 s"),
-        (
-            f"{significant(1e2 * float(best.perfusion_index[0]), 2)} % and "
-            f"{significant(1e2 * float(best.perfusion_index[1]), 2)} %",
-            "perfusion index, red and infrared",
-        ),
+        (f"{red} and {infrared}", "perfusion index, red and infrared"),
     ]
     return document(
         kicker="pulse oximeter",
@@ -55,78 +65,64 @@ def oximeter_page(result: xr.Dataset) -> str:
         warnings=result.attrs["warnings"],
         cards=cards,
         body=[
-            section("The pulse in volts", figure(_pulse_figure(result), "pulse", PULSE), *_board(result)),
+            section("The pulse in volts", figure(_pulse_figure(result), PULSE), _board(result)),
             section(
                 "Calibration: from R to saturation",
-                figure(_calibration_figure(result), "calibration", CURVE),
-                _calibrations(result),
+                figure(_calibration_figure(result), CURVE),
+                table(_calibrations(result)),
+                small(CALIBRATION),
             ),
-            section("Uncertainty of SpO2", _errors(result), small(_ERRORS)),
+            section("Uncertainty of SpO2", table(_errors(result)), small(ERRORS)),
             section(
                 "Sensitivity to disturbances",
-                figure(_disturbances_figure(result), "disturbances", DISTURB),
+                figure(_disturbances_figure(result), DISTURB),
                 _melanin(result),
-                small(
-                    "The resting blood is as venous as the scene says, what pulsates is arterial. Where lines of LEDs "
-                    "move, light scatters as at the traced wavelength. Sunlight is full at 100 klx, on all of the "
-                    "finger; nails of other thickness have traces of their own."
-                ),
+                small(DISTURBANCES),
             ),
         ],
         attributes=result.attrs,
     )
 
 
-_ERRORS = (
-    "Electronics: shot and thermal noise and that of the sample-and-hold. Ambient light: the shot noise that it adds. "
-    "Trace: photon noise of the simulation, which more photons reduce."
-)
-
-
-_CALIBRATION = (
-    "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over the "
-    "infrared's: R is in proportion to it."
-)
-
-
-def _board(result: xr.Dataset) -> list[str]:
+def _board(result: xr.Dataset) -> str:
     try:
         scene = parse_scene(str(result.attrs["scene"]))
     except (InputError, KeyError):
-        return []
-    text = "The board from above, rolled flat."
-    return [figure(maps.top_view(scene), "top", text, narrow=True)]
+        return ""
+    return figure(maps.top_view(scene), "The board from above, rolled flat.", narrow=True)
 
 
-def _calibrations(result: xr.Dataset) -> str:
-    at = f"R({result.attrs['so2']:g})"
-    head = ["Photodiode", "Intercept", "Slope", "Residual [%]", "Quadratic", "Residual [%]", at, "Path ratio"]
+def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
     rows = []
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
-        line = [with_error(*pair) for pair in zip(one.linear.values, one.linear_stderr.values, strict=True)]
-        misses = [significant(float(one[key]), 2) for key in ("linear_miss", "quadratic_miss")]
-        ratios = [with_error(float(one[key]), float(one[f"{key}_stderr"])) for key in ("ratio_at_rest", "path_ratio")]
-        rows.append([escaped(name), *line, misses[0], polynomial(one.quadratic.values, "R"), misses[1], *ratios])
-    return table(head, rows) + small(_CALIBRATION)
+        intercept, slope = map(with_error, one.linear.values, one.linear_stderr.values)
+        row = {"Photodiode": name, "Intercept": intercept, "Slope": slope}
+        row["Line's residual [%]"] = significant(float(one.linear_miss), 2)
+        row["Quadratic"] = polynomial(one.quadratic.values, "R")
+        row["Its residual [%]"] = significant(float(one.quadratic_miss), 2)
+        row[f"R({result.attrs['so2']:g})"] = estimated(one, "ratio_at_rest")
+        rows.append(row | {"Path ratio": estimated(one, "path_ratio")})
+    return rows
 
 
-def _errors(result: xr.Dataset) -> str:
-    causes = [f"{escaped(cause)} [%]" for cause in result.cause.values]
+def _errors(result: xr.Dataset) -> list[dict[str, str]]:
+    heads = [*(f"{cause} [%]" for cause in result.cause.values), "All, 8 s [%]", "All, one beat [%]"]
     rows = []
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
         values = [*one.spo2_stderr_by_cause.values, one.spo2_stderr, one.spo2_stderr_beat]
-        rows.append([escaped(name), *(significant(float(value), 2) for value in values)])
-    return table(["Photodiode", *causes, "All, 8 s [%]", "All, one beat [%]"], rows)
+        cells = (significant(float(value), 2) for value in values)
+        rows.append({"Photodiode": name} | dict(zip(heads, cells, strict=True)))
+    return rows
 
 
 def _melanin(result: xr.Dataset) -> str:
-    worst = float(result.melanin_bound.max())
-    met = float(result.epidermis_part_bound.max())
+    worst = significant(float(result.melanin_bound.max()), 2)
+    met = significant(100 * float(result.epidermis_part_bound.max()), 2)
     return (
-        f"<p>Does light through the nail meet epidermis at all? At most {significant(100 * met, 2)} % of what a "
-        f"photodiode detects (95 % confidence), so that melanin changes SpO2 by at most {significant(worst, 2)} %.</p>"
+        f"Does light through the nail meet epidermis at all? At most {met} % of what a photodiode detects (95 % "
+        f"confidence), so that melanin changes SpO2 by at most {worst} %."
     )
 
 
@@ -142,13 +138,6 @@ def recording_page(result: xr.Dataset) -> str:
         ]
     if best["rate_per_min"] is not None:
         cards.append((significant(best["rate_per_min"], 3), "beats a minute"))
-    rows = []
-    for name, one in summary["readings"].items():
-        values = [(one[key], 3) for key in ("spo2", "spo2_stderr", "ratio")]
-        values += [(part and 100 * part, 2) for part in one["perfusion_index"].values()]
-        cells = ["–" if value is None else significant(value, digits) for value, digits in values]
-        rows.append([escaped(name), *cells, f"{one['still']} of {one['windows']}"])
-    head = ["Photodiode", "SpO2 [%]", "±", "R", "Perfusion, red [%]", "infrared [%]", "Still windows"]
     caption = f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time are left out."
     moved = f"motion in {100 * best['motion']:.0f} % of the time"
     return document(
@@ -157,11 +146,27 @@ def recording_page(result: xr.Dataset) -> str:
         lead=f"{result.sizes['time']} windows of {result.attrs['window_s']:g} s; {moved}.",
         cards=cards,
         body=[
-            section("Over time", figure(_over_time_figure(result), "time", caption)),
-            section("Photodiodes", table(head, rows)),
+            section("Over time", figure(_over_time_figure(result), caption)),
+            section("Photodiodes", table(_recorded(summary))),
         ],
         attributes=result.attrs,
     )
+
+
+def _recorded(summary: dict[str, Any]) -> list[dict[str, str]]:
+    """What a recording says by each photodiode, on the page and in the terminal."""
+    rows = []
+    for name, one in summary["readings"].items():
+        ends = "–" if one["spo2"] is None else f"{one['spo2_low']:.1f} to {one['spo2_high']:.1f}"
+        row = {"Photodiode": name, "SpO2 [%]": _known(one["spo2"]), "95 % interval": ends, "R": _known(one["ratio"])}
+        row |= {f"Perfusion, {led} [%]": _known(part, 100) for led, part in one["perfusion_index"].items()}
+        row |= {"Pulse [1/min]": _known(one["rate_per_min"]), "Motion [%]": f"{100 * one['motion']:.0f}"}
+        rows.append(row | {"Still windows": f"{one['still']} of {one['windows']}"})
+    return rows
+
+
+def _known(value: float | None, by: float = 1.0) -> str:
+    return "–" if value is None else significant(by * value)
 
 
 RED, INFRARED = "#c0303b", "#6b4fa0"
@@ -271,39 +276,25 @@ def _over_time_figure(result: xr.Dataset) -> "Figure":
 
 def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
     """Calibration and errors of an oximeter; so2 in parts of 1, everything called SpO2 in percent."""
-    leds, causes = list(map(str, result.led.values)), list(map(str, result.cause.values))
     readings = {}
-    for name in map(str, result.photodiode.values):
+    by_led = {"perfusion_index": "led", "perfusion_index_stderr": "led", "spo2_stderr_by_cause": "cause"}
+    for name in result.photodiode.values:
         one = result.sel(photodiode=name)
-        (intercept, slope), (intercept_stderr, slope_stderr) = (
-            one.linear.values.tolist(),
-            one.linear_stderr.values.tolist(),
-        )
-        row: dict[str, Any] = {key: one[key].values.tolist() for key in ("so2", "ratio", "ratio_stderr")}
-        rest = {"value": float(one.ratio_at_rest), "stderr": float(one.ratio_at_rest_stderr)}
-        row["ratio_at_rest"] = {"so2": float(result.attrs["so2"]), **rest}
-        row["fit"] = {"intercept": intercept, "slope": slope, "intercept_stderr": intercept_stderr}
-        row["fit"] |= {
-            "slope_stderr": slope_stderr,
-            "miss": float(one.linear_miss),
-            "quadratic": one.quadratic.values.tolist(),
+        row = plain(one, "so2", "ratio", "ratio_stderr", "path_ratio", "path_ratio_stderr", "spo2_stderr")
+        row |= plain(one, "spo2_stderr_beat", "melanin_bound", "saturated")
+        row["ratio_at_rest"] = {"so2": float(result.attrs["so2"])} | with_stderr(one, "ratio_at_rest")
+        line = ("intercept", "slope", "intercept_stderr", "slope_stderr")
+        row["fit"] = dict(zip(line, [*one.linear.values.tolist(), *one.linear_stderr.values.tolist()], strict=True))
+        row["fit"] |= plain(one, "quadratic", miss="linear_miss")
+        for key, dim in by_led.items():
+            row[key] = dict(zip(one[dim].values.tolist(), one[key].values.tolist(), strict=True))
+        row["disturbances"] = {
+            key: plain(one, values=key, spo2_off=f"off_by_{key}", stderr=f"off_by_{key}_stderr")
+            for key in result.attrs["disturbances"]
         }
-        for key, labels in (
-            ("perfusion_index", leds),
-            ("perfusion_index_stderr", leds),
-            ("spo2_stderr_by_cause", causes),
-        ):
-            row[key] = dict(zip(labels, one[key].values.tolist(), strict=True))
-        for key in ("path_ratio", "path_ratio_stderr", "spo2_stderr", "spo2_stderr_beat", "melanin_bound"):
-            row[key] = float(one[key])
-        row["saturated"] = bool(one.saturated)
-        row["disturbances"] = {}
-        for key in result.attrs["disturbances"]:
-            columns = {"values": key, "spo2_off": f"off_by_{key}", "stderr": f"off_by_{key}_stderr"}
-            row["disturbances"][key] = {field: one[column].values.tolist() for field, column in columns.items()}
-        readings[name] = row
-    names = ("best", "warnings", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "digest")
-    return {"readings": readings} | {name: result.attrs[name] for name in names}
+        readings[str(name)] = row
+    own = {name: result.attrs[name] for name in ("best", "warnings")}
+    return {"readings": readings} | own | run_summary(result.attrs)
 
 
 def recording_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -328,33 +319,16 @@ def recording_summary(result: xr.Dataset) -> dict[str, Any]:
     }
 
 
-def oximeter_lines(summary: dict[str, Any]) -> list[str]:
+def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """An oximeter's calibration and its error, photodiode by photodiode."""
-    rows = [["photodiode", "SpO2 in percent", "R at rest", "+-", "path ratio", "error, 8 s"]]
-    for name, one in summary["readings"].items():
-        fit, rest = one["fit"], one["ratio_at_rest"]
-        cells = [f"{fit['intercept']:.1f} - {-fit['slope']:.1f} R", f"{rest['value']:.4f}", f"{rest['stderr']:.4f}"]
-        rows.append([name, *cells, f"{one['path_ratio']:.3f}", f"{one['spo2_stderr']:.2f} %"])
-    lines = aligned(rows, left=(0, 1))
+    rows = zip(_calibrations(result), _errors(result), strict=True)
+    lines = aligned([line | {"Error, 8 s [%]": error["All, 8 s [%]"]} for line, error in rows])
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
     for name, one in best["disturbances"].items():
         worst = max(one["spo2_off"], key=abs)
         lines.append(f"  {name} from {one['values'][0]:g} to {one['values'][-1]:g}: bias at most {worst:+.2f} %")
-    return lines
-
-
-def oxygen_lines(summary: dict[str, Any]) -> list[str]:
-    """SpO2, pulse rate and motion of an oximeter's recording, photodiode by photodiode."""
-    lines = []
-    for name, one in summary["readings"].items():
-        spo2 = "SpO2 unknown"
-        if one["spo2"] is not None:
-            spo2 = f"SpO2 {one['spo2']:.1f} % ({one['spo2_low']:.1f} to {one['spo2_high']:.1f})"
-        rate = "rate unknown" if one["rate_per_min"] is None else f"{one['rate_per_min']:.1f} beats a minute"
-        motion = f"motion in {100 * one['motion']:.0f} % of the time"
-        lines.append(f"{name:<14} {spo2}, {rate}, {motion}{', best' if name == summary['best'] else ''}")
     return lines
 
 
@@ -367,11 +341,11 @@ OXIMETER = Report(
     ("oximeter.nc", "oximeter.html", "oximeter.png"),
     lambda result: (result, lambda _: oximeter_page(result), lambda _: overview_figure(result)),
     oximeter_summary,
-    lambda result, summary: oximeter_lines(summary),
+    oximeter_lines,
 )
 OXYGEN = Report(
     ("oxygen.nc", "oxygen.csv", "oxygen.html"),
     _oxygen_files,
     recording_summary,
-    lambda result, summary: oxygen_lines(summary),
+    lambda result, summary: aligned(_recorded(summary)),
 )

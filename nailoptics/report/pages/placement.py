@@ -1,17 +1,352 @@
-"""What a placement leaves: the files with the best layout for other programs, the ranking, and its summary."""
+"""What a placement leaves: its page with the ranking of layouts and maps of the best, and files for other programs."""
 
 import csv
 import math
 from io import StringIO
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
-from ...io import plain_cell
+from ...io import plain_cell, write_text
+from ...scene import Placement, Scene, parse_scene
+from ...sensor.ambient import SOURCES
+from ...sensor.physiological_noise import LIFT_PER_UM
+from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
-from ..files import Report, scene_text
-from ..numbers import aligned
-from ..uncertainty_section import spread_summary
+from ..files import Report, run_summary, scene_text
+from ..html import Html, document, figure, section, small, subheading, table
+from ..numbers import aligned, estimated, quantity, significant, with_error
+from ..scene_description import body_words
+from ..uncertainty_section import spread_section, spread_summary
+from . import placement_figures as figures
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Within this part of the best resolution more photodiodes are hardly worth their wires.
+NEARLY = 0.1
+# A resolution beyond this is that of the prior alone.
+NOTHING_MN = 1e3
+# What of the ranking has no room in a terminal.
+PAGE_ALONE = ("Split known [mN]", "Proximal, distal pressure [Pa]", "Condition", "Lowest SNR", "Full scale / reading")
+RANKING = (
+    "Force resolution of each layout (smaller is better) with its 95 % interval; layouts whose intervals overlap that "
+    "of the best are tied with it (filled). Small ticks are the individual fingers; diamonds, where the scene has a "
+    "body, the resolution limited by the electronics alone. Layouts from the search are named after the position of "
+    "their LEDs, in the scene's order: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its photodiodes."
+)
+BOARD = "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood below."
+BANANAS = (
+    "Sensitivity of each photodiode's reading to absorption below the nail (shaded: the mean of all photodiodes, each "
+    "normalised, over three decades). Outlined is the densest region that holds half of it, one colour for each "
+    "photodiode from proximal (warm) to distal (cool)."
+)
+MAPS = (
+    "On the flat board with this LED and wall, first finger, logarithmic scales with contours: light per area; its "
+    "shunted part, which bypassed the bed; the noise of one more photodiode centred there, rms in one sample (linear "
+    "scale); and its own force resolution if the split of the force is known. Bright is good; blank where too few "
+    "photons arrived and, around the LED, where it would saturate."
+)
+COUNT = (
+    "Left: force resolution of the best subset of so many photodiodes on this board, where the scene has a body with "
+    "its physiological noise, and limited by the electronics alone, with 95 % intervals; half of the photons selected "
+    "the subset, the other half evaluated it. Right: their positions."
+)
+SENSITIVITY = (
+    "Relative sensitivity of the light at each place to blood in the proximal (left) and in the distal zone (right): "
+    "percent of the light for each percent of the bed that is blood. Blank where too few photons arrived."
+)
+LED = (
+    "The LED moved, photodiodes and wall as they are: the light on all photodiodes, and their force resolution. One "
+    "trace from each photodiode gives its reading of an LED at every place (reciprocity); blank where too few photons "
+    "arrived or the resolution is close to the prior."
+)
+TRIED = (
+    "Candidate positions of the LED: force resolution with the best photodiodes for each, of several LEDs with the "
+    "best positions of the others. Triangles point from the LED to its photodiodes."
+)
+AMBIENT = (
+    "The largest of all photodiodes, upper end of the 95 % interval, for ambient light from all sides with the "
+    "spectrum of a black body. A steady part can be subtracted; its noise and a saturated converter cannot."
+)
+
+
+def write_placement(result: xr.Dataset, path: Path) -> None:
+    """Write the page of what `place` returns, whole or not at all; raises WriteError."""
+    best, ranking = chosen(result), rows(result)
+    by_led = [result.isel(led=[i]) for i in range(result.sizes["led"])]
+    layout = [figure(figures.board_figure(best), BOARD), table(_photodiodes(result), groups=_groups(result))]
+    checked = "No time was left to verify the best layout by its own trace."
+    if "checked_fraction" in result:
+        layout.append(subheading("Sensitivity of each photodiode"))
+        layout += [_of_led(figures.banana_figure(best, one), BANANAS, one, best) for one in by_led]
+        layout += [subheading("Ambient light"), table(_ambient(result)), small(AMBIENT)]
+        checked = _check(result)
+    text = document(
+        kicker="layout optimisation",
+        title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
+        lead=_lead(result, ranking),
+        cards=_cards(result, ranking),
+        body=[
+            section(
+                "The ranking",
+                figure(figures.ranking_figure(result), RANKING),
+                table(_ranking_rows(ranking[: figures.SHOWN]), kind="dense"),
+                small(rough_words(ranking)),
+                small(checked),
+            ),
+            _physiological_noise(best, result),
+            _how_many(best, result),
+            section("The best layout", *layout),
+            section("Maps of this board", *(part for one in by_led for part in _maps(best, one))),
+            spread_section(result),
+        ],
+        attributes=result.attrs,
+    )
+    write_text(Path(path), text)
+
+
+def _led_words(scene: Scene, one: xr.Dataset) -> str:
+    """Which LED a result of one LED is about."""
+    led = next(led for led in scene.leds if led.name == str(one.led.values[0]))
+    return f"LED {led.name}, {led.wavelength_nm:.0f} nm"
+
+
+def _of_led(drawing: "Figure", caption: str, one: xr.Dataset, scene: Scene, *, narrow: bool = False) -> Html:
+    """A figure of one LED; of several LEDs each is named."""
+    named = f"{_led_words(scene, one)}. {caption}" if len(scene.leds) > 1 else caption
+    return figure(drawing, named, narrow=narrow)
+
+
+def _maps(best: Scene, one: xr.Dataset) -> list[Html]:
+    """All maps of one LED."""
+    narrow = figures.slender(one)
+    maps = [subheading(_led_words(best, one))] if len(best.leds) > 1 else []
+    maps.append(_of_led(figures.map_figure(best, one), MAPS, one, best))
+    maps.append(_of_led(figures.sensitivity_figure(best, one), SENSITIVITY, one, best, narrow=narrow))
+    if "led_place_fraction" in one:
+        maps.append(_of_led(figures.led_figure(best, one), LED, one, best, narrow=narrow))
+        if str(one.led.values[0]) == best.leds[0].name:
+            ratio = estimated(one.attrs, "reciprocity_ratio")
+            text = "For the LED at its position, light traced back from all photodiodes predicts"
+            maps.append(small(f"{text} {ratio} times their reading in an independent trace."))
+    if one.sizes["led_site"]:
+        maps.append(_of_led(figures.sites_figure(one), TRIED, one, best, narrow=True))
+    return maps
+
+
+def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
+    first, tied = ranking[0], sum(row["rank"] == 1 for row in ranking)
+    force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
+    fingers = result.sizes["finger"]
+    over = "" if fingers == 1 else f", {_rules(result).over_fingers} of {fingers} fingers"
+    others = f"{'One' if tied == 2 else tied - 1} more {'is' if tied == 2 else 'are'} tied with it."
+    if tied == 1:
+        others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
+    noise = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
+    return (
+        f"Layout {first['layout']} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
+        f"for any split between the proximal and the distal side{f', with {noise}' if noise else ''}. "
+        f"{_ranked_by(result, first)}{others}"
+    )
+
+
+def _rules(result: xr.Dataset) -> Placement:
+    """The rules of the search."""
+    return boards.rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
+
+
+def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
+    """What layouts are ranked by, where that is not the force alone, and the best one's figures for it."""
+    weights, others = _rules(result).weights, []
+    if "share" in weights:
+        others.append(f"that part to {estimated(first, 'share_resolution', 100)} % of the force")
+    if "oxygen" in weights:
+        others.append(f"SpO2 to {estimated(first, 'spo2_error_percent')} % over 8 s with the electronics' noise")
+    if not others:
+        return ""
+    beside = ", beside the force" if {"worst", "mean"} & weights.keys() else ""
+    return f"It resolves {' and '.join(others)}; layouts are ranked by this{beside}. "
+
+
+def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    first = ranking[0]
+    cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
+    if "electronics_resolution_n" in first:
+        cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
+    better = gain(result)
+    if better and first["layout"] != "paper":
+        cards.append((f"{with_error(*better)} ×", f"better force resolution than the paper's layout{_tied(ranking)}"))
+    cards.append((significant(first["condition_number"]), "condition number of readings by blood zones"))
+    shunted = f"{100 * first['shunted_fraction']:.0f} %"
+    return [*cards, (shunted, "shunted: the largest part of a photodiode's light that bypassed the bed")]
+
+
+def _tied(ranking: list[dict[str, Any]]) -> str:
+    tied = sum(row["tied"] for row in ranking)
+    return f"; {tied} layouts are tied with each other" if tied else ""
+
+
+def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
+    """The ranking in words, on the page and in the terminal; what is known of no layout is left out."""
+    optional = {
+        "Electronics alone [mN]": ("electronics_resolution_n", 1e3),
+        "Prior std [mN]": ("force_resolution_spread_n", 1e3),
+        "SpO2 [%]": ("spo2_error_percent", 1.0),
+    }
+    known = {
+        head: one for head, one in optional.items() if any(math.isfinite(r.get(one[0], math.nan)) for r in ranking)
+    }
+    lines = []
+    for row in ranking:
+        rank = f"{row['rank']}{' (tied)' if row['tied'] else ''}"
+        line = {"Layout": row["layout"], "Rank": rank}
+        line["Resolution [mN]"] = estimated(row, "force_resolution_n", 1e3)
+        line |= {head: estimated(row, *one) for head, one in known.items()}
+        if "electronics_rank" in row:
+            line["Rank by electronics"] = str(row["electronics_rank"])
+        line["Split known [mN]"] = significant(1e3 * row["fixed_ratio_resolution_n"])
+        line["Share [%]"] = estimated(row, "share_resolution", 100)
+        pressures = (significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal"))
+        line["Proximal, distal pressure [Pa]"] = ", ".join(pressures)
+        line["Condition"] = significant(row["condition_number"])
+        line["Lowest SNR"] = significant(row["least_snr"])
+        line["Full scale / reading"] = significant(row["adc_headroom"])
+        line["Shunted [%]"] = f"{100 * row['shunted_fraction']:.0f}"
+        lines.append(line)
+    return lines
+
+
+def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
+    """The effect of physiological noise on the resolution; empty without a body."""
+    if "electronics_resolution_n" not in result:
+        return ""
+    bandwidth_hz, requested = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
+    sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
+    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.physiological_noise_force_n))
+    text = (
+        f"One sample is {sample}. It is evaluated without the samples before it, from which {body_words(best)} could "
+        "be estimated, so that waves slower than its bandwidth count in full. Such waves change the blood of both "
+        "zones, each with the gain of the vessels at its frequency. A sensor of the blood in two zones cannot "
+        "distinguish them from two pressures with the same effect: with every layout they produce a false force of "
+        f"{false_force} mN rms, a physiological noise floor. The contribution of drift and lift depends on the layout; "
+        f"if the split of the touch is known, most of the waves can be separated from it, too. {_worn(requested)}"
+    )
+    note = (
+        "nailoptics predict uses the samples before. Where its model fits and the electronics are the only noise, the "
+        "error of its force estimate lies within 1.3 times the bound for electronics alone; its error with a person's "
+        "body is given on the page of the calibration."
+    )
+    return section("Physiological noise", text, small(note))
+
+
+def _worn(scene: Scene) -> str:
+    """The assumed effect of the sensor's drift and motion; empty without either."""
+    body, parts = scene.body, []
+    if body is not None and body.drift is not None:
+        since_s, drift = boards.rules(scene).since_rest_s, body.drift
+        percent = 100 * math.sqrt(since_s / 60)
+        led, reading = (significant(percent * x) for x in (drift.led_per_rt_min, drift.reading_per_rt_min))
+        parts.append(
+            f"{significant(since_s)} s after the last reading of the untouched finger, all readings of an LED have "
+            f"drifted by {led} % together and each independently by {reading} %; more photodiodes average the latter."
+        )
+    if body is not None and body.motion is not None:
+        lift = significant(100 * LIFT_PER_UM * body.motion.lift_um)
+        parts.append(
+            f"A lift of {body.motion.lift_um:g} µm is assumed to change all readings by {lift} % together, at any "
+            "distance from the LED; sliding along the nail is not included."
+        )
+    return " ".join(parts)
+
+
+def _how_many(best: Scene, result: xr.Dataset) -> str:
+    """Force resolution against the number of photodiodes, and how few do; empty where no time was left for it."""
+    if "count_electronics_resolution_n" not in result:
+        return ""
+    # By what the photodiodes were selected, and by what noise they are judged.
+    kinds = {"Electronics alone [mN]": ("count_electronics_resolution_n", "electronics")}
+    if "count_resolution_n" in result:
+        text = "Selected for the electronics, with physiological noise [mN]"
+        with_body = {"With physiological noise [mN]": ("count_resolution_n", "body")}
+        kinds = with_body | kinds | {text: ("count_resolution_n", "electronics")}
+    counted = []
+    for count in result.photodiode_count.values:
+        at = {head: (result.sel(chosen_for=by, photodiode_count=count), name) for head, (name, by) in kinds.items()}
+        if all(math.isfinite(one[name] + one[f"{name}_stderr"]) for one, name in at.values()):
+            cells = {head: estimated(one, name, 1e3) for head, (one, name) in at.items()}
+            counted.append({"Photodiodes": str(count)} | cells)
+    drawn, name = figure(figures.count_figure(best, result), COUNT), next(iter(kinds.values()))
+    return section("Number of photodiodes", _enough(result, *name), drawn, table(counted))
+
+
+def _enough(result: xr.Dataset, name: str, purpose: str) -> str:
+    """The fewest photodiodes that resolve force nearly as well as the most."""
+    at = result.sel(chosen_for=purpose).dropna("photodiode_count", subset=[name])
+    if at.sizes["photodiode_count"] < 2:
+        return ""
+    counts, finest = at.photodiode_count.to_numpy(), float(at[name].min())
+    few = int(counts[np.flatnonzero(at[name].to_numpy() <= (1 + NEARLY) * finest)[0]])
+    return (
+        f"{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within {100 * NEARLY:.0f} % "
+        f"of what {int(counts[-1])} resolve on the best layout's board with its LEDs, each number at its best "
+        "positions. Other positions of the LEDs may suit that number better: search with "
+        f"placement.photodiodes = {few}."
+    )
+
+
+def _check(result: xr.Dataset) -> str:
+    fresh = estimated(result.attrs, "checked_resolution_n", 1e3)
+    by_map = estimated(result.isel(layout=0, finger=0), "finger_resolution_n", 1e3)
+    return (
+        "Layouts are evaluated on photon maps of the bare board. The best was verified by a trace with its photodiodes "
+        f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map."
+    )
+
+
+def _groups(result: xr.Dataset) -> list[str]:
+    return [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
+
+
+def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
+    """The readings of the best layout on the first finger: each photodiode under each LED."""
+    lines = []
+    for led in result.led.values:
+        for i, name in enumerate(chosen(result).layout.photodiode_names):
+            one = result.sel(led=led).isel(best_photodiode=i)
+            volts, noise_v = float(one.predicted_volts), float(one.predicted_noise_v)
+            line = {"Photodiode": name, "Reading [V]": estimated(one, "predicted_volts")}
+            line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
+            line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
+            line["Shunted [%]"] = estimated(one, "predicted_shunted_fraction", 100)
+            # A hundredth of the bed's volume, in millivolts.
+            for k, zone in enumerate(("Proximal", "Distal")):
+                line[f"{zone} blood [mV / %]"] = estimated(one.isel(blood_zone=k), "predicted_zone_v", 10)
+            line["Mean depth [mm]"] = estimated(one, "mean_depth_mm") if "mean_depth_mm" in one else "–"
+            lines.append(line)
+    return lines
+
+
+def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
+    """Sun and lamp, with and without the cover."""
+    heads = ("Light", "Photocurrent at most [µA]", "Output at most [V]", "Noise at most [µV]", "Resolution [mN]")
+    alone = [result.predicted_volts.max(), 1e6 * result.predicted_noise_v.max(), 1e3 * result.finger_resolution_n[0, 0]]
+    lines = [["none", "0", *(significant(float(value)) for value in alone)]]
+    for cover in result.cover.values:
+        for source in SOURCES:
+            at = result.sel(cover=cover, ambient=source.name)
+            lux = f"{source.lux:,.0f}".replace(",", "\u202f")
+            name = f"{source.name}, {lux} lux, {'with the cover' if cover == 'covered' else 'without it'}"
+            most = [1e6 * at.ambient_high_a.max(), at.ambient_volts.max(), 1e6 * at.ambient_noise_v.max()]
+            current, output, noise = (significant(float(value)) for value in most)
+            if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()):
+                output += " (saturated)"
+            resolution_mn = 1e3 * float(at.ambient_resolution_n)
+            resolves = significant(resolution_mn) if resolution_mn < NOTHING_MN else "nothing"
+            lines.append([name, current, output, noise, resolves])
+    return [dict(zip(heads, line, strict=True)) for line in lines]
 
 
 def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any, ...]:
@@ -21,17 +356,16 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any
     from ...scene.importers.kicad import write_board
     from ...scene.importers.outlines import write_outline
     from ...scene.importers.positions import write_positions
-    from .place.page import write_placement
 
-    best, ranking, edges, table = chosen(result), rows(result), outline(result), StringIO(newline="")
+    best, ranking, edges, text = chosen(result), rows(result), outline(result), StringIO(newline="")
     placed = kicad_parts(best)
     sizes = [*(led.size_mm for led in best.leds), *(e.photodiode.size_mm for e in best.layout.photodiodes)]
-    writer = csv.DictWriter(table, list(ranking[0]))
+    writer = csv.DictWriter(text, list(ranking[0]))
     writer.writeheader()
     writer.writerows({name: plain_cell(cell) for name, cell in row.items()} for row in ranking)
     return (
         result,
-        table.getvalue(),
+        text.getvalue(),
         scene_text(best, result.attrs),
         lambda path: write_positions(path, placed, negate_x_on_bottom=negate_x_on_bottom),
         lambda path: write_outline(path, edges),
@@ -44,61 +378,29 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """The ranking of layouts, and the gain in force resolution over the paper's layout."""
     better = gain(result)
-    names = ("photons", "cpu_seconds", "wall_seconds", "digest", "rank_by")
     return {
         "ranking": rows(result),
+        "rank_by": result.attrs["rank_by"],
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
-        "cut_off": result.attrs.get("cut_off"),
         **spread_summary(result),
-    } | {name: result.attrs[name] for name in names}
+    } | run_summary(result.attrs)
 
 
 def lines(summary: dict[str, Any]) -> list[str]:
     """The ranking as a table, best first."""
-    columns: dict[str, tuple[str, float]] = {
-        "resolution [mN]": ("force_resolution_n", 1e3),
-        "electronics alone [mN]": ("electronics_resolution_n", 1e3),
-        "prior spread [mN]": ("force_resolution_spread_n", 1e3),
-        "SpO2 [%]": ("spo2_error_percent", 1.0),
-        "share [%]": ("share_resolution", 100.0),
-    }
     ranking = summary["ranking"]
-    if "share" not in summary["rank_by"]:
-        del columns["share [%]"]
-    shown = {head: one for head, one in columns.items() if any(_known(row, one[0]) for row in ranking)}
-    by = ["electronics_rank"] if "electronics_rank" in ranking[0] else []
-    table = [["rank", "layout", *shown, *("rank by electronics" for _ in by), ""]]
-    for row in ranking:
-        pairs = [(_known(row, n), s * row.get(n, 0), s * row.get(f"{n}_stderr", 0)) for n, s in shown.values()]
-        cells = [f"{value:.3f} +- {error:.3f}" if known else "-" for known, value, error in pairs]
-        tied = "tied" if row["tied"] else ""
-        table.append([str(row["rank"]), row["layout"], *cells, *(str(row[name]) for name in by), tied])
-    out = aligned(table, left=(1,))
+    left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
+    shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
+    out = aligned(shown)
     if better := summary["gain_over_paper"]:
-        tied = sum(row["tied"] for row in ranking)
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
-        beside = f"; {tied} layouts are tied with each other" if tied else ""
-        out.append(f"force resolution better than the paper's layout: {times}{beside}")
-    out += filter(None, [rough_words(ranking)])
-    return [*out, *summary.get("conclusions", [])]
-
-
-def _known(row: dict[str, Any], name: str) -> bool:
-    return math.isfinite(row.get(name, math.nan))
+        out.append(f"force resolution better than the paper's layout: {times}{_tied(ranking)}")
+    return [*out, *filter(None, [rough_words(ranking)]), *summary.get("conclusions", [])]
 
 
 PLACEMENT = Report(
-    (
-        "place.nc",
-        "ranking.csv",
-        "best.toml",
-        "best.csv",
-        "outline.dxf",
-        "best.kicad_pcb",
-        "best.glb",
-        "place.html",
-    ),
+    ("place.nc", "ranking.csv", "best.toml", "best.csv", "outline.dxf", "best.kicad_pcb", "best.glb", "place.html"),
     _files,
     summary,
     lambda result, summary: lines(summary),

@@ -32,8 +32,8 @@ VESSELS = (
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
-    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "lw": 1.1, "ls": (0, (5, 2.5))}),
-    "taylor": ("Taylor (9)", {"color": style.INK, "lw": 1.3, "ls": (0, (1, 1.6))}),
+    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "lw": 1.1, "linestyle": (0, (5, 2.5))}),
+    "taylor": ("Taylor (9)", {"color": style.INK, "lw": 1.3, "linestyle": (0, (1, 1.6))}),
 }
 
 
@@ -43,20 +43,20 @@ def touch(result: xr.Dataset) -> "Figure":
     beats, thin = "arterial_pressure_pa" in result, _thin(result)
     figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, room_in=WITH_LEGENDS_BELOW, sharex=True)
     left, right = panels[:2]
-    _line(left, thin, thin.force_n, color=style.INK, label="normal")
+    _line(left, thin.force_n, color=style.INK, label="normal")
     if "shear_n" in thin:
-        _line(left, thin, thin.shear_n, color=style.VEIN, linestyle=DASHED, label="shear, towards the tip")
+        _line(left, thin.shear_n, color=style.VEIN, linestyle=DASHED, label="shear, towards the tip")
         _legend_below(left)
     names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", DASHED))
     for zone, (name, label, dashes) in enumerate(names):
         pressure = thin[f"{name}_pressure_pa"] / 1e3
-        _line(right, thin, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
+        _line(right, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
     _over_time(left, result, "Force on the fingertip", "force [N]")
     _over_time(right, result, "Pressure that it makes", "pressure [kPa]")
     left.set_ylim(min(0.0, float(result.get("shear_n", result.force_n).min())), None)
     right.set_ylim(0, None)
     if beats:
-        _line(panels[2], thin, thin.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
+        _line(panels[2], thin.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
         _over_time(panels[2], result, "Arterial pressure", "pressure [kPa]")
     _legend_below(right, ncols=1 if beats else 2)
     return figure
@@ -73,12 +73,12 @@ def vessels(result: xr.Dataset) -> "Figure":
     for axes, (name, scale, title, label) in zip(panels, fields, strict=True):
         values = scale * thin[name]
         if "zone" not in values.dims:
-            _line(axes, thin, values, color=style.VEIN)
+            _line(axes, values, color=style.VEIN)
         else:
             for i, (zone, colour) in enumerate(zip(result.zone.values, colours, strict=True)):
                 # Curves that lie on one another are all visible.
                 look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", DASHED)[i % 2]}
-                _line(axes, thin, values.isel(zone=i), **look)
+                _line(axes, values.isel(zone=i), **look)
         _over_time(axes, result, title, label)
         _not_too_close(axes)
         if name in ("capillary_diameter_m", "blood_fraction"):
@@ -100,7 +100,7 @@ def bed(result: xr.Dataset, scene: Scene) -> "Figure":
     time_s = thin.time.to_numpy()
     borders = np.concatenate([time_s[:1], (time_s[1:] + time_s[:-1]) / 2, time_s[-1:]])
     image = axes.pcolormesh(borders, edges_mm, part, cmap=colours, vmin=0, vmax=most, rasterized=True)
-    _line(axes, thin, half_mm - thin.white_band_mm, color=style.DARK_INK, lw=1.2, linestyle=DASHED)
+    _line(axes, half_mm - thin.white_band_mm, color=style.DARK_INK, lw=1.2, linestyle=DASHED)
     _over_time(axes, result, "Blood along the nail", "towards the tip [mm]")
     axes.set_ylim(-half_mm, half_mm)
     axes.grid(False)
@@ -119,7 +119,7 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
     figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)
     thin = _thin(result)
-    _line(top, thin, thin.force_n, color=style.INK)
+    _line(top, thin.force_n, color=style.INK)
     top.fill_between(thin.time, 0, thin.force_n, color=style.MUTED, alpha=0.15, lw=0)
     top.set(ylabel="force [N]", ylim=(0, None))
     for axes in panels[1:]:
@@ -143,20 +143,13 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
         moved = f"{significant(float(change[led, j, hold]) / scale, 3, sign=True)} {letter}V"
         moved = "saturated" if result.saturated[led, j].any() else moved
         label = f"{result.photodiode.values[j]}  {moved}"
-        _line(axes, thin, thin.volts_change[led, j] / scale, color=colour, label=style.plain(label))
+        _line(axes, thin.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
     _over_time(axes, result, style.plain(led_name(result, led)), f"change from rest [{letter}V]")
     _not_too_close(axes)
-    handles, labels = axes.get_legend_handles_labels()
     # From the tip down, as on the nail.
-    axes.legend(
-        handles[::-1],
-        labels[::-1],
-        loc="center left",
-        bbox_to_anchor=(1.0, 0.5),
-        title=f"at {hold_s:.3g} s",
-        ncols=_legend_columns(len(photodiodes)),
-    )
+    look: dict[str, Any] = {"reverse": True, "loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+    axes.legend(title=f"at {hold_s:.3g} s", ncols=_legend_columns(len(photodiodes)), **look)
 
 
 def _legend_columns(photodiodes: int) -> int:
@@ -197,10 +190,10 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
                 main.fill_between(one.time, low, high, color=colour, alpha=alpha, lw=0, label=label)
             noise = noise_v / missed_scale
             below.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
-        _line(main, one, middle, color=colour, label="traced light")
+        _line(main, one.volts / scale, color=colour, label="traced light")
         for name, (label, look) in MODELS.items():
-            _line(main, one, one[f"volts_{name}"] / scale, label=label, **look)
-            _line(below, one, (one[f"volts_{name}"] - one.volts) / missed_scale, **look)
+            _line(main, one[f"volts_{name}"] / scale, label=label, **look)
+            _line(below, (one[f"volts_{name}"] - one.volts) / missed_scale, **look)
         main.set_ylabel(f"volts [{letter}V]", fontsize=8)
         below.set_ylabel(f"residual\n[{missed_letter}V]", fontsize=8)
         level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
@@ -231,12 +224,11 @@ def _largest(rows: Iterable[xr.DataArray]) -> float:
     return float(np.fmax.reduce([abs(row).max() for row in rows]))
 
 
-def _line(axes: "Axes", over: xr.Dataset, values: object, **look: Any) -> None:
+def _line(axes: "Axes", values: xr.DataArray, **look: Any) -> None:
     """A line over time; a dot where there is one time only."""
-    if over.sizes["time"] == 1:
-        look = {**look, "marker": "o", "linestyle": "none"}
-        look.pop("ls", None)
-    axes.plot(over.time.to_numpy(), np.asarray(values), **look)
+    if values.size == 1:
+        look |= {"marker": "o", "linestyle": "none"}
+    axes.plot(values.time.to_numpy(), values.to_numpy(), **look)
 
 
 def _over_time(axes: "Axes", result: xr.Dataset, title: str = "", ylabel: str = "") -> None:

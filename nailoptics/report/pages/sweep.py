@@ -10,7 +10,7 @@ import xarray as xr
 from ...batch import write_table
 from ...io import write_text
 from .. import style
-from ..html import document, escaped, figure, section, small, table
+from ..html import document, figure, section, small, table
 from ..numbers import prefix, significant, unit_of
 from .colour import A_PICTURE
 
@@ -39,24 +39,19 @@ def page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
     failures : why scenes failed, by digest.
     """
     states, counts = np.unique(results.state.values, return_counts=True)
-    rows = [[escaped(digest[:12]), escaped(why)] for digest, why in failures.items()]
-    failed = section(f"{len(failures)} failed", table(["Scene", "Why"], rows)) if rows else ""
+    rows, sheet = [{"Scene": digest[:12], "Why": why} for digest, why in failures.items()], ""
+    if "photograph" in results:
+        scenes = results.state.size
+        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {A_PICTURE}"
+        sheet = section("Photographs", figure(contact_sheet(results), caption))
+    failed = section(f"{len(failures)} failed", table(rows)) if rows else ""
     return document(
         kicker="sweep",
         title=str(results.attrs["title"]).removeprefix("nailoptics: "),
         lead=f"{counts.sum()} scenes: {', '.join(f'{n} {s}' for s, n in zip(states, counts, strict=True))}.",
-        body=[section("The axes", _axes_table(results)), _photographs(results), _figures(results), failed],
+        body=[section("The axes", table(_axes(results))), sheet, _figures(results), failed],
         attributes=results.attrs,
     )
-
-
-def _photographs(results: xr.Dataset) -> str:
-    """The contact sheet of a sweep of colours."""
-    if "photograph" not in results:
-        return ""
-    scenes = results.state.size
-    caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {A_PICTURE}"
-    return section("Photographs", figure(contact_sheet(results), "sheet", caption))
 
 
 def axes_of(results: xr.Dataset) -> list[str]:
@@ -64,23 +59,17 @@ def axes_of(results: xr.Dataset) -> list[str]:
     return [str(n) for n, c in results.coords.items() if c.dims and set(c.dims) <= set(results.state.dims)]
 
 
-def _axes_table(results: xr.Dataset) -> str:
+def _axes(results: xr.Dataset) -> list[dict[str, str]]:
     rows = []
     for name in axes_of(results):
-        coord = results[name]
-        values = list(dict.fromkeys(coord.values.tolist()))
-        if coord.dtype.kind in "iuf":
+        values = list(dict.fromkeys(results[name].values.tolist()))
+        if results[name].dtype.kind in "iuf":
             shown = f"{significant(min(values), 4)} to {significant(max(values), 4)}"
         else:
             shown = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
-        cells = (name, coord.attrs.get("long_name", ""), len(values), shown)
-        rows.append([escaped(cell) for cell in cells])
-    return table(["Axis", "Place in the scene", "Values", "From, to"], rows)
-
-
-def coordinate_path(results: xr.Dataset, name: str) -> str:
-    """The place in the scene of an axis' values; its name where it has several."""
-    return str(results[name].attrs.get("long_name", name))
+        place = results[name].attrs.get("long_name", "")
+        rows.append({"Axis": name, "Place in the scene": place, "Values": str(len(values)), "From, to": shown})
+    return rows
 
 
 def _figures(results: xr.Dataset) -> str:
@@ -94,11 +83,11 @@ def _figures(results: xr.Dataset) -> str:
             "value; in a sweep of single samples every sample is a point."
         )
     ]
-    for i, name in enumerate([n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]):
+    for name in [n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
-        lines.append(figure(_along(results, quantity, name), f"axis{i}", caption, narrow=True))
-    return section(escaped(text[0].upper() + text[1:]), *lines)
+        lines.append(figure(_along(results, quantity, name), caption, narrow=True))
+    return section(text[0].upper() + text[1:], *lines)
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -132,7 +121,7 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(style.in_lines(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
-    unit = f" [{unit_of(coordinate_path(results, name))}]" if numeric else ""
+    unit = f" [{unit_of(str(results[name].attrs.get('long_name', name)))}]" if numeric else ""
     axes.set_xlabel(style.plain(f"{name}{unit}"))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])

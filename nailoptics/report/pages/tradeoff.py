@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...io import to_json
-from ...studies.model_error.tradeoff import OWN, REFERENCE, Answer, Bias, Level, Tradeoff
+from ...studies.model_error.tradeoff import OWN, REFERENCE, Answer, Level, Tradeoff
 from .. import style
 from ..files import Report, scene_text
-from ..html import document, escaped, figure, section, small, table
+from ..html import document, figure, section, small, subheading, table
 from ..numbers import aligned, duration, significant, with_error
 
 if TYPE_CHECKING:
@@ -42,18 +42,16 @@ NOTE = (
 def page(result: Tradeoff, drawing: "Figure") -> str:
     """The page around what `draw` drew."""
     choice = result.chosen
-    selected = "<br>".join(map(escaped, result.lines)) or escaped(choice.level.call) or "none is needed"
+    selected = "; ".join(result.lines) or choice.level.call or "none is needed"
     body = section(
         "Error against time",
-        figure(drawing, "time", CAPTION),
-        _levels(result),
-        small(escaped(NOTE.format(meaning(result)))),
-        f"<p>{escaped(chosen_line(result))} What selects it: <code>{selected}</code></p>",
-        f"<p>{escaped(simultaneous_line(result))}</p>",
-        "<h3>What each level needs</h3>",
-        _needs(result),
-        "<h3>The fastest answer within an error</h3>",
-        _within(result),
+        figure(drawing, CAPTION),
+        table(_rows(result)),
+        small(NOTE.format(meaning(result))),
+        f"{chosen_line(result)} What selects it: {selected}",
+        simultaneous_line(result),
+        subheading("What each level needs"),
+        table(_needs(result), kind="words"),
     )
     return document(
         kicker="speed against accuracy",
@@ -130,50 +128,27 @@ def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float |
         )
 
 
-def _levels(result: Tradeoff) -> str:
-    head = ["Level", "Bias of reading<br>[%]", "upper bound<br>[%]", "Bias of signal<br>[%]", "upper bound<br>[%]"]
+def _rows(result: Tradeoff) -> list[dict[str, str]]:
+    """Every level, on the page and in the terminal: its biases, and its answer's time."""
     rows = []
     for one in result.levels:
-        name, *cells = _cells(result, one)
-        name = escaped(name) + (" <b>✓</b>" if one.name == result.chosen.level.name else "")
-        rows.append([name, *cells])
-    return table([*head, "Answer within<br>the tolerance"], rows)
+        answer = one.within(result.tolerance, result.coverage)
+        row = {"Level": f"{one.name}{' (chosen)' if one.name == result.chosen.level.name else ''}"}
+        for name, bias in (("reading", one.reading), ("signal", one.signal)):
+            shown, bound = "not measured", "–"
+            if bias is not None:
+                shown = with_error(100 * bias.value, 100 * bias.stderr, sign=True)
+                bound = significant(100 * bias.bound, 2)
+            row |= {f"Bias of {name} [%]": shown, f"upper bound of {name} [%]": bound}
+        rows.append(row | {"Answer within the tolerance": duration(answer.seconds) if answer else "–"})
+    return rows
 
 
-def _cells(result: Tradeoff, level: Level) -> list[str]:
-    """A level in the columns of the table, on the page and in the terminal: its biases, and its answer's time."""
-    answer = level.within(result.tolerance, result.coverage)
-    return [level.name, *_bias(level.reading), *_bias(level.signal), duration(answer.seconds) if answer else "–"]
-
-
-def _bias(bias: Bias | None) -> list[str]:
-    """Bias with its error, and its bound. [%]"""
-    if bias is None:
-        return ["not measured", "–"]
-    return [with_error(100 * bias.value, 100 * bias.stderr, sign=True), significant(100 * bias.bound, 2)]
-
-
-def _needs(result: Tradeoff) -> str:
+def _needs(result: Tradeoff) -> list[dict[str, str]]:
     """What must be known for each level, and what selects it."""
-    rows = []
-    for one in result.levels:
-        how = "<br>".join(f"<code>{escaped(line)}</code>" for line in one.lines or ([one.call] if one.call else []))
-        rows.append([escaped(one.name), escaped(one.beforehand) or "–", how or "the scene as it is"])
-    head = ["Level", "Must be known beside the scene", "Scene lines, or the call that gives it"]
-    return table(head, rows, kind="words")
-
-
-def _within(result: Tradeoff) -> str:
-    """The fastest answers, one row per error, in both senses."""
-    rows = []
-    for error in ERRORS:
-        row = [f"{100 * error:g}"]
-        for simultaneous in (False, True):
-            answer = result.fastest(error, simultaneous=simultaneous)
-            row += [escaped(answer.level.name), duration(answer.seconds)] if answer else ["–", "–"]
-        rows.append(row)
-    head = ["Error<br>[%]", "One standard error of<br>the worst photodiode", "", "All at once,<br>95 % sure", ""]
-    return table(head, rows)
+    heads = ("Level", "Must be known beside the scene", "Scene lines, or the call that gives it")
+    cells = ((one.name, one.beforehand or "–", "; ".join(one.lines) or one.call) for one in result.levels)
+    return [dict(zip(heads, (*cell[:2], cell[2] or "the scene as it is"), strict=True)) for cell in cells]
 
 
 def meaning(result: Tradeoff) -> str:
@@ -243,8 +218,8 @@ def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
 
 def lines(result: Tradeoff) -> list[str]:
     """The table of levels and the one to take, for the terminal."""
-    head = ["level", "bias of reading [%]", "at most", "of signal [%]", "at most", "answer", "must be known"]
-    out = aligned([head, *([*_cells(result, one), one.beforehand] for one in result.levels)], left=(0, 6))
+    known = ({"Must be known": one.beforehand} for one in result.levels)
+    out = aligned([row | more for row, more in zip(_rows(result), known, strict=True)])
     out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
     out += filter(None, [simultaneous_line(result)])
     if result.chosen.level.call:

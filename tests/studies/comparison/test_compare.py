@@ -309,7 +309,7 @@ def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, 
     assert found["verdict"]["outcome"] == "missed" and "does not stay within 0.01 % of the swing" in printed.err
     assert len(found["comparisons"]) == 16
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 6 and "src=" not in page and "http:" not in page and "https:" not in page
+    assert page.count("<svg") == 5 and "src=" not in page and "http:" not in page and "https:" not in page
     assert cli.run(["compare", "prototype", "-o", str(tmp_path), "--require", "-1"]) == 2
 
 

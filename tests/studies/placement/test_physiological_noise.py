@@ -10,7 +10,7 @@ from nailoptics import hemodynamics
 from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
-from nailoptics.report.pages.place.page import write_placement
+from nailoptics.report.pages.placement import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import information
 from nailoptics.sensor.physiological_noise import PhysiologicalNoise, physiological_noise
@@ -264,7 +264,7 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
     assert sorted(row["electronics_rank"] for row in rows) == list(range(1, len(rows) + 1))
     fresh, foretold = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
     assert fresh == pytest.approx(foretold, rel=0.05)
-    assert "electronics alone [mN]" in placement.lines(placement.summary(found))[0]
+    assert "Electronics alone [mN]" in placement.lines(placement.summary(found))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
     assert any("Roughly known" in line for line in placement.lines(placement.summary(found)))
 
@@ -286,5 +286,5 @@ def test_more_photodiodes_help_the_electronics_and_hardly_the_body(found):
 def test_the_page_tells_the_bodys_part(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert "Physiological noise" in text and "Electronics<br>alone" in text and "heartbeat" in text
+    assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
     assert text.count("<svg") == 7

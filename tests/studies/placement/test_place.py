@@ -16,8 +16,7 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.place.page import write_placement
-from nailoptics.report.pages.placement import PLACEMENT
+from nailoptics.report.pages.placement import PLACEMENT, write_placement
 from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.importers.positions import read_positions

@@ -26,7 +26,7 @@ from ....studies.exploration.explore import (
     Exploration,
 )
 from ....studies.exploration.pair_table import NEAREST_MM
-from ...html import document, escaped, section
+from ...html import Html, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
@@ -60,7 +60,7 @@ def page(exploration: Exploration) -> str:
         kicker="explore",
         title="Drag LEDs and photodiodes on the nail",
         lead="All readings update at once, from light that was traced over the whole board.",
-        body=[style, _text("workbench.html"), _licences(), data],
+        body=[Html(style + _text("workbench.html")), _licences(), Html(data)],
         attributes=exploration.attributes,
         scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), own],
     )
@@ -79,19 +79,13 @@ def _library(name: str, file: str) -> str:
     return f"{opening}\n{code}\nreturn module.exports; {closing}"
 
 
-def _licences() -> str:
-    lines = []
+def _licences() -> Html:
+    lines = ["<details><summary>Licences of the libraries in this page</summary>"]
     for name, _, address in LIBRARIES:
-        licence = _text("vendor", f"{name.removesuffix('.js')}.LICENSE")
-        lines.append(f"<h3>{name}</h3><p class='small'>{address}</p><pre>{escaped(licence)}</pre>")
-    opening = "<details><summary>Licences of the libraries in this page</summary>"
-    return section(
-        "Made with",
-        "<p>uPlot draws, interact.js drags, smol-toml reads and writes scenes.</p>",
-        opening,
-        *lines,
-        "</details>",
-    )
+        licence = escaped(_text("vendor", f"{name.removesuffix('.js')}.LICENSE"))
+        lines.append(f"{subheading(name)}{small(address)}<pre>{licence}</pre>")
+    opening = "uPlot draws, interact.js drags, smol-toml reads and writes scenes."
+    return section("Made with", opening, Html("\n".join([*lines, "</details>"])))
 
 
 def _half(values: np.ndarray) -> str:

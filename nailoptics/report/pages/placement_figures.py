@@ -1,15 +1,16 @@
 """Figures of a placement: the ranking, the board, maps of light, noise and resolution, and sensitivity volumes."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from ....scene import Scene
-from ....scene.layout import Rectangle
-from ....statistics import Z95
-from ... import maps, style
-from ...maps import coloured_along_nail
+from ...scene import Scene
+from ...scene.layout import Rectangle
+from ...statistics import Z95
+from .. import maps, style
+from ..maps import coloured_along_nail
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,22 +99,57 @@ def board_figure(scene: Scene) -> "Figure":
 @style.drawing()
 def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Light and its direct part, and noise and resolution of one photodiode, over the board."""
+    from matplotlib.colors import Normalize
+
     light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
     noise = 1e6 * result.place_noise_v.isel(led=0).to_numpy()
     resolution = 1e3 * _known(result, "place_resolution_n")
     # Boards are narrow, and a title on one line would be cut off at the picture's edge.
-    panels = (
+    panels = [
         ("Light\n[1/mm²]", "u", light, "viridis", _bright(light)),
         ("Shunted light\n[1/mm²]", "u", direct, "viridis", _bright(direct)),
-        ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", (noise.min(), noise.max())),
+        ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", Normalize(noise.min(), noise.max())),
         ("Its own resolution\n[mN]", "place_u", resolution, "viridis_r", _fine(resolution)),
-    )
+    ]
     figure, grid = style.panels(9.2, 4.9, 1, 4) if slender(result) else style.panels(9.2, 8.4, 2, 2)
-    for axes, (title, u, values, colours, span) in zip(grid.flat, panels, strict=True):
-        _plane(axes, result, u, values, colours, span, even=values is noise)
-        axes.set_title(title)
-        _parts(axes, scene, result)
+    _draw_maps(grid.flat, scene, result, panels)
+    for axes in grid.flat:
         axes.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
+    return figure
+
+
+@style.drawing()
+def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """Fall of the light with the blood of either zone, relative to the light there."""
+    from matplotlib.colors import Normalize
+
+    light = _smooth(result.irradiance.isel(led=0).to_numpy())
+    # Where few photons came, the ratio is noise and is left blank.
+    light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
+    each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        fall = [np.where(light > 0, one / light, np.nan) for one in each]
+    norm = Normalize(0.0, float(np.nanquantile(np.stack(fall), 0.99)))
+    titles = ("Proximal blood [%/%]", "Distal blood [%/%]")
+    figure, grid = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
+    _draw_maps(grid, scene, result, [(title, "u", one, "magma", norm) for title, one in zip(titles, fall, strict=True)])
+    return figure
+
+
+@style.drawing()
+def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
+    """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
+    light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
+    resolution = 1e3 * _known(result, "led_place_resolution_n")
+    # A resolution much worse than the best is that of the prior alone.
+    norm = _fine(resolution)
+    resolution = np.where(resolution < norm.vmax, resolution, np.nan)
+    panels = [
+        ("Light on all photodiodes\n[of the LED's]", "led_u", light, "viridis", _bright(light)),
+        ("Resolution with the\nLED here [mN]", "led_u", resolution, "viridis_r", norm),
+    ]
+    figure, grid = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
+    _draw_maps(grid, scene, result, panels)
     return figure
 
 
@@ -129,53 +165,37 @@ def _known(result: xr.Dataset, name: str) -> np.ndarray:
         return np.where((error > 0) & (error < KNOWN * value), value, np.nan)
 
 
-def _bright(light: np.ndarray) -> tuple[float, float]:
+def _bright(light: np.ndarray) -> Any:
     """The colour scale of light: down to a fixed part of the brightest."""
+    from matplotlib.colors import LogNorm
+
     top = float(light.max()) or 1.0
-    return top / DIMMEST, top
+    return LogNorm(top / DIMMEST, top)
 
 
-def _fine(resolution: np.ndarray) -> tuple[float, float]:
+def _fine(resolution: np.ndarray) -> Any:
     """The colour scale of resolution: from the best to a hundred times as much."""
+    from matplotlib.colors import LogNorm
+
     finest = float(np.nanmin(resolution)) if np.isfinite(resolution).any() else 1.0
-    return finest, 100 * finest
+    return LogNorm(finest, 100 * finest)
 
 
-def _plane(
-    axes: "Axes", result: xr.Dataset, u: str, values: np.ndarray, colours: str, span: tuple[float, float], *, even: bool
-) -> None:
-    """A map with contours and the bar of its colours; blank where nothing is known.
+def _draw_maps(grid: Iterable["Axes"], scene: Scene, result: xr.Dataset, panels: Iterable[tuple[Any, ...]]) -> None:
+    """Draw maps with contours, the bar of their colours and the board's parts; blank where nothing is known.
 
-    u : name of the coordinate across; that along has v in its place.
-    span : lowest and highest value of the colour scale, logarithmic or linear.
+    panels : title, name of the coordinate across (that along has v in its place), values, colour map and its scale.
     """
-    from matplotlib.colors import LogNorm, Normalize
-
-    across, along = result[u].to_numpy(), result[u.replace("u", "v")].to_numpy()
-    norm, levels = (Normalize(*span), np.linspace(*span, 9)) if even else (LogNorm(*span), np.geomspace(*span, 9))
-    shown = np.clip(values, *span)
-    image = axes.imshow(shown.T, extent=maps.extent(across, along), origin="lower", cmap=colours, norm=norm)
-    if min(shown.shape) > 1:
-        axes.contour(across, along, shown.T, levels=levels[1:-1], colors=["#ffffff"], linewidths=0.5, alpha=0.7)
-    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
-
-
-@style.drawing()
-def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Fall of the light with the blood of either zone, relative to the light there."""
-    light = _smooth(result.irradiance.isel(led=0).to_numpy())
-    # Where few photons came, the ratio is noise and is left blank.
-    light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
-    each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        fall = [np.where(light > 0, one / light, np.nan) for one in each]
-    top = float(np.nanquantile(np.stack(fall), 0.99))
-    figure, panels = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
-    for axes, values, title in zip(panels, fall, ("Proximal", "Distal"), strict=True):
-        _plane(axes, result, "u", values, "magma", (0.0, top), even=True)
-        axes.set_title(f"{title} blood [%/%]")
+    for axes, (title, u, values, colours, norm) in zip(grid, panels, strict=True):
+        across, along = result[u].to_numpy(), result[u.replace("u", "v")].to_numpy()
+        shown = np.clip(values, norm.vmin, norm.vmax).T
+        image = axes.imshow(shown, extent=maps.extent(across, along), origin="lower", cmap=colours, norm=norm)
+        if min(shown.shape) > 1:
+            levels = norm.inverse(np.linspace(0, 1, 9))[1:-1]
+            axes.contour(across, along, shown, levels=levels, colors=["#ffffff"], linewidths=0.5, alpha=0.7)
+        axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+        axes.set_title(title)
         _parts(axes, scene, result)
-    return figure
 
 
 @style.drawing()
@@ -255,25 +275,6 @@ def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colou
         level = maps.level_holding(HELD, shares[j])
         if level is not None:
             axes.contour(x, y, shares[j].T, levels=[level], colors=[colour], linewidths=1.5, zorder=4)
-
-
-@style.drawing()
-def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
-    light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
-    resolution = 1e3 * _known(result, "led_place_resolution_n")
-    # A resolution much worse than the best is that of the prior alone.
-    resolution = np.where(resolution < _fine(resolution)[1], resolution, np.nan)
-    panels = (
-        ("Light on all photodiodes\n[of the LED's]", light, "viridis", _bright(light)),
-        ("Resolution with the\nLED here [mN]", resolution, "viridis_r", _fine(resolution)),
-    )
-    figure, both = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
-    for axes, (title, values, colours, span) in zip(both, panels, strict=True):
-        _plane(axes, result, "led_u", values, colours, span, even=False)
-        axes.set_title(title)
-        _parts(axes, scene, result)
-    return figure
 
 
 def _lit(scene: Scene, result: xr.Dataset) -> Rectangle:

@@ -1,1 +1,0 @@
-"""The page of place: ranking, maps, the best layouts and their verification."""
