@@ -1,7 +1,6 @@
 """Figures in space: the board on the nail from above, and the finger cut lengthwise with the light's paths."""
 
 import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,19 +148,11 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
             axes.text(edge + side * 0.45, place, style.plain(name), **look)
 
 
-@dataclass(frozen=True)
-class _Cut:
-    """The finger cut lengthwise: middles of the pixels along y and z, and the name of the region of each (y, z)."""
-
-    y: np.ndarray
-    z: np.ndarray
-    region: np.ndarray
-
-    @classmethod
-    def of(cls, result: xr.Dataset) -> "_Cut":
-        names = np.array(json.loads(result.section_region.attrs["regions"]))
-        region = names[result.section_region.transpose("section_y", "section_z").to_numpy()]
-        return cls(result.section_y.to_numpy(), result.section_z.to_numpy(), region)
+def _cut(result: xr.Dataset) -> xr.DataArray:
+    """The finger cut lengthwise: the name of the region at each y and z, the middles of pixels."""
+    region = result.section_region.transpose("section_y", "section_z")
+    names = np.array(json.loads(region.attrs["regions"]))[region.to_numpy()]
+    return xr.DataArray(names, {"y": region.section_y.to_numpy(), "z": region.section_z.to_numpy()}, ("y", "z"))
 
 
 @style.drawing()
@@ -170,7 +161,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     leds = result.sizes["led"] if "path_density" in result else 1
     heights = [2.9] + [3.5] * leds
     figure, (whole, *views) = style.panels(9.2, 3.1 + 3.55 * leds, leds + 1, room_in=BESIDE, height_ratios=heights)
-    cut = _Cut.of(result)
+    cut = _cut(result)
     _regions(whole, cut)
     low_y, high_y, low_z, high_z = _close_view(scene, cut)
     frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
@@ -184,7 +175,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
 
 def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
     """Draw the close view of the section under the board, with one LED's path density, into axes."""
-    cut = _Cut.of(result)
+    cut = _cut(result)
     low_y, high_y, low_z, high_z = _close_view(scene, cut)
     _regions(axes, cut)
     if "path_density" in result:
@@ -195,7 +186,7 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
     axes.set(xlim=(low_y, high_y), ylim=(low_z, high_z))
 
 
-def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
+def _paths(axes: "Axes", cut: xr.DataArray, density: np.ndarray) -> None:
     """Where light passes, over three decades, and the densest places that hold half and 90 % of it."""
     from matplotlib.colors import LogNorm
     from scipy.ndimage import gaussian_filter
@@ -209,7 +200,7 @@ def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
     faded = np.clip(np.log10(np.maximum(relative, 1e-9)) / DECADES + 1, 0, 1)
     image = axes.imshow(
         np.ma.masked_less(relative, 10.0**-DECADES).T,
-        extent=extent(cut.y, cut.z),
+        extent=extent(cut.y.values, cut.z.values),
         origin="lower",
         norm=LogNorm(10.0**-DECADES, 1),
         cmap="magma",
@@ -230,28 +221,28 @@ def _paths(axes: "Axes", cut: _Cut, density: np.ndarray) -> None:
             axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
 
 
-def _regions(axes: "Axes", cut: _Cut) -> None:
+def _regions(axes: "Axes", cut: xr.DataArray) -> None:
     """Fill each region with its colour."""
     from matplotlib.colors import to_rgba
 
     axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    names, index = np.unique(cut.region, return_inverse=True)
+    names, index = np.unique(cut, return_inverse=True)
     colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, SILICON)) for name in names]
-    image = np.array(colours)[index.reshape(cut.region.shape)].transpose(1, 0, 2)
-    axes.imshow(image, extent=extent(cut.y, cut.z), origin="lower", zorder=1)
+    image = np.array(colours)[index.reshape(cut.shape)].transpose(1, 0, 2)
+    axes.imshow(image, extent=extent(cut.y.values, cut.z.values), origin="lower", zorder=1)
 
 
-def _layers(axes: "Axes", cut: _Cut, left: float, bottom: float) -> None:
+def _layers(axes: "Axes", cut: xr.DataArray, left: float, bottom: float) -> None:
     """Draw the borders of plate, bed and bone over the light, and name these where they meet the left edge."""
-    column = int(np.argmin(np.abs(cut.y - (left + 0.1))))
+    column = int(np.argmin(abs(cut.y.values - (left + 0.1))))
     for name in LAYERS:
-        here = cut.region == name
+        here = cut.values == name
         if here.any():
             border: dict[str, Any] = {"levels": [0.5], "zorder": 4}
             axes.contour(cut.y, cut.z, here.T, colors=["#ffffff"], linewidths=1.6, alpha=0.55, **border)
             axes.contour(cut.y, cut.z, here.T, colors=[style.DARK_INK], linewidths=0.7, **border)
-        heights = cut.z[here[column] & (cut.z > bottom)]
+        heights = cut.z.values[here[column] & (cut.z.values > bottom)]
         if heights.size:
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
 
@@ -267,9 +258,9 @@ def _parts_above(axes: "Axes", scene: Scene | None, led: int, top: float) -> Non
     axes.plot([v], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
-def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, float]:
+def _close_view(scene: Scene | None, cut: xr.DataArray) -> tuple[float, float, float, float]:
     """Box (y low, y high, z low, z high) around the board and what its light can reach. [mm]"""
-    low_y, high_y, low_z, high_z = extent(cut.y, cut.z)
+    low_y, high_y, low_z, high_z = extent(cut.y.values, cut.z.values)
     if scene is None:
         return low_y, high_y, low_z, high_z
     outline, board = scene.layout.outline, scene.board
@@ -277,11 +268,11 @@ def _close_view(scene: Scene | None, cut: _Cut) -> tuple[float, float, float, fl
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
 
 
-def _key(axes: "Axes", cut: _Cut) -> None:
+def _key(axes: "Axes", cut: xr.DataArray) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 
     label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}
-    shown = [name for name in TISSUE if name != "air" and (cut.region == name).any()]
+    shown = [name for name in TISSUE if name != "air" and (cut.values == name).any()]
     handles = [Patch(fc=TISSUE[name], ec=style.MUTED, lw=0.5, label=label.get(name, name)) for name in shown]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

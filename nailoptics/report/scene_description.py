@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..scene import Scene
+from .numbers import aligned
 
 _PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
 
@@ -69,18 +70,23 @@ def body_words(scene: Scene) -> str:
 def check_lines(report: dict[str, Any]) -> list[str]:
     """The report of `check` on a scene."""
     lines = [f"{report['scene']}: the scene is valid"]
-    lines += [_led_line(led) for led in report.get("leds", ())]
+    for led in report.get("leds", ()):
+        part, width = f" ({led['part']})" if "part" in led else "", f", {led['fwhm_nm']:g} nm wide"
+        at = "at ({:g}, {:g}) mm".format(*led["position_mm"])
+        light = f"{led['wavelength_nm']:g} nm{width if led['fwhm_nm'] else ''}, {led['flux_mw']:g} mW"
+        lines.append(f"LED {led['name']}{part}: {light}, {at}")
     if "photodiodes" in report:
         u, v = report["board_mm"]
         of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
         lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
-        lines += ["  LED to photodiode, place (u, v), distance, reading at rest by layered diffusion (within 40 %):"]
-        places = {one["name"]: "({:.3g}, {:.3g}) mm".format(*one["position_mm"]) for one in report["photodiodes"]}
-        lines += [
-            f"  {one['led']:>10} to {name:<16} {places[name]:<18} {one['distance_mm']:5.2f} mm {one['volts']:8.4f} V"
+        lines.append("reading at rest by layered diffusion (within 40 %):")
+        places = {one["name"]: "({:.3g}, {:.3g})".format(*one["position_mm"]) for one in report["photodiodes"]}
+        rows = [
+            {"LED": one["led"], "photodiode": one["photodiode"], "place (u, v) [mm]": places[one["photodiode"]]}
+            | {"distance [mm]": f"{one['distance_mm']:.2f}", "reading [V]": f"{one['volts']:.4f}"}
             for one in report["pairs"]
-            for name in [one["photodiode"]]
         ]
+        lines += [f"  {line}" for line in aligned(rows)]
     for one in report.get("candidates", ()):
         lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
     lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
@@ -104,9 +110,3 @@ def check_lines(report: dict[str, Any]) -> list[str]:
             "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
         )
     return lines
-
-
-def _led_line(led: dict[str, Any]) -> str:
-    part = f" ({led['part']})" if "part" in led else ""
-    (u, v), width = led["position_mm"], f", {led['fwhm_nm']:g} nm wide" if led["fwhm_nm"] else ""
-    return f"LED {led['name']}{part}: {led['wavelength_nm']:g} nm{width}, {led['flux_mw']:g} mW, at ({u:g}, {v:g}) mm"

@@ -177,8 +177,8 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             for a, b, c, d in zip(light.tolist(), zone.tolist(), noise_v2.tolist(), limit.tolist(), strict=True)
         ]
         displayed = shown.evaluate(
-            """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.hasBody,
-                bloodPerPa: atForce(tables.touch.bloodPerPa, force).map((row) => row.map((x) => x * rest)),
+            """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.has_body,
+                bloodPerPa: atForce(tables.touch.blood_per_pa, force).map((row) => row.map((x) => x * rest)),
                 waves: atForce(tables.touch.waves, force).map((row) => row.map((x) => x * rest * rest))}, 1)""",
             [given, force_n, scene.blood.rest_blood_fraction],
         )

@@ -156,15 +156,13 @@ ROOM_ABOVE = 1.25
 PROFILES_PER_ROW, MOST_DEVIANCE = 4, 10.0
 
 
-def _thinned(count: int) -> slice:
-    return slice(None, None, max(1, count // POINTS))
+def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
+    return result.isel({over: slice(None, None, max(1, result.sizes[over] // POINTS))})
 
 
 def _recordings(result: xr.Dataset) -> list[xr.Dataset]:
     """The samples of each recording, thinned for a figure."""
-    which = result.recording.values
-    parts = [result.isel(sample=np.flatnonzero(which == one)) for one in np.unique(which)]
-    return [part.isel(sample=_thinned(part.sizes["sample"])) for part in parts]
+    return [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
 
 
 @style.drawing()
@@ -219,7 +217,7 @@ def profiles_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def force_figure(result: xr.Dataset) -> "Figure":
     """Force over time with its interval, beside the known force and the regressions' where they are known."""
-    part = result.isel(time=_thinned(result.sizes["time"]))
+    part = _thinned(result, "time")
     known = part.known_force_n.values
     top = np.nanmax([*np.where(np.isfinite(known), known, 0.0), *part.force_n.values]) * ROOM_ABOVE + 0.05
     figure, axes = style.panels(7.2, 3.4)
@@ -240,7 +238,7 @@ def force_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def _share_figure(result: xr.Dataset) -> "Figure":
     """Where the touch is, the body's arterial pressure, and how well each sample fits."""
-    part = result.isel(time=_thinned(result.sizes["time"]))
+    part = _thinned(result, "time")
     figure, (place, body, fits) = style.panels(7.2, 4.6, 3, sharex=True)
     low, high = part.proximal_share_low, part.proximal_share_high
     place.fill_between(part.time, low, high, color=style.ZONES[0], alpha=0.18, linewidth=0)

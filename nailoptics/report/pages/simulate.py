@@ -15,7 +15,7 @@ from ..files import Report
 from ..html import Html, document, escaped, figure, section, small, subheading, table
 from ..numbers import quantity, significant, with_error
 from ..readings import hold_end, photodiode_readings, reading_rows, simulation_lines, simulation_summary
-from ..scene_description import blood_words, body_words
+from ..scene_description import blood_words, body_words, touch_words
 from ..uncertainty_section import spread_section
 from . import simulate_figures as figures
 
@@ -150,10 +150,8 @@ def _title(scene: Scene | None) -> str:
     """What was simulated, in a few words."""
     if scene is None or scene.finger is None:
         return "Fingernail sensor"
-    touch, digit = scene.touch, scene.finger.digit
-    several = {"recorded": "A recorded touch", "steps": "Steps of force", "cycle": "Cycles of force"}
-    kind = several.get(touch.profile, f"A {touch.profile} of {touch.force_n:g} N")
-    return f"{kind} on {'an' if digit == 'index' else 'a'} {digit}{'' if digit == 'thumb' else ' finger'}"
+    touch, digit = touch_words(scene), scene.finger.digit
+    return f"{touch[0].upper()}{touch[1:]}; {digit}{'' if digit == 'thumb' else ' finger'}"
 
 
 def _sentence(scene: Scene | None, result: xr.Dataset) -> str:

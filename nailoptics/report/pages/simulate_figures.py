@@ -160,9 +160,8 @@ def _legend_columns(photodiodes: int) -> int:
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     """One LED's readings, one panel per photodiode: traced volts with errors, both reduced models and residuals.
 
-    Proximal photodiodes are on the left, distal ones on the right. The inner band is the trace's standard error of
-    the change from rest, the outer one the electronics' noise of one sample; the trace's error of the level, which
-    all samples share, is a number in the title.
+    Proximal photodiodes are on the left, distal ones on the right. The band is the trace's standard error of the change
+    from rest; its error of the level, which all samples share, is a number in the title.
     """
     order = order_along_nail(scene, result.sizes["photodiode"])
     if len(order) > PANELS:
@@ -181,15 +180,11 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         main, below = grid[2 * row : 2 * row + 2, column]
         one = thin.isel(photodiode=j)
         scale, letter = prefix(float(np.abs(one.volts).max()))
-        middle, noise_v = one.volts.to_numpy() / scale, one.volts_noise_rms.to_numpy()
+        low, high = ((one.volts + k * one.volts_change_stderr) / scale for k in (-1, 1))
+        main.fill_between(one.time, low, high, color=colour, alpha=0.45, lw=0, label="error of the trace")
+        noise = one.volts_noise_rms / missed_scale
         below.axhline(0, color=style.MUTED, lw=0.7)
-        if one.sizes["time"] > 1:
-            error_v = one.volts_change_stderr.to_numpy()
-            for band_v, alpha, label in ((noise_v, 0.2, "noise (rms)"), (error_v, 0.45, "error of the trace")):
-                low, high = middle - band_v / scale, middle + band_v / scale
-                main.fill_between(one.time, low, high, color=colour, alpha=alpha, lw=0, label=label)
-            noise = noise_v / missed_scale
-            below.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
+        below.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
         _line(main, one.volts / scale, color=colour, label="traced light")
         for name, (label, look) in MODELS.items():
             _line(main, one[f"volts_{name}"] / scale, label=label, **look)
@@ -209,7 +204,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     grid[0, 0].locator_params("x", nbins=6)
     for axes in grid[-1]:
         _over_time(axes, result)
-    style.legend_above(figure, grid[0, 0], ncols=5, handlelength=2.2, columnspacing=1.4)
+    style.legend_above(figure, grid[0, 0], ncols=4, handlelength=2.2, columnspacing=1.4)
     return figure
 
 

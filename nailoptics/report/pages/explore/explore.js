@@ -109,7 +109,7 @@ const dot = (one, other) => one.reduce((sum, x, k) => sum + x * other[k], 0);
 
 /** Rows of a table over force at one force, linear between: any shape of numbers below the first axis. */
 function atForce(rows, force) {
-  const [i, part] = lineNode(tables.touch.forceN, force);
+  const [i, part] = lineNode(tables.touch.force_n, force);
   const mix = (one, other) => (Array.isArray(one) ? one.map((x, k) => mix(x, other[k])) : one + part * (other - one));
   return mix(rows[i], rows[i + 1]);
 }
@@ -146,9 +146,9 @@ function forceResolution(readings, point, ledCount) {
     let noise = one.noiseV2;
     if (body) {
       for (const k of [0, 1]) unknown[2 + k] = p * waves[0][k] + d * waves[1][k];
-      unknown[4 + one.led] = touch.ledDrift * one.light;
+      unknown[4 + one.led] = touch.led_drift * one.light;
       unknown[n - 1] = touch.lift * one.light;
-      noise += (touch.readingDrift * one.light) ** 2;
+      noise += (touch.reading_drift * one.light) ** 2;
     }
     for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) total[i][j] += (unknown[i] * unknown[j]) / noise;
   }
@@ -159,8 +159,8 @@ function forceResolution(readings, point, ledCount) {
       for (let j = 0; j < last; j++) total[i][j] -= (total[i][last] * total[last][j]) / own;
     }
   }
-  const prior = touch.priorPa ** -2, one = total[0][0] + prior, two = total[1][1] + prior, both = total[0][1];
-  const [a, b] = touch.forcePerPa;
+  const prior = touch.prior_pa ** -2, one = total[0][0] + prior, two = total[1][1] + prior, both = total[0][1];
+  const [a, b] = touch.force_per_pa;
   return Math.sqrt((a * a * two - 2 * a * b * both + b * b * one) / (one * two - both * both));
 }
 
@@ -254,10 +254,10 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
 function resolve(rows, force, rest, ledCount) {
   const usable = rows.filter((row) => !row.few), touch = tables.touch;
   const scaled = (values) => values.map((row) => row.map((x) => x * rest));
-  const bloodPerPa = scaled(atForce(touch.bloodPerPa, force));
+  const bloodPerPa = scaled(atForce(touch.blood_per_pa, force));
   const waves = atForce(touch.waves, force).map((row) => row.map((x) => x * rest * rest));
   const resolutions = {};
-  for (const [name, body] of [["throughBody", touch.hasBody], ["electronics", false]]) {
+  for (const [name, body] of [["throughBody", touch.has_body], ["electronics", false]]) {
     const point = { bloodPerPa, waves, body };
     const value = forceResolution(usable, point, ledCount);
     const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(usable.map((row) => ({

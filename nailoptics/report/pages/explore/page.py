@@ -52,7 +52,8 @@ def write_exploration(exploration: Exploration, path: Path) -> None:
 
 def page(exploration: Exploration) -> str:
     """The page as text."""
-    tables = json.dumps(_tables(exploration), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    text = json.dumps(_tables(exploration), separators=(",", ":"), allow_nan=False, default=np.ndarray.tolist)
+    tables = text.replace("<", "\\u003c")
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
     own = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
@@ -98,15 +99,16 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
     leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
     nodes_u, nodes_v = exploration.ambient_nodes
     return {
-        "scene": json.loads(json.dumps(scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}))),
+        "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
         "basis": {
             "across": basis.across,
             "walled": basis.wall_mm is not None,
-            "axes": [axis.tolist() for axis in basis.axes],
-            "radial": exploration.radial.log_coefficients.tolist(),
+            "axes": basis.axes,
+            "radial": exploration.radial.log_coefficients,
             "nearestMm": NEAREST_MM,
         },
-        "gauss": [_rule(n) for n in range(MOST_POINTS + 1)],
+        # Nodes and weights by the number of points, from 0.
+        "gauss": [[], *(np.stack(np.polynomial.legendre.leggauss(n), -1) for n in range(1, MOST_POINTS + 1))],
         "polynomial": {
             "exponents": polynomial.exponents,
             "bloodFraction": polynomial.blood_fraction,
@@ -128,20 +130,20 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
             "rangeV": scene.electronics.adc_range_v,
             "lsbV": electronics.lsb_v(scene.electronics),
         },
-        "touch": _touch(exploration.touch),
+        "touch": exploration.touch,
         "board": _board(scene),
         "layout": _layout(scene, diodes, leds),
         "rules": _rules(exploration, kinds=(len(leds), len(diodes))),
         "formula": FORMULA,
         "ambient": {
             "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
-            "nodesU": nodes_u.tolist(),
-            "nodesV": nodes_v.tolist(),
-            "aPerMm2": exploration.ambient_a_per_mm2.tolist(),
+            "nodesU": nodes_u,
+            "nodesV": nodes_v,
+            "aPerMm2": exploration.ambient_a_per_mm2,
         },
         "fluence": {
-            "radiusMm": exploration.colours[0].fluence.radius_mm.values.tolist(),
-            "depthMm": exploration.colours[0].fluence.depth_mm.values.tolist(),
+            "radiusMm": exploration.colours[0].fluence.radius_mm.values,
+            "depthMm": exploration.colours[0].fluence.depth_mm.values,
         },
     }
 
@@ -212,11 +214,6 @@ def _bare(schema: Any, *, names: bool = False) -> Any:
     }
 
 
-def _rule(points: int) -> list[list[float]]:
-    """Nodes and weights of Gauss quadrature on -1 to 1."""
-    return [] if points == 0 else np.stack(np.polynomial.legendre.leggauss(points), -1).tolist()
-
-
 def _colour(one: ColourTable) -> dict[str, Any]:
     fluence = one.fluence.values
     return {
@@ -229,16 +226,19 @@ def _colour(one: ColourTable) -> dict[str, Any]:
     }
 
 
+def _fields(part: Led | Photodiode) -> dict[str, Any]:
+    """What of a part is not its place in a layout."""
+    return part.model_dump(mode="json", exclude_none=True, exclude=PLACED)
+
+
 def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
     """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
     number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(exploration.colours)}
     kinds: list[dict[str, Any]] = []
     for led in (*exploration.scene.leds, *(one.led for one in exploration.colours)):
-        fields = led.model_dump(mode="json", exclude_none=True, exclude=PLACED)
-        colour = number[led.wavelength_nm, led.fwhm_nm]
-        if all(kind["fields"] != fields for kind in kinds) and not (
-            led not in exploration.scene.leds and any(kind["colour"] == colour for kind in kinds)
-        ):
+        colour, fields = number[led.wavelength_nm, led.fwhm_nm], _fields(led)
+        known = "fields" if led in exploration.scene.leds else "colour"
+        if all(kind[known] != {"fields": fields, "colour": colour}[known] for kind in kinds):
             width, length = led.size_mm
             size = {"widthMm": width, "lengthMm": length, "fluxMw": led.flux_mw}
             title = f"{led.wavelength_nm:g} nm" + (f", {led.part}" if led.part else "")
@@ -248,10 +248,11 @@ def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
 
 def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
     """The scene's photodiodes without those that differ in their places alone."""
-    kinds: dict[str, Photodiode] = {}
+    kinds: list[Photodiode] = []
     for one in scene.photodiodes:
-        kinds.setdefault(one.model_dump_json(exclude=PLACED), one)
-    return list(kinds.values())
+        if _fields(one) not in map(_fields, kinds):
+            kinds.append(one)
+    return kinds
 
 
 def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
@@ -261,22 +262,12 @@ def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[
     noise_v2 = [float(sum(electronics.stage_noise(current, one, stage))) for current in (0.0, TEST_CURRENT_A)]
     return {
         "title": one.part or one.name,
-        "fields": one.model_dump(mode="json", exclude_none=True, exclude=PLACED),
-        "responsivity": electronics.photodiode_responsivity_a_per_w(one, wavelengths).tolist(),
+        "fields": _fields(one),
+        "responsivity": electronics.photodiode_responsivity_a_per_w(one, wavelengths),
         "darkA": dark_a,
         "fixedNoiseV2": noise_v2[0],
         "noiseV2PerA": (noise_v2[1] - noise_v2[0]) / TEST_CURRENT_A,
     }
-
-
-def _touch(table: dict[str, Any]) -> dict[str, Any]:
-    """The table of the touch, its keys in JavaScript's manner."""
-
-    def camel(key: str) -> str:
-        first, *others = key.split("_")
-        return first + "".join(map(str.capitalize, others))
-
-    return {camel(key): value.tolist() if isinstance(value, np.ndarray) else value for key, value in table.items()}
 
 
 def _board(scene: Scene) -> dict[str, Any]:
@@ -308,17 +299,13 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
         u, v = part.position_mm
         return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
 
-    dumps = [one.model_dump_json(exclude=PLACED) for one in diodes]
-    fields = [kind["fields"] for kind in leds]
+    kinds, fields = [_fields(one) for one in diodes], [kind["fields"] for kind in leds]
     return {
-        "leds": [
-            placed(one) | {"kind": fields.index(one.model_dump(mode="json", exclude_none=True, exclude=PLACED))}
-            for one in scene.leds
-        ],
+        "leds": [placed(one) | {"kind": fields.index(_fields(one))} for one in scene.leds],
         "photodiodes": [
             placed(one)
-            | {"kind": dumps.index(one.model_dump_json(exclude=PLACED)), "width": one.size_mm[0]}
-            | {"length": one.size_mm[1], "elements": one.elements, "pitch": one.pitch_mm, "wired": one.wired}
+            | {"kind": kinds.index(_fields(one)), "width": one.size_mm[0], "length": one.size_mm[1]}
+            | {"elements": one.elements, "pitch": one.pitch_mm, "wired": one.wired}
             for one in scene.photodiodes
         ],
         "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,

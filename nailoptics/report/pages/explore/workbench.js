@@ -4,7 +4,7 @@ const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0 };
 const caches = new Map();
 // A force resolution above half of the prior's standard deviation is no information. [N]
-const PRIOR_ONLY_N = 0.5 * tables.touch.priorPa * Math.hypot(...tables.touch.forcePerPa);
+const PRIOR_ONLY_N = 0.5 * tables.touch.prior_pa * Math.hypot(...tables.touch.force_per_pa);
 
 // ---- words and numbers
 
@@ -142,9 +142,9 @@ function drawPart(kind, part, row) {
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
   const resolution = (one) => (one.value > PRIOR_ONLY_N ? ["None", ""] : both(one.value, one.error, "N"));
-  const [value, error] = resolution(tables.touch.hasBody ? result.throughBody : result.electronics);
-  cards.push([value, error, tables.touch.hasBody ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
-  if (tables.touch.hasBody) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
+  const [value, error] = resolution(tables.touch.has_body ? result.throughBody : result.electronics);
+  cards.push([value, error, tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
+  if (tables.touch.has_body) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
     if (row.few) cards.push(["Too few photons", "", name]);
@@ -293,7 +293,7 @@ function setPlot(id, data, series, logarithmic, label, bands) {
 }
 
 function drawPlots() {
-  const { layout, result } = workbench, forces = tables.touch.forceN, row = result.rows[workbench.chosen.row];
+  const { layout, result } = workbench, forces = tables.touch.force_n, row = result.rows[workbench.chosen.row];
   const style = getComputedStyle(document.documentElement), read = (name) => style.getPropertyValue(name).trim();
   if (row) {
     const rest = stateAt(0, layout.rest, layout.so2), counted = row.changeCounted / Math.max(row.gross, 1e-30);
@@ -319,15 +319,15 @@ function drawPlots() {
       const read = stage(tables.photodiodeKinds[one.element.kind], light / tables.stage.feedbackOhm + one.ambientA);
       return { led: one.led, light, zone: slopes.map((slope) => dot(slope, one.pair.coefficients) * one.gain), ...read };
     });
-    const scaled = atForce(tables.touch.bloodPerPa, force).map((x) => x.map((y) => y * layout.rest));
+    const scaled = atForce(tables.touch.blood_per_pa, force).map((x) => x.map((y) => y * layout.rest));
     const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
-    for (const [name, body] of [["body", tables.touch.hasBody], ["electronics", false]]) {
+    for (const [name, body] of [["body", tables.touch.has_body], ["electronics", false]]) {
       const value = forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
       resolutions[name].push(value < PRIOR_ONLY_N ? 1e3 * value : null);
     }
   }
-  const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.hasBody ? [6, 4] : [], points: { show: false } }], data = [forces, resolutions.electronics];
-  if (tables.touch.hasBody) { lines.unshift({ label: "with physiological noise", stroke: read("--led"), width: 2, points: { show: false } }); data.splice(1, 0, resolutions.body); }
+  const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.has_body ? [6, 4] : [], points: { show: false } }], data = [forces, resolutions.electronics];
+  if (tables.touch.has_body) { lines.unshift({ label: "with physiological noise", stroke: read("--led"), width: 2, points: { show: false } }); data.splice(1, 0, resolutions.body); }
   setPlot("resolution-plot", data, lines, true, "Resolution [mN]");
 }
 
@@ -423,7 +423,7 @@ function slider(id, range, factor, step, read, write) {
 const sliders = [];
 
 function listen() {
-  const reach = tables.touch.forceN[tables.touch.forceN.length - 1];
+  const reach = tables.touch.force_n[tables.touch.force_n.length - 1];
   sliders.push(slider("force", [0, reach], 1, 0.01, () => workbench.layout.force, "force"));
   sliders.push(slider("rest", tables.restRange, 100, 0.01, () => workbench.layout.rest, "rest"));
   sliders.push(slider("so2", tables.polynomial.so2, 100, 0.1, () => workbench.layout.so2, "so2"));
@@ -526,7 +526,7 @@ function drawFixed() {
     `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are fixed.`,
     board.wall ? `The wall stays at its place: LEDs can be moved ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
     "Blood is that of a held touch, in steady state; simulate computes its dynamics.",
-    tables.touch.hasBody ? "Force resolution includes the scene's physiological noise, as in place, and is given for the electronics alone, too." : "The scene has no body: force resolution is limited by the noise of the electronics alone.",
+    tables.touch.has_body ? "Force resolution includes the scene's physiological noise, as in place, and is given for the electronics alone, too." : "The scene has no body: force resolution is limited by the noise of the electronics alone.",
     `The noise of one sample is that of amplifier and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light, ambient light included.`,
     `Beside photon noise, readings have an rms error of ${(100 * tables.kernelError).toFixed(1)} %, changes of ${(100 * tables.kernelChangeError).toFixed(1)} % of the sum of both zones' absolute contributions, and the force resolution of ${(100 * tables.kernelResolutionError).toFixed(1)} %, by interpolation between the table's nodes and the few percent of light that photodiodes absorb and a bare board reflects. The stated errors include this.`,
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
