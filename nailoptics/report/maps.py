@@ -99,8 +99,9 @@ def draw_top_view(axes: "Axes", scene: Scene) -> None:
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
     _label_parts(axes, scene, half_v)
-    axes.set(xlim=(-half_u - 0.3, half_u + 0.3), ylim=(-half_v - 0.3, half_v + 0.3), aspect="equal")
-    axes.set(xlabel=ACROSS, ylabel=ALONG)
+    # Boards may be as wide as the nail, and their labels want room beside them.
+    low, high = min(-half_u - 0.3, layout.outline.u_min - 3.0), max(half_u + 0.3, layout.outline.u_max + 1.6)
+    axes.set(xlim=(low, high), ylim=(-half_v - 0.3, half_v + 0.3), aspect="equal", xlabel=ACROSS, ylabel=ALONG)
     axes.grid(False)
 
 

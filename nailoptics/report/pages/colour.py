@@ -287,7 +287,6 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
 
 def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
     """The press as an animated GIF."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     nail, frames = _nail(result), []
@@ -299,12 +298,9 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
             colours = result.press_srgb.values[nail, t]
             _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
             panel.set_title(f"{float(result.time[t]):.1f} s    {float(result.press_force_n[t]):.1f} N", loc="center")
-            canvas = FigureCanvasAgg(figure)
-            figure.set_dpi(100)
-            canvas.draw()
-            frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
-    data = BytesIO()
-    each = round(1000 / FRAMES_PER_S)
+            figure.savefig(picture := BytesIO(), dpi=100)
+            frames.append(Image.open(picture).convert("RGB"))
+    data, each = BytesIO(), round(1000 / FRAMES_PER_S)
     frames[0].save(data, format="GIF", save_all=True, append_images=frames[1:], duration=each, loop=0)
     return data.getvalue()
 

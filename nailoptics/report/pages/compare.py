@@ -196,7 +196,7 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
             spread, y = Z95 * spread, rows + 0.17 * (k - 1.5)
             axes.hlines(y, np.maximum(size - spread, 1e-3), size + spread, color=colour, lw=1.2)
             faces = np.where(size > spread, colour, style.PAPER)
-            axes.scatter(size, y, 30, faces, mark, edgecolors=colour, linewidths=1.0, zorder=3, label=label)
+            axes.scatter(size, y, 30, faces, marker=mark, edgecolors=colour, linewidths=1.0, zorder=3, label=label)
         axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
         axes.minorticks_off()
         for tolerance in (1, 5):

@@ -15,6 +15,7 @@ from ...sensor.ambient import SOURCES
 from ...sensor.physiological_noise import LIFT_PER_UM
 from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
+from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import Html, document, figure, section, small, subheading, table
 from ..numbers import aligned, estimated, quantity, significant, with_error
@@ -77,7 +78,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
     by_led = [result.isel(led=[i]) for i in range(result.sizes["led"])]
-    layout = [figure(figures.board_figure(best), BOARD), table(_photodiodes(result), groups=_groups(result))]
+    layout = [figure(maps.top_view(best), BOARD, narrow=True), table(_photodiodes(result), groups=_groups(result))]
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout.append(subheading("Sensitivity of each photodiode"))

@@ -86,17 +86,6 @@ def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def board_figure(scene: Scene) -> "Figure":
-    """The best layout from above."""
-    figure, axes = style.panels(9.2, 6.4)
-    maps.draw_top_view(axes, scene)
-    # Boards may be as wide as the nail, and their labels want room beside it.
-    low, high = axes.get_xlim()
-    axes.set_xlim(low - 2.6, high + 1.2)
-    return figure
-
-
-@style.drawing()
 def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Light and its direct part, and noise and resolution of one photodiode, over the board."""
     from matplotlib.colors import Normalize

@@ -403,7 +403,7 @@ function fromScene(scene, before) {
   });
   const photodiodes = (scene.photodiodes || []).map((pd) => {
     const part = pd.part || pd.array, kind = Math.max(0, tables.photodiodeKinds.findIndex((one) => one.fields.part && one.fields.part === part));
-    const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || (part ? usual : tables.rules.usual).size_mm;
+    const usual = tables.photodiodeKinds[kind].fields, [width, length] = pd.size_mm || (part ? usual : { size_mm: tables.rules.scene.$defs.Photodiode.properties.size_mm.default }).size_mm;
     return {
       name: pd.name || part, reference: pd.reference || null, kind, ...place(pd), width, length, elements: pd.elements || (part ? usual.elements : 1),
       pitch: pd.pitch_mm || (part ? usual.pitch_mm : null) || null, wired: pd.wired || null,

@@ -34,8 +34,6 @@ PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
 MOST_POINTS = 6
 # The smallest current at which the slope of the noise's variance is taken. [A]
 TEST_CURRENT_A = 1e-6
-# No part of a layout lies farther from the nail's centre. [mm]
-FARTHEST_MM = 1e3
 # More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
 MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
 LIBRARIES = (
@@ -133,7 +131,13 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "touch": exploration.touch,
         "board": _board(scene),
         "layout": _layout(scene, diodes, leds),
-        "rules": _rules(exploration, kinds=(len(leds), len(diodes))),
+        # What a scene that is dropped on the page must keep, and a layout's parts.
+        "rules": {
+            "scene": _bare(Scene.model_json_schema()),
+            "mostElements": MOST_PHOTODIODES,
+            "mostPairs": max(MOST_PAIRS, len(scene.leds) * sum(one.elements for one in scene.photodiodes)),
+            "mostBytes": MOST_SCENE_BYTES,
+        },
         "formula": FORMULA,
         "ambient": {
             "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
@@ -152,49 +156,6 @@ def _rest_range(scene: Scene) -> tuple[float, float]:
     """Blood at rest, from the least to the most that can be chosen."""
     low, high = (x if scene.blood.venous_so2 is None else 1.0 for x in BLOOD_RANGE)
     return low * scene.blood.rest_blood_fraction, high * scene.blood.rest_blood_fraction
-
-
-def _rules(exploration: Exploration, *, kinds: tuple[int, int]) -> dict[str, Any]:
-    """What a scene that is dropped on the page must keep, and what a layout must, as JSON Schemas of the models.
-
-    kinds : number of LEDs and of photodiodes that can be chosen.
-    """
-    scene = _bare(Scene.model_json_schema())
-    tables, place = scene["$defs"], {"type": "number", "minimum": -FARTHEST_MM, "maximum": FARTHEST_MM}
-
-    def between(low: float, high: float, kind: str = "number") -> dict[str, Any]:
-        return {"type": kind, "minimum": low, "maximum": high}
-
-    def part(model: type[Led | Photodiode], count: int, own: dict[str, Any]) -> dict[str, Any]:
-        fields = tables[model.__name__]["properties"]
-        properties = {"name": fields["name"], "reference": fields["reference"], "turn": fields["rotation_deg"]}
-        properties |= {"u": place, "v": place, "kind": between(0, count - 1, "integer")} | own
-        most = scene["properties"][f"{model.__name__.lower()}s"]["maxItems"]
-        one = {"type": "object", "properties": properties, "required": list(properties)}
-        return {"type": "array", "items": one, "maxItems": most}
-
-    diode = tables["Photodiode"]["properties"]
-    side = diode["size_mm"]["prefixItems"]
-    own = {"width": side[0], "length": side[1], "elements": diode["elements"]}
-    own |= {"pitch": diode["pitch_mm"], "wired": diode["wired"]}
-    layout = {
-        "leds": part(Led, kinds[0], {}),
-        "photodiodes": part(Photodiode, kinds[1], own),
-        "force": between(0.0, float(exploration.touch["force_n"][-1])),
-        "rest": between(*_rest_range(exploration.scene)),
-        "so2": between(*exploration.polynomial.so2),
-        "ambient": {"anyOf": [between(0, len(SOURCES) - 1, "integer"), {"type": "null"}]},
-    }
-    return {
-        "scene": scene,
-        "layout": {"type": "object", "properties": layout, "required": list(layout)},
-        "usual": {"size_mm": diode["size_mm"]["default"]},
-        "mostElements": MOST_PHOTODIODES,
-        "mostPairs": max(
-            MOST_PAIRS, len(exploration.scene.leds) * sum(one.elements for one in exploration.scene.photodiodes)
-        ),
-        "mostBytes": MOST_SCENE_BYTES,
-    }
 
 
 def _bare(schema: Any, *, names: bool = False) -> Any:

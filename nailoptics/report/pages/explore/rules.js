@@ -44,9 +44,23 @@ function brokenInside(value, schema, place) {
   return "";
 }
 
+// No part of a layout lies farther from the nail's centre. [mm]
+const FARTHEST_MM = 1e3;
+
 /** A layout that came from outside, if it keeps what a scene must and this page can show it; throws an Error. */
 function checkedLayout(layout) {
-  const { rules } = tables, why = broken(layout, rules.layout, "");
+  const { rules } = tables, ranges = { force: [0, tables.touch.force_n.at(-1)], rest: tables.restRange, so2: tables.polynomial.so2 };
+  const within = (x, low, high) => Number.isFinite(x) && x >= low && x <= high, isChoice = (k, all) => Number.isInteger(k) && k in all;
+  for (const [name, [low, high]] of Object.entries(ranges)) if (!within(layout[name], low, high)) throw new Error(`${name} = ${layout[name]} is not in ${low} to ${high}`);
+  if (layout.ambient !== null && !isChoice(layout.ambient, tables.ambient.names)) throw new Error(`ambient = ${layout.ambient} is no light of this page`);
+  for (const [list, kinds] of [["leds", tables.ledKinds], ["photodiodes", tables.photodiodeKinds]]) {
+    layout[list].forEach(({ kind, u, v }, k) => {
+      if (!isChoice(kind, kinds)) throw new Error(`${list}[${k}].kind = ${kind} is no part of this page`);
+      if (![u, v].every((x) => within(x, -FARTHEST_MM, FARTHEST_MM))) throw new Error(`${list}[${k}] lies at ${u}, ${v}, which is no place`);
+    });
+  }
+  // All else by the scene that it makes; without an LED there is none yet.
+  const { leds, photodiodes, blood } = toScene(layout), why = broken({ ...(leds.length && { leds }), photodiodes, blood }, rules.scene, "");
   if (why) throw new Error(why);
   const elements = layout.photodiodes.reduce((sum, pd) => sum + pd.elements, 0), pairs = layout.leds.length * elements;
   if (elements > rules.mostElements) throw new Error(`photodiodes have ${elements} elements; at most ${rules.mostElements}`);
