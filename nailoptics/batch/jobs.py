@@ -1,6 +1,7 @@
 """Which scenes of a batch belong together, what all jobs share, and what they cost."""
 
 import hashlib
+import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -109,10 +110,10 @@ def parse_shard(text: str | None) -> tuple[int, int]:
     """A shard I/N as numbers: I of 1 to N."""
     if text is None:
         return 1, 1
-    part, slash, count = text.partition("/")
-    if not (slash and part.isdigit() and count.isdigit() and 1 <= int(part) <= int(count)):
+    match = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise InputError(f"--shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
-    return int(part), int(count)
+    return int(match[1]), int(match[2])
 
 
 def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:

@@ -153,10 +153,8 @@ class LocalSlots:
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
         if now:
-            mine = {pid for e in self.executors for pid in (getattr(e, "_processes", None) or {})}
-            for child in multiprocessing.active_children():
-                if child.pid in mine:
-                    child.terminate()
+            for worker in [one for e in self.executors for one in (getattr(e, "_processes", None) or {}).values()]:
+                worker.terminate()
         for executor in self.executors:
             executor.shutdown(wait=True, cancel_futures=True)
 

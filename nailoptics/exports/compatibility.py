@@ -74,19 +74,13 @@ def _refracted(scene: Scene, geometry: Geometry) -> dict[str, float]:
     shares: dict[str, float] = {}
     for led in scene.leds:
         media = optics.finger_media(scene, geometry.regions, led.wavelength_nm)
-        epoxy = epoxy_index(scene, geometry, led.wavelength_nm)
+        epoxy = media.n[geometry.regions.index("epoxy")]
         for one, other in geometry.interfaces():
             for clear, opaque in ((one, other), (other, one)):
                 name, n = geometry.regions[clear], float(media.n[clear])
                 if media.opaque[opaque] and not media.opaque[clear] and name != "air" and n != epoxy:
                     shares[name] = max(shares.get(name, 0.0), ((n - epoxy) / (n + epoxy)) ** 2)
     return shares
-
-
-def epoxy_index(scene: Scene, geometry: Geometry, wavelength_nm: float) -> float:
-    """Refractive index of the clear epoxy, in which LEDs and photodiodes lie."""
-    media = optics.finger_media(scene, geometry.regions, wavelength_nm)
-    return float(media.n[geometry.regions.index("epoxy")])
 
 
 def absorber_of(scene: Scene, geometry: Geometry, middles_mm: np.ndarray, region: np.ndarray) -> np.ndarray:
@@ -107,12 +101,15 @@ def absorber_of(scene: Scene, geometry: Geometry, middles_mm: np.ndarray, region
     return labels
 
 
-def media_table(scene: Scene, geometry: Geometry, led: int) -> np.ndarray:
-    """mu_a, mu_s [mm^-1], g and n of every absorber at an LED's wavelength, with blood at rest, (r, 4) float."""
-    wavelength = scene.leds[led].wavelength_nm
-    media = optics.finger_media(scene, geometry.regions, wavelength)
+def media_table(scene: Scene, geometry: Geometry, led: int, *, index_step: float = 0.0) -> list[list[float]]:
+    """mu_a, mu_s [mm^-1], g and n of what is opaque and of every absorber at an LED's wavelength, with blood at rest.
+
+    index_step : by what part the index of what is opaque lies above that of the epoxy around LEDs and photodiodes.
+    """
+    media = optics.finger_media(scene, geometry.regions, scene.leds[led].wavelength_nm)
     rows = [geometry.regions.index(absorber.region) for absorber in optics.absorbing(scene)]
-    return np.column_stack([getattr(media, name)[rows] for name in ("mu_a", "mu_s", "g", "n")])
+    opaque = [0.0, 0.0, 1.0, (1 + index_step) * float(media.n[geometry.regions.index("epoxy")])]
+    return [opaque, *np.column_stack([getattr(media, name)[rows] for name in ("mu_a", "mu_s", "g", "n")]).tolist()]
 
 
 def led_file(scene: Scene, led: int, ending: str) -> str:

@@ -16,7 +16,6 @@ from .compatibility import (
     absorber_of,
     as_seen,
     compatibility,
-    epoxy_index,
     led_file,
     listed,
     media_table,
@@ -153,23 +152,20 @@ def labels(scene: Scene, geometry: Geometry, made: Voxels) -> np.ndarray:
 
 def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dict[str, Any]:
     """A session of MCX for one LED, as JSON; places are in voxels from the lowest corner."""
-    die, own, wavelength = geometry.leds[led], scene.leds[led], scene.leds[led].wavelength_nm
+    die, own = geometry.leds[led], scene.leds[led]
     quad, normal = die.quads[0], die.normal[0]
     along, across = (side / np.linalg.norm(side) for side in (quad[1] - quad[0], quad[3] - quad[0]))
     # Turned on the board, the die is one rectangle here, not strips.
     axes = [c * across + s * along for c, s in (turned(unit, own.rotation_deg) for unit in ((1.0, 0.0), (0.0, 1.0)))]
     sides = [axis * size / made.side_mm for axis, size in zip(axes, own.size_mm, strict=True)]
     corner = made.place(die.center_mm) - (sides[0] + sides[1]) / 2
-    opaque_index = (1 + INDEX_STEP) * epoxy_index(scene, geometry, wavelength)
-    # Air is a medium of its own.
-    rows = [[0.0, 0.0, 1.0, opaque_index], *media_table(scene, geometry, led).tolist()]
-    rows.append([0.0, 0.0, 1.0, 1.0])
     session = session_of(
         scene,
         led,
         photons=MCX_PHOTONS,
         longest_s=LONGEST_S,
-        media=rows,
+        # Air is a medium of its own.
+        media=[*media_table(scene, geometry, led, index_step=INDEX_STEP), [0.0, 0.0, 1.0, 1.0]],
         origin_mm=made.origin_mm.tolist(),
         photodiode_quads=[made.place(face.quads).tolist() for face in geometry.photodiodes],
     )

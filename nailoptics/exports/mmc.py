@@ -15,7 +15,6 @@ from .compatibility import (
     absorber_of,
     as_seen,
     compatibility,
-    epoxy_index,
     led_file,
     listed,
     media_table,
@@ -85,18 +84,17 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
 
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
     """A session of MMC for one LED, as JSON; its first source is one cone, all of them stand under "nailoptics"."""
-    die, wavelength = geometry.leds[led], scene.leds[led].wavelength_nm
+    die = geometry.leds[led]
     label = absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
-    # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet it;
-    # outside the mesh lies air.
-    media = [[0.0, 0.0, 1.0, epoxy_index(scene, geometry, wavelength)], *media_table(scene, geometry, led).tolist()]
     places, angles = cones(die, CONES)
     made = session_of(
         scene,
         led,
         photons=MMC_PHOTONS,
         longest_s=LONGEST_S,
-        media=media,
+        # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet
+        # it; outside the mesh lies air.
+        media=media_table(scene, geometry, led),
         sources=[
             {"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)
         ],
@@ -108,7 +106,12 @@ def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[s
     normal = die.normal.mean(axis=0)
     source = {"Type": "cone", "Pos": places[0].tolist(), "Dir": (normal / np.linalg.norm(normal)).tolist()}
     source["Param1"] = [float(angles[0]), 0.0, 0.0, 0.0]
-    made["Optode"] = {"Source": source, "Detector": [_sphere(face) for face in geometry.photodiodes]}
+    # Around all corners of a face, out to where light may leave into its sides.
+    spheres = [
+        (f.center_mm, MARGIN * np.linalg.norm(f.quads - f.center_mm, axis=-1).max() + math.sqrt(f.area_mm2) / 10)
+        for f in geometry.photodiodes
+    ]
+    made["Optode"] = {"Source": source, "Detector": [{"Pos": p.tolist(), "R": float(r)} for p, r in spheres]}
     made["Mesh"] = {
         "MeshID": led_file(scene, led, ""),
         "InitElem": _containing(mesh, geometry, places[0]) + 1,
@@ -136,13 +139,6 @@ def cones(die: Face, count: int) -> tuple[Array, Array]:
     a, b, c, d = quads[facet].swapaxes(0, 1)
     places = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c) + BELOW_DIE_MM * die.normal[facet]
     return places, np.arccos(1 - np.sqrt((step + 0.5) / count))
-
-
-def _sphere(face: Face) -> dict[str, Any]:
-    """The sphere around all corners of a face, out to where light may leave into its sides."""
-    middle = face.center_mm
-    reach = np.linalg.norm(face.quads.reshape(-1, 3) - middle, axis=1).max()
-    return {"Pos": middle.tolist(), "R": float(MARGIN * reach + math.sqrt(face.area_mm2) / 10)}
 
 
 def _containing(mesh: TetMesh, geometry: Geometry, place: Array) -> int:

@@ -55,14 +55,10 @@ def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: 
         raise InputError(one_line(f"{name}: {why}" if name else why)) from None
 
 
-def canonical_json(scene: Scene) -> str:
-    """The scene as JSON with sorted keys: the text behind the digest."""
-    return json.dumps(scene.model_dump(mode="json", exclude_none=True), sort_keys=True, separators=(",", ":"))
-
-
 def digest(scene: Scene) -> str:
-    """SHA-256 of the whole scene, (64) hexadecimal characters."""
-    return hashlib.sha256(canonical_json(scene).encode()).hexdigest()
+    """SHA-256 of the whole scene as JSON with sorted keys, (64) hexadecimal characters."""
+    plain = scene.model_dump(mode="json", exclude_none=True)
+    return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def to_toml(scene: Scene) -> str:

@@ -1,6 +1,6 @@
 """Where everything lies on the flat board: dies, photodiode elements, barrier walls, outline."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
@@ -17,6 +17,8 @@ NAIL_MARGIN_MM = 0.05  # the least from the board's edge to the nail's
 WALL_ROOM_MM = 0.02  # the least left beside a wall between LEDs and photodiodes
 LEAST_EPOXY_UM = 20.0  # what is left between a part and the adhesive
 LAYOUTS_KEPT = 256
+# Sides of the photodiodes on which LEDs may lie: the axis across their wall, and which way the photodiodes lie.
+SIDES = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}
 
 
 @dataclass(frozen=True)
@@ -148,21 +150,22 @@ def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[lis
     return wired, unwired
 
 
+def span_mm(area: Rectangle, side: str) -> tuple[float, float]:
+    """The edges of a part along the way from LEDs on a side to their photodiodes: the near one, then the far one."""
+    axis, way = SIDES[side]
+    low, high = (area.v_min, area.v_max) if axis else (area.u_min, area.u_max)
+    return (low, high) if way > 0 else (-high, -low)
+
+
 def _barriers(
     board: Board, leds: tuple[Rectangle, ...], photodiodes: list[Rectangle], outline: Rectangle
 ) -> tuple[Rectangle, ...]:
     """Straight walls over the whole board, each at the requested gap from the LEDs on one side, or midway."""
     width, beside = board.barrier_um * 1e-3, board.barrier_gap_mm
-    # Of an LED on each side, the edge that faces the photodiodes, their edge there, and the way from it to them.
-    sides: dict[str, tuple[Callable[[Rectangle], float], float, int]] = {
-        "left": (lambda led: led.u_max, min(r.u_min for r in photodiodes), 1),
-        "right": (lambda led: led.u_min, max(r.u_max for r in photodiodes), -1),
-        "below": (lambda led: led.v_max, min(r.v_min for r in photodiodes), 1),
-        "above": (lambda led: led.v_min, max(r.v_max for r in photodiodes), -1),
-    }
-    faced: dict[str, list[float]] = {side: [] for side in sides}
+    nearest = {side: min(span_mm(r, side)[0] for r in photodiodes) for side in SIDES}
+    faced: dict[str, list[float]] = {side: [] for side in SIDES}
     for led in leds:
-        gaps = {side: way * (face - edge(led)) for side, (edge, face, way) in sides.items()}
+        gaps = {side: nearest[side] - span_mm(led, side)[1] for side in SIDES}
         side: str = board.barrier_side or max(gaps, key=lambda key: gaps[key])
         if gaps[side] < width + (beside or 0.0) + WALL_ROOM_MM:
             raise ValueError(
@@ -170,17 +173,15 @@ def _barriers(
                 f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
                 "move it, make barrier_um smaller, or set barrier = false"
             )
-        faced[side].append(sides[side][0](led))
+        faced[side].append(span_mm(led, side)[1])
     walls = []
     for side, edges in faced.items():
-        if not edges:
-            continue
-        _, face, way = sides[side]
-        nearest = max(edges) if way > 0 else min(edges)
-        middle = (nearest + face) / 2 if beside is None else nearest + way * (beside + width / 2)
-        ends = {"u": (outline.u_min, outline.u_max), "v": (outline.v_min, outline.v_max)}
-        ends["u" if side in ("left", "right") else "v"] = (middle - width / 2, middle + width / 2)
-        walls.append(Rectangle(side, *ends["u"], *ends["v"]))
+        if edges:
+            (axis, way), edge = SIDES[side], max(edges)
+            middle = way * ((edge + nearest[side]) / 2 if beside is None else edge + (beside + width / 2))
+            ends = [(outline.u_min, outline.u_max), (outline.v_min, outline.v_max)]
+            ends[axis] = (middle - width / 2, middle + width / 2)
+            walls.append(Rectangle(side, *ends[0], *ends[1]))
     for wall, led in product(walls, leds):
         if wall.overlap_mm(led) > ROUNDING_MM:
             raise ValueError(f'board.barrier: the wall would cut LED "{led.name}"; move it or set barrier = false')

@@ -83,7 +83,7 @@ class Rectangle:
         strips = []
         for low, high in zip(lines, lines[1:], strict=False):
             piece = _between(_between(self.corners_mm, float(low), 1), -float(high), -1)
-            if high > low and (area := _area(piece)) > 0:
+            if high > low and (area := area_mm2(piece)) > 0:
                 middle, half = _center_u(piece, area), area / (high - low) / 2
                 strips.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
         return tuple(strips)
@@ -113,7 +113,8 @@ def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
     return inside
 
 
-def _area(corners: Sequence[Point]) -> float:
+def area_mm2(corners: Sequence[Point]) -> float:
+    """Area of a polygon, negative where its corners follow the clock. [mm^2]"""
     return sum(a * d - c * b for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True)) / 2
 
 

@@ -47,6 +47,12 @@ class Played(LocalSlots):
         pass
 
 
+def driver_of(folder, lights: int, each: int) -> run._Driver:
+    """The driver of so many scenes of each of some lights."""
+    planned = [Planned(f"{k}-{i}", f"{k:064}", f"scene {k}-{i}") for k in range(lights) for i in range(each)]
+    return run._Driver(Settings(folder, TraceOptions(backend="llvm")), planned, False, None, time.time())
+
+
 @pytest.fixture
 def played(tmp_path, monkeypatch) -> Callable[..., Outcome]:
     """A run of 100 scenes of two lights whose workers die at scenes where `kills(digest)`."""
@@ -56,8 +62,7 @@ def played(tmp_path, monkeypatch) -> Callable[..., Outcome]:
     (tmp_path / "failed").mkdir()
 
     def play(kills: Callable[[Job], bool], lights: int = 2, each: int = 50) -> Outcome:
-        planned = [Planned(f"{k}-{i}", f"{k:064}", f"scene {k}-{i}") for k in range(lights) for i in range(each)]
-        driver = run._Driver(Settings(tmp_path, TraceOptions(backend="llvm")), planned, False, None, time.time())
+        driver = driver_of(tmp_path, lights, each)
         driver.run(Played(kills, done))
         try:
             outcome = driver.judged()
@@ -92,3 +97,18 @@ def test_a_kill_by_chance_costs_no_scene(played):
         return len(tried) in (1, 4, 9, 20)
 
     assert not played(once).failed
+
+
+def test_while_a_light_is_traced_nobody_else_begins_with_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(run.Folder, "state", lambda *_: "missing")
+    monkeypatch.setattr(run.Settings, "required", lambda *_: None)
+    driver = driver_of(tmp_path, lights=2, each=50)
+    first, other = driver.queue[:2]
+    for slot, job in enumerate((first, other)):
+        assert driver._next_job() == job and job[0].key == f"{slot:064}"
+        driver.queue.remove(job)
+        driver.running[Future()] = slot, job
+    assert driver.queue and driver._next_job() is None
+    driver.stored.add(other[0].key)
+    following = driver._next_job()
+    assert following and following[0].key == other[0].key

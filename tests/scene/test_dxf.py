@@ -8,7 +8,8 @@ from ezdxf.enums import InsertUnits
 
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.dxf import OUTLINE_LAYERS, UNITS_MM
-from nailoptics.scene.importers.outlines import Outline, area_mm2, read_outline, write_outline
+from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
+from nailoptics.scene.rectangles import area_mm2
 
 SQUARE = ((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0))
 ENTITIES = "0\nSECTION\n2\nENTITIES\n{}0\nENDSEC\n0\nEOF\n"

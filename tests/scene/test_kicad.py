@@ -7,8 +7,9 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.scene.importers import kicad
 from nailoptics.scene.importers.kicad import read_board, write_board
-from nailoptics.scene.importers.outlines import Outline, area_mm2, join
+from nailoptics.scene.importers.outlines import Outline, join
 from nailoptics.scene.importers.positions import PlacedPart
+from nailoptics.scene.rectangles import area_mm2
 
 # An outline of 10 x 8 mm with its corners rounded by 1 mm as KiCad 5 writes it, parts on both sides.
 KICAD_5 = """(kicad_pcb (version 20171130) (host pcbnew 5.1.6)

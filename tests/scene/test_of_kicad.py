@@ -8,8 +8,9 @@ import pytest
 from nailoptics.scene import parse_scene
 from nailoptics.scene.importers.dxf import dxf_lines
 from nailoptics.scene.importers.kicad import read_board
-from nailoptics.scene.importers.outlines import area_mm2, join
+from nailoptics.scene.importers.outlines import join
 from nailoptics.scene.importers.positions import read_positions
+from nailoptics.scene.rectangles import area_mm2
 
 FILES = Path(__file__).parent / "of_kicad"
 ORIGIN = (105.5, -104.25)

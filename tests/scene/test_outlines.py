@@ -6,7 +6,8 @@ import random
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.importers.outlines import Outline, area_mm2, has_room, join, read_outline, write_outline
+from nailoptics.scene.importers.outlines import Outline, has_room, join, read_outline, write_outline
+from nailoptics.scene.rectangles import area_mm2
 
 SQUARE = ((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0))
 HOLE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import InputError
 from ...io import write_text
 from ..base import Point, Polygon
+from ..rectangles import area_mm2
 from ..text_files import finite_number, read_rows
 
 if TYPE_CHECKING:
@@ -223,11 +224,6 @@ def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineStrin
 def _is_stroke(outer: "shapely.Polygon", inner: "shapely.Polygon") -> bool:
     """Whether two closed lines are the edges of one stroke around a board."""
     return 0 < outer.area - inner.area < PEN_MM * (outer.length + inner.length) / 2 and inner.area > outer.area / 2
-
-
-def area_mm2(corners: Sequence[Point]) -> float:
-    """Area of a polygon, negative where its corners follow the clock. [mm^2]"""
-    return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)) / 2
 
 
 def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:

@@ -234,19 +234,10 @@ def read_oximeter_recording(
         np.array([np.interp(time_s, own_s, one) for one in volts])
         for own_s, volts in (series[light] for light in lights[1:] if light in series)
     )
-    volts = np.stack([red, infrared])
-    return recording_of(name, photodiodes=there, time_s=time_s, volts=volts, dark_v=dark[0] if dark else None)
-
-
-def recording_of(
-    name: str, *, photodiodes: Sequence[str], time_s: Array, volts: Array, dark_v: Array | None = None
-) -> OximeterRecording:
-    """A recording from arrays, checked as a file is; shapes as in `OximeterRecording`."""
-    time_s, volts = np.asarray(time_s, float), np.asarray(volts, float)
-    dark_v = np.zeros_like(volts[0]) if dark_v is None else np.asarray(dark_v, float)
-    for kind, one in (("red", volts[0]), ("infrared", volts[1])):
-        check_volts(one, [f"{kind}:{photodiode}" for photodiode in photodiodes], name)
-    return OximeterRecording(name, tuple(photodiodes), time_s, volts, dark_v)
+    for kind, volts in (("red", red), ("infrared", infrared)):
+        check_volts(volts, [f"{kind}:{one}" for one in there], name)
+    dark_v = dark[0] if dark else np.zeros_like(red)
+    return OximeterRecording(name, there, time_s, np.stack([red, infrared]), dark_v)
 
 
 def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:

@@ -8,7 +8,7 @@ from ...errors import InputError
 from ...scene import Board, Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
-from ...scene.layout import lay_elements
+from ...scene.layout import SIDES, lay_elements
 from ...scene.parts import check_one_response
 
 PartT = TypeVar("PartT", Led, Photodiode)
@@ -22,8 +22,6 @@ SPECK_MM = 0.05
 MOST_LEDS = 4
 # One die in place of an array.
 SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
-# Sides of the photodiodes on which LEDs may lie: the axis across their wall, and which way the photodiodes lie.
-SIDES = {"left": (0, 1), "right": (0, -1), "below": (1, 1), "above": (1, -1)}
 
 
 def rules(scene: Scene) -> Placement:

@@ -10,10 +10,10 @@ import numpy as np
 from ...light.tracing import StageProgress
 from ...scene import Placement, Scene
 from ...scene.base import Point
+from ...scene.layout import SIDES
 from ...scene.rectangles import Rectangle
 from ...sensor.information import responses
 from . import boards, candidates
-from .boards import SIDES
 from .candidates import CandidateLayout
 from .coordinate_exchange import Arrangement, DesignTables
 from .objective import Objective

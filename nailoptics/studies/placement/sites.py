@@ -9,23 +9,13 @@ import numpy as np
 from ...scene import Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.importers.outlines import has_room
-from ...scene.layout import lay_elements
+from ...scene.layout import SIDES, WALL_ROOM_MM, lay_elements, span_mm
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import SIDES
 
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
-# The layout asks for so much between the wall and what lies behind it.
-WALL_ROOM_MM = 0.02
 ROUNDING_MM = 1e-9
-
-
-def span_mm(area: Rectangle, side: str) -> tuple[float, float]:
-    """The edges of a part along the way from LEDs on a side to their photodiodes: the near one, then the far one."""
-    axis, way = SIDES[side]
-    low, high = (area.v_min, area.v_max) if axis else (area.u_min, area.u_max)
-    return (low, high) if way > 0 else (-high, -low)
 
 
 @dataclass(frozen=True)
