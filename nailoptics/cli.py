@@ -246,11 +246,8 @@ def compare(
     judged = verdict(result, 0.05 if require is None else require, model=model)
     missed, line = require is not None and judged.outcome == "missed", verdict_line(judged)
     summary = COMPARISON.summary(result) | {"verdict": vars(judged)}
-    try:
+    with suppress(*([NotReachedError] if missed else [])):
         _finish(summary, [line], paths, options.json, unmet, folder)
-    except NotReachedError:
-        if not missed:
-            raise
     if missed:
         raise RequirementError(line)
     if require is not None and judged.outcome == "undecided":

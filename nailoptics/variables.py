@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
 Variables = dict[str, Variable]
 # Of more samples than this, what is worked out for each is kept in single precision, 6e-8 of it, which is far below
-# the error of a trace and the step of a converter; and what follows from that is worked out where it is read.
+# the error of a trace and the step of a converter.
 MANY_SAMPLES = 200_000
 
 
@@ -28,7 +28,7 @@ def variable(
 
     Joined by |, several make the first argument of `xarray.Dataset`.
     """
-    dims, values = (dims,) if isinstance(dims, str) else dims, _as_array(values)
+    dims, values = (dims,) if isinstance(dims, str) else dims, np.asarray(values)
     # Texts have no units, not even 1.
     attributes = {"long_name": long_name} if values.dtype.kind in "OSU" else {"units": units, "long_name": long_name}
     if stderr is None:
@@ -36,7 +36,7 @@ def variable(
     beside = {"units": units, "long_name": f"standard error: {long_name}"}
     return {
         name: (dims, values, attributes | {"ancillary_variables": f"{name}_stderr"}),
-        f"{name}_stderr": (dims, _as_array(stderr), beside),
+        f"{name}_stderr": (dims, np.asarray(stderr), beside),
     }
 
 
@@ -45,11 +45,6 @@ def estimated(
 ) -> Variables:
     """A variable made from all groups of photons and without each, (1 + groups, ...) float, and its standard error."""
     return variable(name, dims, replicates[0], long_name, units=units, stderr=jackknife(replicates))
-
-
-def _as_array(values: Any) -> Any:
-    """Values as an array, but for those that xarray works out when they are read."""
-    return values if hasattr(values, "get_duck_array") else np.asarray(values)
 
 
 def to_record(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, np.ndarray]]:

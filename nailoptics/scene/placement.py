@@ -61,7 +61,7 @@ class Candidate(BoardFile):
             return data | filled | {"parts": None, "unmapped": board.ignored}
         path = Path(folder or Path()) / str(data["positions"])
         parts = read_positions(path, **reading_of(data))
-        groups = {"leds": [p for p in parts if p.is_led], "photodiodes": [p for p in parts if p.is_photodiode]}
+        groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}
         used = [*groups["leds"], *groups["photodiodes"]]
         # Fiducials and holes, which nobody asks for, may share one.
         check_unique([part.ref for part in used], f"{path}: Ref")
@@ -70,7 +70,7 @@ class Candidate(BoardFile):
         filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}
         filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])
         filled["photodiode_refs"] = tuple(p.ref for p in groups["photodiodes"])
-        return data | filled | {"unmapped": tuple(p.ref for p in parts if not (p.is_led or p.is_photodiode))}
+        return data | filled | {"unmapped": tuple(p.ref for p in parts if not p.kind)}
 
     @model_validator(mode="after")
     def _has_parts(self) -> Self:

@@ -32,7 +32,7 @@ def test_positions_of_both_sides_are_read_in_order(tmp_path):
         ("LED2", (2.5, 0.25), "top"),
         ("PD1", (0.5, -1.5), "bottom"),
     ]
-    assert [p.is_led for p in parts] == [True, True, False] and parts[1].rotation_deg == 90
+    assert [p.kind for p in parts] == ["led", "led", "photodiode"] and parts[1].rotation_deg == 90
 
 
 def test_negated_x_counts_on_the_bottom_alone(tmp_path):

@@ -62,14 +62,10 @@ class PlacedPart:
     side: str
 
     @property
-    def is_led(self) -> bool:
-        """Whether it is an LED, by its reference: D1, LED2 and the like, but not photodiodes PD1."""
-        return re.fullmatch(r"(D|LED)[0-9_.-]*", self.ref.upper()) is not None
-
-    @property
-    def is_photodiode(self) -> bool:
-        """Whether it is a photodiode, by its reference: PD1 and the like."""
-        return re.fullmatch(r"PD[0-9_.-]*", self.ref.upper()) is not None
+    def kind(self) -> str:
+        """led or photodiode by its reference, such as D1, LED2 or PD1; empty of any other."""
+        match = re.fullmatch(r"(D|LED|(PD))[0-9_.-]*", self.ref.upper())
+        return "" if match is None else "photodiode" if match[2] else "led"
 
 
 def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = "mm") -> tuple[PlacedPart, ...]:

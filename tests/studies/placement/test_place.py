@@ -490,7 +490,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     assert {path.name for path in out.iterdir()} == set(PLACEMENT.files)
     best = load_scene(out / "best.toml")
     areas = list(best.layout.photodiode_areas)
-    back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if not part.is_led]
+    back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if part.kind != "led"]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
     assert len(read_outline(out / "outline.dxf").corners_mm) == 4
 
