@@ -1,9 +1,10 @@
 """Recordings of a worn sensor or an oximeter: CSV files with time, readings in volts and, for a sensor, the force."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
+from itertools import chain, islice, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -77,10 +78,17 @@ def read_sensor_recording(path: str | Path) -> Recording:
     return Recording(name, readings, time_s, volts, columns.get("force_n"), columns.get("site"))
 
 
-def _table(path: str | Path, expected: str) -> tuple[str, list[str], Rows]:
-    """Name of a file for messages, its header, and its rows; raises InputError at one with more cells than columns."""
+def _table(
+    path: str | Path, expected: str, *, starts: Callable[[list[str]], bool] | None = None
+) -> tuple[str, list[str], Rows]:
+    """Name of a file for messages, its header, and its rows; raises InputError at one with more cells than columns.
+
+    starts : whether a row is a header that may lie below lines of settings; else it is the first.
+    """
     name, rows = str(path), read_rows(Path(path), expected)
-    header = [cell.strip() for cell in next(rows, (0, [""]))[1]]
+    first = list(islice(rows, PREAMBLE_LINES)) or [(0, [""])]
+    place = next((k for k, (_, row) in enumerate(first) if starts is not None and starts(row)), 0)
+    rows, header = chain(first[place + 1 :], rows), [cell.strip() for cell in first[place][1]]
     # Spreadsheets end lines with commas.
     while header and not header[-1]:
         header.pop()
@@ -178,6 +186,7 @@ class OximeterRecording:
     time_s : (T,) float, rising. [s]
     volts : (2, P, T) float. Of the red and the infrared LED as they were read, dark light included; NaN in a gap. [V]
     dark_v : (P, T) float. With no LED lit; 0 where that was not read. [V]
+    counts : whether volts are counts of an unknown converter instead.
     """
 
     name: str
@@ -185,24 +194,37 @@ class OximeterRecording:
     time_s: Array
     volts: Array
     dark_v: Array
+    counts: bool = False
 
 
 OXIMETER_CSV = "a CSV with time_s and LED:PHOTODIODE columns, or time_s, slot and one per photodiode"
+# Columns of oximeter modules' recordings, in lower case; LEDC1 to 3 are those of the MAX86161's evaluation kit.
+MODULE_COLUMNS = {"red": ("red", "ledc2"), "infrared": ("infrared", "ir", "ledc1"), "ambient": ("ambient", "ledc3")}
+# Such files may have so many lines of settings before their header.
+PREAMBLE_LINES = 40
 
 
 def read_oximeter_recording(
-    path: str | Path, *, leds: tuple[str, str], photodiodes: Sequence[str], delays_s: Mapping[str, float]
+    path: str | Path,
+    *,
+    leds: tuple[str, str],
+    photodiodes: Sequence[str],
+    delays_s: Mapping[str, float],
+    frame_hz: float,
 ) -> OximeterRecording:
-    """Read a recording whose rows are slots, or that has a column for each LED and photodiode.
+    """Read a recording whose rows are slots, that has a column for each LED and photodiode, or that of a module.
 
     leds : names of the red and the infrared LED.
-    photodiodes : names of the board's; the recording may hold fewer.
+    photodiodes : names of the board's; the recording may hold fewer, a module's holds the first.
+    frame_hz : samples in a second of a module's recording without times. [Hz]
     delays_s : how much later than the red slot each light's slot is, for columns of one time; rows of slots have times
         of their own. [s]
 
     Raises: InputError that names the column, the line, the value and what to do.
     """
-    name, header, rows = _table(path, f"an oximeter's recording: {OXIMETER_CSV}")
+    name, header, rows = _table(path, f"an oximeter's recording: {OXIMETER_CSV}", starts=_is_module)
+    if _is_module(header):
+        return _read_module(name, header, rows, photodiodes[0], frame_hz)
     check_header(header, name)
     lights, by_slot = (*leds, DARK), "slot" in header
     title = "{1}" if by_slot else "{0}:{1}"
@@ -238,6 +260,50 @@ def read_oximeter_recording(
         check_volts(volts, [f"{kind}:{one}" for one in there], name)
     dark_v = dark[0] if dark else np.zeros_like(red)
     return OximeterRecording(name, there, time_s, np.stack([red, infrared]), dark_v)
+
+
+def _is_module(header: Sequence[str]) -> bool:
+    """Whether a row is the header of a module's recording; one of slots has lights among its numbers."""
+    titles = {title.strip().lower() for title in header}
+    words = not any(title[:1] in "0123456789-+." for title in titles if title)
+    return words and "slot" not in titles and any(titles & {*MODULE_COLUMNS[light]} for light in ("red", "infrared"))
+
+
+def _read_module(name: str, header: Sequence[str], rows: Rows, photodiode: str, frame_hz: float) -> OximeterRecording:
+    """A module's recording: counts of red, infrared and, if there, ambient light, one photodiode's.
+
+    Its times are time_s, or timestamp in milliseconds, or frames.
+    """
+    titles = [title.lower() for title in header]
+    places = {
+        light: next((titles.index(title) for title in known if title in titles), None)
+        for light, known in MODULE_COLUMNS.items()
+    }
+    clock = next((title for title in ("time_s", "timestamp") if title in titles), None)
+    columns = {light: place for light, place in places.items() if place is not None}
+    for light in ("red", "infrared"):
+        if light not in columns:
+            raise InputError(
+                f"{name}: has no column of {light} light; name one {' or '.join(MODULE_COLUMNS[light])} "
+                "(an oximeter needs both)."
+            )
+    clocks = {"time_s": titles.index(clock)} if clock else {}
+    # The evaluation kit ends with the time at which it stopped.
+    samples = takewhile(lambda row: row[1][0].strip().lower() != "stop time", rows)
+    line, read = number_columns(samples, clocks | columns, name)
+    for light in columns:
+        if (read[light] < 0).any():
+            k = int(np.argmax(read[light] < 0))
+            raise InputError(
+                f"{name} line {line[k]}: {light} light is {read[light][k]:g}; light is not negative, give what the "
+                "converter read, ambient light included."
+            )
+    time_s = read["time_s"] if clock else np.arange(len(line)) / frame_hz
+    time_s = 1e-3 * (time_s - time_s[:1]) if clock == "timestamp" else time_s
+    check_columns({"time_s": time_s}, name, line)
+    volts = np.array([[read["red"]], [read["infrared"]]])
+    dark = read["ambient"][None] if "ambient" in read else np.zeros((1, len(line)))
+    return OximeterRecording(name, (photodiode,), time_s, volts, dark, counts=True)
 
 
 def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:

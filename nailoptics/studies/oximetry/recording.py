@@ -36,6 +36,8 @@ MOST_SATURATED = 0.01
 NOISE_FROM_HZ = 12.0
 # A sample moved if what both LEDs do not share is so many times its usual size, or if light jumps by so many pulses.
 MOST_UNSHARED, MOST_JUMP = 6.0, 4.0
+# No pulse or touch changes the logarithm of the light by so much.
+MOST_AWAY = 0.08
 # Around a sample that moved so much is marked, as filters spread it. [s]
 AROUND_S = 0.5
 # Of a window at least this part must be still.
@@ -107,7 +109,9 @@ def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     leds = oximeter_leds(scene)
     first = front_ends_of(scene, leds)[0]
     names, delays_s = scene.layout.photodiode_names, first.delays_s
-    recording = read_oximeter_recording(path, leds=first.lights[:2], photodiodes=names, delays_s=delays_s)
+    frame_hz = (scene.oximeter or Oximeter()).frame_hz
+    how = {"photodiodes": names, "delays_s": delays_s, "frame_hz": frame_hz}
+    recording = read_oximeter_recording(path, leds=first.lights[:2], **how)
     # Checked here, before any light is traced.
     pulses_over_time(recording, scene)
     return recording
@@ -165,7 +169,8 @@ def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array,
 
     Raises: InputError as `spo2_over_time`.
     """
-    _check_limit(recording, scene.electronics.adc_range_v)
+    if not recording.counts:
+        _check_limit(recording, scene.electronics.adc_range_v)
     estimates = [_photodiode(recording, j) for j in range(len(recording.photodiodes))]
     return estimates[0][0], [row for _, row in estimates]
 
@@ -178,6 +183,9 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
         raise InputError(f"{name}: less its dark reading an LED gives no light; check the slots' names.")
     with np.errstate(invalid="ignore", divide="ignore"):
         logarithm = -np.log(np.where(light > 0, light, np.nan))
+    away = np.abs(logarithm - np.nanmedian(logarithm, axis=1, keepdims=True)) > MOST_AWAY
+    # LEDs that are not lit yet; a filter would spread one such sample over a second.
+    logarithm[:, away.any(0)] = np.nan
     even_s, _, rate_hz = resampled(recording.time_s, logarithm[0], name)
     both = np.stack([resampled(recording.time_s, one, name)[1][: len(even_s)] for one in logarithm])
     beats = find_beats(even_s, both[1], name)

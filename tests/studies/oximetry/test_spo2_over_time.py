@@ -104,6 +104,57 @@ def test_columns_and_slots_of_one_recording_tell_the_same(tmp_path):
     assert np.allclose(told[0].spo2, told[1].spo2, atol=0.02)
 
 
+KIT = "reg0x0D,reg0x10,\n0x02,0x00,\nstart time,1596743022076\ntimestamp,sampleNum,LEDC1,LEDC2,LEDC3,sensor,\n"
+
+
+def module_files(folder, so2: float) -> list:
+    """Counts of a reflectance module at 64 Hz, 6 s: as of an evaluation kit, with times, and with none."""
+    time_s = np.arange(384) / 64.0
+    pulse = cardiac_pressure(time_s, rate_per_min=75.0, mean_pressure_pa=0.0, pulse_pressure_pa=1.0)
+    noise = np.random.default_rng(1).standard_normal((2, 384))
+    light = np.array([[1e5], [7.7e4]]) * np.exp(-np.array([[(110.9 - 100 * so2) / 33.2], [1.0]]) * 3e-3 * pulse)
+    red, infrared = np.round(light + 1270.0 + 10.0 * noise)
+    kit, timed, frames = (folder / f"{name}.csv" for name in ("kit", "timed", "frames"))
+    samples = list(zip(time_s.tolist(), red, infrared, strict=True))
+    rows = [(1596743022291.5 + 1e3 * t, k, i, r, 1270, "") for k, (t, r, i) in enumerate(samples)]
+    # The LEDs are not lit from the first sample on.
+    rows[0] = (rows[0][0], 0, 5e4, 5e4, 1270, "")
+    kit.write_text(KIT + "".join(",".join(map(str, row)) + "\n" for row in rows) + "stop time,1596743028291,\n")
+    table = "".join(f"{t!r},{r},{i},1270\n" for t, r, i in samples)
+    timed.write_text("time_s,Red,IR,Ambient\n" + table)
+    frames.write_text("red,infrared,ambient\n" + "".join(row.split(",", 1)[1] + "\n" for row in table.splitlines()))
+    return [kit, timed, frames]
+
+
+def test_files_of_oximeter_modules_give_ratio_and_beats(tmp_path):
+    scene = SCENE.model_copy(update={"oximeter": SCENE.oximeter.model_copy(update={"frame_hz": 64.0, "slots": None})})
+    for so2 in (0.75, 0.97):
+        for file in module_files(tmp_path, so2):
+            told = spo2_over_time(read_for(scene, file), KNOWN, scene)
+            assert abs(float(told.rate_per_min[0, 0]) - 75.0) < 1.5
+            assert float(told.ratio[0, 0]) == pytest.approx((110.9 - 100 * so2) / 33.2, abs=0.03), file
+            assert list(told.photodiode.values) == ["axis.1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_s,red,ambient\n0,1,1\n", "has no column of infrared light; name one infrared or ir or ledc1"),
+        ("timestamp,LEDC1,LEDC3\n0,1,1\n", "has no column of red light; name one red or ledc2"),
+        ("time_s,red,ir\n0,1,1\n1,2,1\n2,-3,1\n", "line 4: red light is -3; light is not negative"),
+        ("red,ir,ambient\n5,5,-1\n5,5,1\n5,5,1\n", "line 2: ambient light is -1"),
+        ("timestamp,red,ir\n0,5,5\n20,5,5\n10,5,5\n", "time_s"),
+        ("red,ir\n5,x\n", "infrared = 'x'"),
+        ("red,ir\n", "infrared"),
+    ],
+)
+def test_a_modules_file_that_cannot_be_is_refused_in_one_line(tmp_path, text, words):
+    (tmp_path / "module.csv").write_text(text)
+    with pytest.raises(InputError, match=words) as error:
+        read_for(SCENE, tmp_path / "module.csv")
+    assert "\n" not in str(error.value)
+
+
 def test_what_tells_nothing_is_refused_in_one_line():
     made = recorded(0.9, seed=2)
     short = replace(made, time_s=made.time_s[:150], volts=made.volts[..., :150], dark_v=made.dark_v[:, :150])
