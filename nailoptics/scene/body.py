@@ -30,8 +30,8 @@ class Heartbeat(WaveTable):
     # The artery of a resting finger (45 mmHg, Imholz 1998).
     arterial_pulse_pressure_pa: NonNegative = 6000.0
     """Highest less lowest pressure of a beat in small arteries and arterioles. [Pa]"""
-    # Fitted: in reflectance at one finger 0.57 % of the light pulse in the infrared and 0.26 % in the red, peak to peak,
-    # at 95 to 98 % saturation (public recordings of aarusso/OxiWear).
+    # Fitted: in reflectance at one finger 0.57 % of the light pulse in the infrared and 0.26 % in the red, from top to
+    # bottom at 95 to 98 % saturation (public recordings of aarusso/OxiWear).
     arteriolar_blood_fraction: Annotated[float, Field(ge=0, le=0.2)] = 0.02
     """Volume fraction of blood in small arteries and arterioles of the bed at rest, in addition to
     blood.rest_blood_fraction; 0 for capillaries alone, as in the paper."""
