@@ -1,7 +1,7 @@
 """R against SpO2 from raw recordings of a real finger: `python tests/benchmarks/real_oximeter.py FOLDER`.
 
 The recordings are public, but not ours to ship: FOLDER is spo2-data/proto1 of https://github.com/aarusso/OxiWear, 58
-files named TIME-SPO2-RATE.csv of an evaluation kit (MAX86161 in reflectance, 64 Hz, some 4.5 s each; one finger, air
+tables named TIME-SPO2-RATE of an evaluation kit (MAX86161 in reflectance, 64 Hz, some 4.5 s each; one finger, air
 with little oxygen). Expected: of 56 with a standard error of R below a tenth SpO2 = 109.5 - 31.2 R, rms 3.2 %, and
 pulses, peak to peak, of 0.57 % of the light in the infrared and 0.26 % in the red at 95 to 98 %.
 """

@@ -110,7 +110,7 @@ def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     first = front_ends_of(scene, leds)[0]
     names, delays_s = scene.layout.photodiode_names, first.delays_s
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    how = {"photodiodes": names, "delays_s": delays_s, "frame_hz": frame_hz}
+    how: dict[str, Any] = {"photodiodes": names, "delays_s": delays_s, "frame_hz": frame_hz}
     recording = read_oximeter_recording(path, leds=first.lights[:2], **how)
     # Checked here, before any light is traced.
     pulses_over_time(recording, scene)
