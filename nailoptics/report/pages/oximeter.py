@@ -303,14 +303,15 @@ def recording_summary(result: xr.Dataset) -> dict[str, Any]:
     for name in result.photodiode.values:
         one = result.sel(photodiode=name)
         there = np.isfinite(one.spo2.values)
-        row = {"windows": int(one.sizes["time"]), "still": int(there.sum()), "motion": float(one.motion.mean())}
-        for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
-            values = one[key].values[np.isfinite(one[key].values)]
-            row[key] = float(np.median(values)) if len(values) else None  # type: ignore[assignment]
-        index = {k: one[f"perfusion_index_{k}"].values[there] for k in ("red", "infrared")}
-        readings[str(name)] = row | {
-            "perfusion_index": {k: float(np.nanmedian(v)) if len(v) else None for k, v in index.items()}
+        row: dict[str, Any] = {
+            "windows": int(one.sizes["time"]),
+            "still": int(there.sum()),
+            "motion": float(one.motion.mean()),
         }
+        for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
+            row[key] = _median(one[key].values)
+        row["perfusion_index"] = {k: _median(one[f"perfusion_index_{k}"].values[there]) for k in ("red", "infrared")}
+        readings[str(name)] = row
     best = result.attrs["best"]
     return {
         "readings": readings,
@@ -319,10 +320,17 @@ def recording_summary(result: xr.Dataset) -> dict[str, Any]:
     }
 
 
+def _median(values: np.ndarray) -> float | None:
+    """The median of the values that are known, if any is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
+
+
 def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """An oximeter's calibration and its error, photodiode by photodiode."""
     rows = zip(_calibrations(result), _errors(result), strict=True)
-    lines = aligned([line | {"Error, 8 s [%]": error["All, 8 s [%]"]} for line, error in rows])
+    shown = ("Photodiode", "Intercept", "Slope", f"R({result.attrs['so2']:g})", "Path ratio", "All, 8 s [%]")
+    lines = aligned([{head: (line | error)[head] for head in shown} for line, error in rows])
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
@@ -347,5 +355,5 @@ OXYGEN = Report(
     ("oxygen.nc", "oxygen.csv", "oxygen.html"),
     _oxygen_files,
     recording_summary,
-    lambda result, summary: aligned(_recorded(summary)),
+    lambda result, summary: [*aligned(_recorded(summary)), f"best photodiode: {summary['best']}"],
 )

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,7 @@ from ...tissue import bed_zone_name
 from .. import maps, style
 from ..files import Report
 from ..html import Html, document, escaped, figure, section, small, subheading, table
-from ..numbers import quantity, significant, with_error
+from ..numbers import estimated, quantity, significant, with_error
 from ..readings import hold_end, photodiode_readings, reading_rows, simulation_lines, simulation_summary
 from ..scene_description import blood_words, body_words, touch_words
 from ..uncertainty_section import spread_section
@@ -32,10 +32,10 @@ READINGS = (
     "the converter in one sample; the resolution is the force that equals it, by the mean slope from rest to the end "
     "of the hold."
 )
-TOUCH = "Force over time, and the pressures that it exerts on the vessels."
-VESSELS = (
-    "Pressure on the pulp's veins obstructs the return of blood, which pools in the capillaries under the nail; "
-    "pressure on the distal capillaries expels it from them."
+COURSES = (
+    "Force over time, the pressures that it exerts on the vessels, and what these do. Pressure on the pulp's veins "
+    "obstructs the return of blood, which pools in the capillaries under the nail; pressure on the distal capillaries "
+    "expels it from them."
 )
 BED = "Zones of the nail bed over time. Above the dashed line: the white band, with less than half of its blood."
 BOARD = (
@@ -66,6 +66,15 @@ MEAN_PATH = (
     "Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of the "
     "reduced optics. A reading falls by this fraction per mm⁻¹ of absorption."
 )
+NAMES = {
+    "barrier": "barrier, opaque epoxy",
+    "cover": "cover and rim, opaque epoxy",
+    "photodiodes": "photodiodes that are read",
+    "silicon": "photodiodes not wired",
+    "leds": "LEDs, their own die too",
+}
+# Less of the light than this is not worth a row, at any LED.
+LEAST = 1e-4
 # Less alpha D^2 than this over the whole touch: (8) is as straight in D^2 as (9), and its constants are not known.
 STRAIGHT = 0.01
 # A mean path below this is as good as none.
@@ -90,12 +99,7 @@ def page(result: xr.Dataset) -> str:
                 _pair_table(reading_rows(readings), readings, kind="readings dense"),
                 small(READINGS),
             ),
-            section(
-                "The touch and the blood",
-                figure(figures.touch(result), TOUCH),
-                figure(figures.vessels(result), VESSELS),
-                _bed(result, scene),
-            ),
+            section("The touch and the blood", figure(figures.courses(result), COURSES), _bed(result, scene)),
             _space_section(result, scene),
             _models_section(result, scene, readings),
             spread_section(result),
@@ -117,8 +121,26 @@ def _space_section(result: xr.Dataset, scene: Scene | None) -> Html:
     if "section_region" in result:
         cut = figure(maps.section(scene, result), SECTION + (PATHS if "path_density" in result else ""))
     if "absorbed_fraction" in result:
-        ends = figure(figures.light_ends(result), ENDS)
-    return section("The sensor on the finger", board, cut, ends)
+        ends = table(_light_ends(result), kind="ends") + small(ENDS)
+    return section("The sensor on the finger", board, cut, Html(ends))
+
+
+def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
+    """Where the light of each LED ends, the ends that take most first."""
+    leaves = {"leaves to the air": "reflected", "leaves up the finger": "transmitted"}
+    ends: dict[str, tuple[str, dict[str, Any]]] = {
+        text: ("energy_fraction", {"part": part}) for text, part in leaves.items()
+    }
+    ends |= {NAMES.get(r, r): ("absorbed_fraction", {"region": r}) for r in result.region.values.tolist()}
+    most = {text: float(result[name].sel(at).max()) for text, (name, at) in ends.items()}
+    rows = []
+    for text in sorted(filter(lambda text: most[text] >= LEAST, ends), key=lambda text: -most[text]):
+        (name, at), row = ends[text], {"The light ends in": text}
+        one = result[[name, f"{name}_stderr"]].sel(at)
+        for i in range(result.sizes["led"]):
+            row[f"{maps.led_name(result, i)} [%]"] = estimated(one.isel(led=i), name, 100)
+        rows.append(row)
+    return rows
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataFrame") -> Html:

@@ -20,15 +20,24 @@ if TYPE_CHECKING:
 SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
 PANELS = 16
-WITH_LEGENDS_BELOW = style.Room(left=0.65, bottom=0.8, across=0.75)
 DASHED = (0, (4, 2.5))
-# Name, scale, title and label of what the vessels do.
-VESSELS = (
-    ("capillary_diameter_m", 1e6, "Capillaries", "diameter [µm]"),
-    ("vein_diameter_m", 1e6, "Vein of the pulp", "diameter [µm]"),
-    ("blood_fraction", 100, "Blood in the nail bed", "blood fraction [%]"),
-    ("so2", 100, "Its oxygen", "saturation [%]"),
+# What moves over time: title, label and scale of a panel, and the variables in it.
+COURSES: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
+    ("Force on the fingertip", "force [N]", 1.0, ("force_n", "shear_n")),
+    ("Pressure that it makes", "pressure [kPa]", 1e-3, ("proximal_pressure_pa", "distal_pressure_pa")),
+    ("Arterial pressure", "pressure [kPa]", 1e-3, ("arterial_pressure_pa",)),
+    ("Capillaries", "diameter [µm]", 1e6, ("capillary_diameter_m",)),
+    ("Vein of the pulp", "diameter [µm]", 1e6, ("vein_diameter_m",)),
+    ("Blood in the nail bed", "blood fraction [%]", 100, ("blood_fraction",)),
+    ("Its oxygen", "saturation [%]", 100, ("so2",)),
 )
+LINES = {
+    "force_n": ("normal", style.INK),
+    "shear_n": ("shear, towards the tip", style.VEIN),
+    "proximal_pressure_pa": ("on the veins", style.ZONES[0]),
+    "distal_pressure_pa": ("on the capillaries", style.ZONES[1]),
+    "arterial_pressure_pa": ("", style.ZONES[0]),
+}
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -38,51 +47,28 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 @style.drawing()
-def touch(result: xr.Dataset) -> "Figure":
-    """The touch: force, and the pressures on the veins and on the distal capillaries; arterial pressure if it moves."""
-    beats, thin = "arterial_pressure_pa" in result, _thin(result)
-    figure, panels = style.panels(9.2, 2.7, 1, 2 + beats, room_in=WITH_LEGENDS_BELOW, sharex=True)
-    left, right = panels[:2]
-    _line(left, thin.force_n, color=style.INK, label="normal")
-    if "shear_n" in thin:
-        _line(left, thin.shear_n, color=style.VEIN, linestyle=DASHED, label="shear, towards the tip")
-        _legend_below(left)
-    names = (("proximal", "on the veins (proximal)", "-"), ("distal", "on the capillaries (distal)", DASHED))
-    for zone, (name, label, dashes) in enumerate(names):
-        pressure = thin[f"{name}_pressure_pa"] / 1e3
-        _line(right, pressure, color=style.ZONES[zone], linestyle=dashes, label=label, lw=2.2 - 0.4 * zone)
-    _over_time(left, result, "Force on the fingertip", "force [N]")
-    _over_time(right, result, "Pressure that it makes", "pressure [kPa]")
-    left.set_ylim(min(0.0, float(result.get("shear_n", result.force_n).min())), None)
-    right.set_ylim(0, None)
-    if beats:
-        _line(panels[2], thin.arterial_pressure_pa / 1e3, color=style.ZONES[0], lw=1.1)
-        _over_time(panels[2], result, "Arterial pressure", "pressure [kPa]")
-    _legend_below(right, ncols=1 if beats else 2)
-    return figure
-
-
-@style.drawing()
-def vessels(result: xr.Dataset) -> "Figure":
-    """What the touch does to the blood: capillary and vein diameters, the bed's blood fraction, and its oxygen."""
-    fields = [field for field in VESSELS if field[0] in result]
-    # A legend of many zones takes more room.
-    room = WITH_LEGENDS_BELOW if result.sizes["zone"] <= 2 else None
-    figure, panels = style.panels(9.2, 2.9, 1, len(fields), room_in=room, sharex=True)
+def courses(result: xr.Dataset) -> "Figure":
+    """The touch, and what it does to the vessels and to the blood of the nail bed and its oxygen, a panel for each."""
     thin, colours = _thin(result), style.place_colours(result.sizes["zone"])
-    for axes, (name, scale, title, label) in zip(panels, fields, strict=True):
-        values = scale * thin[name]
-        if "zone" not in values.dims:
-            _line(axes, values, color=style.VEIN)
-        else:
-            for i, (zone, colour) in enumerate(zip(result.zone.values, colours, strict=True)):
-                # Curves that lie on one another are all visible.
-                look = {"color": colour, "label": style.plain(zone), "linestyle": ("-", DASHED)[i % 2]}
-                _line(axes, values.isel(zone=i), **look)
+    shown = [one for one in COURSES if one[3][0] in result]
+    room = style.Room(left=0.65, across=0.7, down=0.7)
+    figure, panels = style.tiles(len(shown), 3, 9.2, 2.5, room_in=room, sharex=True)
+    for axes, (title, label, scale, names) in zip(panels, shown, strict=True):
+        lines: list[tuple[str, str, xr.DataArray]] = []
+        for name in names:
+            if name in result and "zone" in result[name].dims:
+                zones = zip(result.zone.values, colours, thin[name].transpose("zone", "time"), strict=True)
+                lines += [(str(zone), colour, values) for zone, colour, values in zones]
+            elif name in result:
+                lines.append((*LINES.get(name, ("", style.VEIN)), thin[name]))
+        for k, (text, colour, values) in enumerate(lines):
+            # Curves that lie on one another are all visible.
+            look = {"color": colour, "linestyle": ("-", DASHED)[k % 2], "label": style.plain(text)}
+            _line(axes, scale * values, **look)
         _over_time(axes, result, title, label)
         _not_too_close(axes)
-        if name in ("capillary_diameter_m", "blood_fraction"):
-            _legend_below(axes)
+        if len(lines) > 1:
+            axes.legend(loc="upper right", fontsize=7, handlelength=1.8)
     return figure
 
 
@@ -239,56 +225,3 @@ def _not_too_close(axes: "Axes") -> None:
     if high - low < least:
         axes.set_ylim(middle - least, middle + least)
     axes.ticklabel_format(axis="y", useOffset=False)
-
-
-def _legend_below(axes: "Axes", *, ncols: int = 2) -> None:
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=ncols, handlelength=1.8, columnspacing=1.2)
-
-
-# What of an LED's light no region absorbs.
-LEAVES = {"reflected": "leaves to the air", "transmitted": "leaves up the finger"}
-NAMES = {
-    "barrier": "barrier, opaque epoxy",
-    "cover": "cover and rim, opaque epoxy",
-    "photodiodes": "photodiodes that are read",
-    "silicon": "photodiodes not wired",
-    "leds": "LEDs, their own die too",
-}
-# Less of the light than this is not worth a bar, at any LED.
-LEAST = 1e-4
-
-
-@style.drawing()
-def light_ends(result: xr.Dataset) -> "Figure":
-    """One bar for each end of the light and LED, the ends that take most on top."""
-    from matplotlib import colormaps
-
-    value, stderr = (_ends(result, suffix) for suffix in ("", "_stderr"))
-    most = value.max("led")
-    ends = most.end[most >= LEAST].values[np.argsort(-most[most >= LEAST].values, kind="stable")]
-    leds = result.sizes["led"]
-    room = style.Room(left=0.25 + style.longest_in(ends), top=0.1)
-    drawing, axes = style.panels(9.2, 0.8 + len(ends) * (0.14 + 0.16 * leds), room_in=room)
-    rows, high = np.arange(len(ends)), 0.8 / leds
-    # Not the colours of places along the nail, which warm and cool ones stand for.
-    for i, colour in enumerate(colormaps["cividis"](np.linspace(0.45, 0.85, leds))):
-        share, error = (100 * one.isel(led=i).sel(end=ends).values for one in (value, stderr))
-        at = rows + (i - (leds - 1) / 2) * high
-        look: dict[str, Any] = {"color": colour, "label": style.plain(led_name(result, i))}
-        bars = axes.barh(at, share, 0.9 * high, xerr=error, ecolor=style.INK, **look)
-        words = [f"{with_error(*pair)} %" for pair in zip(share, error, strict=True)]
-        axes.bar_label(bars, words, padding=4, fontsize=8, color=style.INK)
-    axes.set_yticks(rows, [style.plain(str(name)) for name in ends])
-    axes.set(ylim=(len(ends) - 0.4, -0.6), xlim=(0, 118 * float(most.max())), xlabel="% of the LED's light")
-    axes.grid(False, axis="y")
-    if leds > 1:
-        axes.legend(loc="lower right")
-    return drawing
-
-
-def _ends(result: xr.Dataset, suffix: str) -> xr.DataArray:
-    """Fractions of each LED's light by their end in words, (led, end), or their standard errors."""
-    left = result[f"energy_fraction{suffix}"].sel(part=list(LEAVES)).rename(part="end")
-    taken = result[f"absorbed_fraction{suffix}"].rename(region="end")
-    names = [*LEAVES.values(), *(NAMES.get(str(name), str(name)) for name in taken.end.values)]
-    return xr.concat([left, taken], "end").assign_coords(end=names).transpose("led", "end")
