@@ -114,9 +114,8 @@ def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
 def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """The readings of a touch as a table, where the light ends, and conclusions over the priors."""
     table = photodiode_readings(result, None)
-    several = result.sizes["led"] > 1
     rows = [
-        ({"LED": led} if several else {}) | {head: cell for head, cell in row.items() if head not in PAGE_ALONE}
+        {"LED": led} | {head: cell for head, cell in row.items() if head not in PAGE_ALONE}
         for led, row in zip(table.led, reading_rows(table), strict=True)
     ]
     hold = f"change: from the first sample to the end of the hold, at {table.time_of_change_s[0]:.3g} s"
