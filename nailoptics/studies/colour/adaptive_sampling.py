@@ -1,14 +1,12 @@
 """Adaptive sampling: rays go to each place of a bare nail until its colour and its changes reach their tolerance."""
 
 import math
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...light.tracing import Ending, StageProgress, run_until
+from ...light.tracing import StageProgress
 from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
@@ -74,62 +72,52 @@ def sample_until_tolerance(
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
     rays: ColourRays | None = None
-    error, pace_s, parts, goal = math.inf, math.inf, 0, 0
+    patches, goal, parts = list(places.patches), options.photons or PILOT, 0
+    error, pace_s, why = math.inf, math.inf, ""
 
-    def of_round(patches: Sequence[Patch], count: int) -> Iterator[tuple[Sequence[Patch], int]]:
-        """So many more rays, part by part, none larger than what is left of the time is enough for."""
-        nonlocal goal
-        goal = count + (rays.photons if rays else 0)
-        while (left := goal - (rays.photons if rays else 0)) > 0:
-            affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
-            yield patches, int(min(left, MOST_AT_ONCE, max(PILOT, affordable)))
+    def report(photons: int) -> None:
+        done = photons + (rays.photons if rays else 0)
+        stage("colour", done / goal, error, viewing.tolerance if math.isfinite(error) else None)
+        if stage.interrupted and rays:  # the part at work is discarded
+            raise KeyboardInterrupt
 
-    def needed() -> Iterator[tuple[Sequence[Patch], int]]:
-        nonlocal error
-        yield from of_round(places.patches, options.photons or PILOT)
-        while True:
-            assert rays is not None
-            errors, changes = errors_of(rays, places, states, viewer, viewing)
-            error = float(errors.max())
-            more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
-            if options.photons is not None or more.max() <= 1:
-                return
-            shares, count = _allocated(rays, places, more)
-            yield from of_round([replace(one, share=n) for one, n in zip(places.patches, shares, strict=True)], count)
-
-    def sample(part: tuple[Sequence[Patch], int]) -> None:
-        nonlocal rays, pace_s, parts
-        done, begin_s = rays.photons if rays else 0, stage.seconds
-
-        def report(photons: int) -> None:
-            stage("colour", (done + photons) / goal, error, viewing.tolerance if math.isfinite(error) else None)
-            if stage.interrupted and rays:  # the part at work is discarded
-                raise KeyboardInterrupt
-
-        patches, count = part
-        walked = walk_colour(nail, patches, photons=count, seed=seed_of(options.seed, parts), progress=report)
-        pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
-        rays, parts = rays.with_more(walked) if rays else walked, parts + 1
-
-    ending = run_until(needed(), sample, is_late=lambda part: rays is not None and stage.is_over(1.0))
-    assert rays is not None
-    if ending is Ending.MET and not stage.interrupted:
+    try:
+        while not why:
+            left = goal - (rays.photons if rays else 0)
+            if rays and left <= 0:
+                errors, changes = errors_of(rays, places, states, viewer, viewing)
+                error = float(errors.max())
+                more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
+                if options.photons is not None or more.max() <= 1:
+                    break
+                patches, count = _allocated(rays, places, more)
+                goal += count
+            elif rays and stage.is_over(1.0):
+                why = "max_seconds ended the rays"
+            else:
+                # No part is larger than what is left of the time is enough for.
+                affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
+                photons, begin_s = int(min(left, MOST_AT_ONCE, max(PILOT, affordable))), stage.seconds
+                seed = seed_of(options.seed, parts)
+                walked = walk_colour(nail, patches, photons=photons, seed=seed, progress=report)
+                pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
+                rays, parts = rays.with_more(walked) if rays else walked, parts + 1
+    except KeyboardInterrupt:
+        if rays is None:
+            raise
+        why = "interrupted"
+    if not why and not stage.interrupted:
         return rays, ""
     error = float(errors_of(rays, places, states, viewer, viewing)[0].max())
-    why = "interrupted" if stage.interrupted or ending is Ending.INTERRUPTED else "max_seconds ended the rays"
+    why = "interrupted" if stage.interrupted else why
     return rays, f"{why} at a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
 
 
 def errors_of(rays: ColourRays, places: Places, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:
     """Largest standard errors over all states of each place's colour and of its change, (along,) each. [CIEDE2000]"""
-    lab = viewer.lab(rays.reflectance(states, **view(viewing), patches=range(places.along)))
+    lab = viewer.lab(rays.reflectance(states, viewing, patches=range(places.along)))
     change = delta_e_2000(lab, lab[:, :, :1])
     return stderr_of_colour(lab).max(1), jackknife(change).max(1)
-
-
-def view(viewing: Viewing) -> dict[str, Any]:
-    """Where light comes from and whether gloss counts, as `ColourRays.reflectance` takes it."""
-    return {"lit_by": viewing.lit_by, "gloss": viewing.gloss}
 
 
 def stderr_of_colour(lab: Array) -> Array:
@@ -141,8 +129,8 @@ def stderr_of_colour(lab: Array) -> Array:
     return np.asarray(np.sqrt((len(away) - 1) / len(away) * (away**2).sum(0)))
 
 
-def _allocated(rays: ColourRays, places: Places, needed: Array) -> tuple[list[int], int]:
-    """How many shares of the next rays each patch has, and how many rays of all nodes there are.
+def _allocated(rays: ColourRays, places: Places, needed: Array) -> tuple[list[Patch], int]:
+    """The patches with their shares of the next rays, and how many rays of all nodes there are.
 
     needed : (along,) float. How many times as many rays as now each place needs.
     """
@@ -152,4 +140,5 @@ def _allocated(rays: ColourRays, places: Places, needed: Array) -> tuple[list[in
     tiles = np.full(len(now) - places.along, np.median(more) / PLACE_SHARE)
     both = np.concatenate([more, tiles])
     shares = np.ceil(both / both.sum() * PARTS).astype(int)
-    return shares.tolist(), int(both.sum())
+    patches = [replace(one, share=int(n)) for one, n in zip(places.patches, shares, strict=True)]
+    return patches, int(both.sum())

@@ -3,13 +3,12 @@
 import tomllib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...assets import asset_path
-from ...errors import InputError
 from ...scene.models import Illuminant, Observer
 
 Array = NDArray[np.float64]
@@ -30,13 +29,6 @@ class Viewer:
 
     illuminant: Illuminant = "D65"
     observer: Observer = "2"
-
-    def __post_init__(self) -> None:
-        for name, kind in (("illuminant", Illuminant), ("observer", Observer)):
-            if getattr(self, name) not in get_args(kind):
-                raise InputError(
-                    f'{name} = "{getattr(self, name)}" is unknown; choose one of {", ".join(get_args(kind))}.'
-                )
 
     @cached_property
     def weights(self) -> Array:

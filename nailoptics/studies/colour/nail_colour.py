@@ -27,7 +27,7 @@ from ...scene.models import Illuminant, LightFrom, Observer
 from ...statistics import seed_of
 from ...variables import estimated, variable
 from ..prior_uncertainty import only_absorbs, over_priors
-from .adaptive_sampling import TILE_MM, Places, places_of, sample_until_tolerance, stderr_of_colour, view
+from .adaptive_sampling import TILE_MM, Places, places_of, sample_until_tolerance, stderr_of_colour
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
 from .reflectance import ColourRays, walk_colour
 from .views import beat, press_and_release
@@ -181,7 +181,7 @@ def _dataset(
     """Colours in every state, with standard errors."""
     assert scene.finger is not None
     none = np.zeros((1, states.shape[1]))
-    read = rays.reflectance(np.vstack([states, none]), **view(viewing))
+    read = rays.reflectance(np.vstack([states, none]), viewing)
     lab = viewer.lab(read)
     middle, pale, tiles = lab[:, : places.along, :-1], lab[:, : places.along, -1], read[0, places.along :, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
@@ -228,7 +228,7 @@ def spread_of_colours(
 
     def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
         states = steady_blood(one, viewing.forces_n[:1])
-        read = light.reflectance(states, **view(viewing), scene=one, patches=chosen)
+        read = light.reflectance(states, viewing, scene=one, patches=chosen)
         return np.asarray(viewer.lab(read)[:, :, 0])
 
     def walked(one: Scene) -> Array:

@@ -16,8 +16,7 @@ from ...light.identity import light_scene
 from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.reweight import attenuation
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
-from ...scene import Scene
-from ...scene.models import LightFrom
+from ...scene import Scene, Viewing
 from ...statistics import left_out
 from .colorimetry import WAVELENGTHS_NM
 
@@ -76,16 +75,15 @@ class ColourRays:
     def reflectance(
         self,
         states: Array,
+        viewing: Viewing,
         *,
-        lit_by: LightFrom,
-        gloss: bool,
         scene: Scene | None = None,
         patches: Sequence[int] | None = None,
     ) -> Array:
         """Reflectance factor, of all rays and without each group of them, (1 + GROUPS, patches, states, q) float.
 
         states : (s, zones) float. Blood in each zone of the bed. [1]
-        gloss : whether what the surface mirrors counts.
+        viewing : where light comes from, and whether what the surface mirrors counts.
         scene : whose absorption it is; that of the traced scene if not given.
         patches : which patches are read; all if not given.
         """
@@ -93,7 +91,7 @@ class ColourRays:
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
         weights = interpolation(len(self.light), WAVELENGTHS_NM)
         chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
-        sums = [_sums(_weighted(one, lit_by, gloss), mu_a, chosen) for one in self.light]
+        sums = [_sums(_weighted(one, viewing), mu_a, chosen) for one in self.light]
         return left_out(sum(one * weight for one, weight in zip(sums, weights, strict=True)))
 
 
@@ -105,10 +103,10 @@ def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:
     return replace(thin, weight=thin.weight * np.float32(part))
 
 
-def _weighted(light: ReflectedLight, lit_by: LightFrom, gloss: bool) -> ReflectedLight:
+def _weighted(light: ReflectedLight, viewing: Viewing) -> ReflectedLight:
     """The rays that go back to where light comes from, in proportion to those from a white surface."""
-    weight = np.where(light.gloss, np.float32(gloss), np.float32(1)) * light.weight
-    if lit_by == "lamp":
+    weight = np.where(light.gloss, np.float32(viewing.gloss), np.float32(1)) * light.weight
+    if viewing.lit_by == "lamp":
         low, high = LAMP_COSINES
         weight *= ((light.cosine > low) & (light.cosine < high)) / np.float32(high**2 - low**2)
     return replace(light, weight=weight)

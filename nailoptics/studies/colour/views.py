@@ -11,7 +11,7 @@ from ...hemodynamics.for_scene import beat_at, blood_over_touch
 from ...light.photograph import photograph
 from ...scene import Scene, Touch, Viewing
 from ...variables import estimated, variable
-from .adaptive_sampling import Places, view
+from .adaptive_sampling import Places
 from .colorimetry import Viewer, delta_e_2000, linear
 from .reflectance import ColourRays
 
@@ -43,7 +43,7 @@ def press_and_release(scene: Scene, rays: ColourRays, places: Places, viewer: Vi
     touched = blood_over_touch(scene.model_copy(update={"touch": Touch(**step)}))
     moments = touched.isel(time=slice(None, None, FINER))
     few = rays.one_in(ONE_IN)
-    read = few.reflectance(moments.blood_fraction.values.T, **view(viewing), patches=range(places.along))
+    read = few.reflectance(moments.blood_fraction.values.T, viewing, patches=range(places.along))
     lab, time_s = viewer.lab(read), moments.time.values
     over = ("place", "time")
     text = "L*a*b* over a press"
@@ -84,7 +84,7 @@ def beat(scene: Scene, rays: ColourRays, places: Places, viewer: Viewer, viewing
     blood = beat_at(scene, viewing.forces_n[0])
     which = np.linspace(0, len(blood.time_s) - 1, BEAT_STEPS).round().astype(int)
     few = rays.one_in(ONE_IN)
-    read = few.reflectance(blood.blood_fraction.T[which], **view(viewing), patches=range(places.along))
+    read = few.reflectance(blood.blood_fraction.T[which], viewing, patches=range(places.along))
     lab = viewer.lab(read)
     # From the palest moment, so that noise, which all moments share, makes no beat of its own.
     palest = lab[0, ..., 1].mean(0).argmin()

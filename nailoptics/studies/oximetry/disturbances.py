@@ -13,8 +13,9 @@ from ...light.board_map import BoardTracer
 from ...light.diffusion import DiffusionModel
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
+from ...options import TraceOptions
 from ...scene import Oximeter, Scene
-from ...sensor.ambient import SOURCES, Ambient, photocurrents_a
+from ...sensor.ambient import SOURCES, photocurrents_a
 from ...sensor.front_end import SampledFrontEnd
 from ...statistics import Z95, jackknife, seed_of
 from ...variables import Variables, variable
@@ -158,14 +159,14 @@ def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[
     finger = oximeter.scene.finger
     assert finger is not None
     none = np.zeros((len(oximeter.transfer.photodiodes), 1))
-    columns = [(none, none)]
-    for light in nails.values():
+    found = {finger.nail_thickness_mm: (none, none)}
+    for thickness_mm, light in nails.items():
         states = [(light.scene.blood.so2, rest_beat(light.scene))]
         ratio = read_pulsations(light, oximeter.leds, states, seed=oximeter.seed).ratio
-        columns.append(oximeter.bias(ratio, independent=True))
-    thickness_mm, (bias, stderr) = np.array([finger.nail_thickness_mm, *nails]), np.concatenate(columns, -1)
-    order = np.argsort(thickness_mm)
-    return thickness_mm[order], bias[:, order], stderr[:, order]
+        found.setdefault(thickness_mm, oximeter.bias(ratio, independent=True))
+    thickness_mm = np.sort(list(found))
+    bias, stderr = np.concatenate([found[one] for one in thickness_mm], -1)
+    return thickness_mm, bias, stderr
 
 
 def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:
@@ -286,23 +287,20 @@ def diffusion_paths_mm(scene: Scene) -> Array:
     return np.asarray(np.log(readings[..., 1] / readings[..., 0]) / (mu[:, None] * rest * LESS_BLOOD))
 
 
-def ambient_source(oximeter: Oximeter) -> Ambient:
-    """The ambient light that an oximeter's table names."""
-    named = next(source for source in SOURCES if source.name == oximeter.ambient_light)
-    return replace(named, lux=oximeter.ambient_lux)
+def ambient_leakage(scene: Scene, options: TraceOptions) -> Array:
+    """Photocurrents of the ambient light that a scene names, and of full sun, (2, 2, photodiodes) float. [A]
 
-
-def ambient_leakage(
-    scene: Scene, sources: list[Ambient], *, backend: str, seed: int, store: LightStore | None = None
-) -> Array:
-    """Photocurrents by each ambient light and their standard errors, (sources, 2, photodiodes) float. [A]
-
-    By reciprocity, from one trace of each photodiode's own light. Where none of n photons left the finger, the standard
-    error is that of one.
-
-    store : where light is looked for, and stored.
+    Of each value and standard error. By reciprocity, from one trace of each photodiode's own light. Where none of n
+    photons left the finger, the standard error is that of one.
     """
-    how: dict[str, Any] = {"backend": backend, "store": store, "seed": seed}
+    named = scene.oximeter or Oximeter()
+    by_name = {source.name: source for source in SOURCES}
+    sources = [
+        replace(by_name[named.ambient_light], lux=named.ambient_lux),
+        replace(by_name["sun"], lux=float(SUN_LUX[-1])),
+    ]
+    seed, store = options.seed, LightStore.of_user() if options.store else None
+    how: dict[str, Any] = {"backend": options.backend, "store": store, "seed": seed}
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
     led = int(np.argmax([one.wavelength_nm for one in scene.leds]))
     light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
@@ -316,4 +314,6 @@ def ambient_leakage(
             one = float(each.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
             total, square = float(each.sum()), float((each**2).sum())
             current_a[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, one**2))
+    if store is not None:
+        store.close()
     return current_a

@@ -12,7 +12,6 @@ from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
 from ...light import ProgressCallback, Transfer, trace
 from ...light.tracing import accuracy
-from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
@@ -20,22 +19,20 @@ from ...statistics import jackknife, seed_of
 from ...variables import Variables, estimated, variable
 from ..prior_uncertainty import at_value
 from .disturbances import (
-    SUN_LUX,
     CalibratedOximeter,
     ambient_leakage,
-    ambient_source,
     melanin_bound,
     path_warnings,
     sensitivity_curves,
 )
 from .ratio import (
     FIT_SO2,
-    SaturationCurve,
     calibrate_curve,
     estimate,
     path_length_ratios,
     read_pulsations,
     read_states,
+    saturation_curve,
     trace_for_ratio,
 )
 from .recording import light_of_touch
@@ -117,16 +114,22 @@ def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: 
     """
     scene, leds, seed = transfer.scene, oximeter_leds(transfer.scene), seed_of(options.seed, _GROUPS)
     beat = rest_beat(scene)
-    curve = SaturationCurve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
-    oximeter = CalibratedOximeter(transfer, leds, SO2, curve.at(SO2).ratio, curve.at(scene.blood.so2), seed)
-    (ambient_a, ambient_stderr_a), (sun_a, sun_stderr_a) = _ambient(scene, options)
+    curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
+    oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2), seed)
+    (ambient_a, ambient_stderr_a), (sun_a, sun_stderr_a) = ambient_leakage(
+        scene, replace(options, seed=seed_of(options.seed, _LEAKAGE))
+    )
     front_ends = front_ends_of(scene, leds, ambient_a)
     path_mm, path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
-    data = _ratio_variables(oximeter) | _volts(transfer, leds, beat, front_ends, seed)
+    data = estimated("ratio", ("photodiode", "so2"), oximeter.curve, "ratio of ratios R")
+    data |= estimated("ratio_at_rest", "photodiode", oximeter.nominal.ratio[..., 0], "R at the scene's saturation")
+    index = oximeter.nominal.perfusion_index[..., 0]
+    data |= estimated("perfusion_index", ("led", "photodiode"), index, "perfusion index, ac over dc")
+    data |= _volts(transfer, leds, beat, front_ends, seed)
     text = "mean path in the pulsatile blood"
     data |= estimated("pulse_path_mm", ("led", "photodiode"), path_mm, text, units="mm")
     data |= estimated("path_ratio", "photodiode", path_ratio, "red mean path over infrared's")
-    fits, data_of_fits = _calibrations(curve)
+    fits, data_of_fits = _calibrations(curve(FIT_SO2).ratio)
     data |= data_of_fits
     time_s, light = light_of_touch(scene, transfer, leds, seed=seed)
     text = "detected fraction of the emitted power over the touch, frame by frame"
@@ -163,30 +166,9 @@ def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: 
     return xr.Dataset(data, names, transfer.attributes() | about)
 
 
-def _ambient(scene: Scene, options: TraceOptions) -> Array:
-    """Photocurrents of the ambient light that the scene names, and of full sun, as `ambient_leakage`."""
-    named = scene.oximeter or Oximeter()
-    sun = named.model_copy(update={"ambient_light": "sun", "ambient_lux": float(SUN_LUX[-1])})
-    store = LightStore.of_user() if options.store else None
-    sources, seed = [ambient_source(named), ambient_source(sun)], seed_of(options.seed, _LEAKAGE)
-    currents = ambient_leakage(scene, sources, backend=options.backend, seed=seed, store=store)
-    if store is not None:
-        store.close()
-    return currents
-
-
-def _ratio_variables(oximeter: CalibratedOximeter) -> Variables:
-    nominal = oximeter.nominal
-    data = estimated("ratio", ("photodiode", "so2"), oximeter.curve, "ratio of ratios R")
-    data |= estimated("ratio_at_rest", "photodiode", nominal.ratio[..., 0], "R at the scene's saturation")
-    index = nominal.perfusion_index[..., 0]
-    return data | estimated("perfusion_index", ("led", "photodiode"), index, "perfusion index, ac over dc")
-
-
-def _calibrations(curve: SaturationCurve) -> tuple[Array, Variables]:
-    """The line of every photodiode, (photodiodes, 2) float, and both fits as variables."""
+def _calibrations(ratio: Array) -> tuple[Array, Variables]:
+    """The line of every photodiode, (photodiodes, 2) float, and both fits as variables; ratio : at `FIT_SO2`."""
     data: Variables = {}
-    ratio = curve.at(FIT_SO2).ratio
     for name, text in (("quadratic", "a, b, c of SpO2 = a + b R + c R^2"), ("linear", "a and b of SpO2 = a + b R")):
         fits, miss = calibrate_curve(FIT_SO2, ratio, 2 if name == "quadratic" else 1)
         data |= estimated(name, ("photodiode", f"{name}_term"), fits, text, units="percent")

@@ -1,17 +1,17 @@
 """The ratio of ratios: light traced until it is known, the pulse at any saturation, and the lines from R to SpO2."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ... import tissue
-from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat
 from ...light import ProgressCallback, Transfer, optics, trace
-from ...light.tracing import Ending, Trigger, accuracy, run_until
+from ...light.tracing import Trigger, accuracy
 from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.series import read_replicates
 from ...options import TraceOptions
@@ -54,39 +54,24 @@ def trace_for_ratio(
         how = replace(options, relative_error=None, max_seconds=max_seconds, photons=required.photons)
         return replace(trace(plain, progress=progress, **how.fields), scene=scene)
     trigger = Trigger(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
-    rounds: list[Transfer] = []
-    unmet: NotReachedError | None = None
-
-    def left_s() -> float | None:
-        return None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
-
-    def sample(photons: int) -> None:
-        nonlocal unmet
-        seed = seed_of(options.seed, _ROUND, len(rounds)) >> 1 if rounds else options.seed
-        how = replace(options, seed=seed, relative_error=None, max_seconds=left_s(), photons=photons)
+    light: Transfer | None = None
+    photons, left_s, rounds = trigger.first, max_seconds, 0
+    while True:
+        seed = seed_of(options.seed, _ROUND, rounds) >> 1 if rounds else options.seed
+        how = replace(options, seed=seed, relative_error=None, max_seconds=left_s, photons=photons)
         more, unmet = as_far_as_reached(trace, plain, progress=progress, **how.fields)
         more = replace(more, scene=scene)
-        rounds.append(rounds[-1].merge(more) if rounds else more)
-
-    def needed() -> Iterator[int]:
-        yield trigger.first
-        while photons := trigger.needed(rounds[-1].photons // len(scene.leds), error_of(rounds[-1])):
-            yield photons
-
-    def is_late(photons: int) -> bool:
-        left = left_s()
-        return unmet is not None or (bool(rounds) and left is not None and left <= 0)
-
-    ending = run_until(needed(), sample, is_late=is_late)
-    light = rounds[-1]
-    if ending is not Ending.MET:
-        why = (
-            f"the trace ended at {light.photons // len(light.leds)} photons for each LED with a relative error of "
-            f"{error_of(light):.3g} of the best photodiode's ratio of ratios, {target:g} requested; allow more time or "
-            "require less."
-        )
-        raise NotReachedError(why, result=light, interrupted=ending is Ending.INTERRUPTED)
-    return light
+        light, rounds = light.merge(more) if light else more, rounds + 1
+        each, error = light.photons // len(scene.leds), error_of(light)
+        if not (photons := trigger.needed(each, error)):
+            return light
+        left_s = None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
+        if unmet or (left_s is not None and left_s <= 0):
+            why = (
+                f"the trace ended at {each} photons for each LED with a relative error of {error:.3g} of the best "
+                f"photodiode's ratio of ratios, {target:g} requested; allow more time or require less."
+            )
+            raise NotReachedError(why, result=light, interrupted=bool(unmet and unmet.interrupted))
 
 
 @dataclass(frozen=True)
@@ -171,34 +156,21 @@ def read_pulsations(
     return Pulsation(ac=read[..., 1] - read[..., 2], dc=read[..., 0])
 
 
-class SaturationCurve:
-    """Pulsation at every saturation in a range, interpolated between Chebyshev nodes; it costs no more photons."""
+def saturation_curve(
+    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, low: float, high: float, seed: int
+) -> Callable[[ArrayLike], Pulsation]:
+    """Pulsation at every saturation in a range, (n,) float in parts of 1, for no more photons.
 
-    def __init__(
-        self,
-        transfer: Transfer,
-        leds: tuple[int, int],
-        beat: BloodBeat,
-        *,
-        low: float = 0.5,
-        high: float = 1.0,
-        seed: int,
-    ) -> None:
-        self.low, self.high = low, high
-        self._range = ChebyshevBox([low], [high], [NODES])
-        so2 = self._range.nodes[:, 0]
-        self._at_nodes = read_pulsations(transfer, leds, [(float(s), beat) for s in so2], seed=seed)
+    It is interpolated between Chebyshev nodes.
+    """
+    box = ChebyshevBox([low], [high], [NODES])
+    at_nodes = read_pulsations(transfer, leds, [(float(so2), beat) for (so2,) in box.nodes], seed=seed)
 
-    def at(self, so2: ArrayLike) -> Pulsation:
-        """Pulsation at saturations, (n,) float, in parts of 1.
+    def at(so2: ArrayLike) -> Pulsation:
+        weights = box.weights(so2).T
+        return Pulsation(ac=at_nodes.ac @ weights, dc=at_nodes.dc @ weights)
 
-        Raises: InputError for one outside the curve's range.
-        """
-        saturation = np.atleast_1d(np.asarray(so2, float))
-        if not np.all((saturation >= self.low - 1e-12) & (saturation <= self.high + 1e-12)):
-            raise InputError(f"so2 must lie in {self.low:g} to {self.high:g}, where the curve is known.")
-        weights = self._range.weights(saturation)
-        return Pulsation(ac=self._at_nodes.ac @ weights.T, dc=self._at_nodes.dc @ weights.T)
+    return at
 
 
 def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, seed: int) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_ends_of
 from ...statistics import Z95, seed_of
-from ...variables import variable
+from ...variables import Variables, variable
 from .ratio import read_states, saturation_of
 
 Array = NDArray[np.float64]
@@ -140,17 +140,19 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
         slope = np.abs(np.interp(value, so2, np.gradient(so2, one.ratio.values)))
         of_curve = np.interp(value, so2, one.ratio_stderr.values)
         spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(estimates["ratio_stderr"][j], of_curve)
-    over = ("photodiode", "time")
-    data = variable("ratio", over, estimates["ratio"], "ratio of ratios R", stderr=estimates["ratio_stderr"])
-    data |= variable("spo2", over, spo2, "oxygen saturation from the pulse", units="percent", stderr=error)
     bounds = np.clip([spo2 - Z95 * error, spo2 + Z95 * error], 0.0, 100.0)
-    data |= variable("spo2_low", over, bounds[0], "lower bound of SpO2, 95 %", units="percent")
-    data |= variable("spo2_high", over, bounds[1], "upper bound of SpO2, 95 %", units="percent")
-    data |= variable("rate_per_min", over, estimates["rate_per_min"], "pulse rate", units="min-1")
-    for light in ("red", "infrared"):
-        index = estimates[f"perfusion_{light}"]
-        data |= variable(f"perfusion_index_{light}", over, index, f"perfusion index of the {light} LED")
-    data |= variable("motion", over, estimates["motion"], "part of the window in which the finger moved")
+    data: Variables = {}
+    for name, values, text, units, stderr in (
+        ("ratio", estimates["ratio"], "ratio of ratios R", "1", estimates["ratio_stderr"]),
+        ("spo2", spo2, "oxygen saturation from the pulse", "percent", error),
+        ("spo2_low", bounds[0], "lower bound of SpO2, 95 %", "percent", None),
+        ("spo2_high", bounds[1], "upper bound of SpO2, 95 %", "percent", None),
+        ("rate_per_min", estimates["rate_per_min"], "pulse rate", "min-1", None),
+        ("perfusion_index_red", estimates["perfusion_red"], "perfusion index of the red LED", "1", None),
+        ("perfusion_index_infrared", estimates["perfusion_infrared"], "perfusion index of the infrared LED", "1", None),
+        ("motion", estimates["motion"], "part of the window in which the finger moved", "1", None),
+    ):
+        data |= variable(name, ("photodiode", "time"), values, text, units=units, stderr=stderr)
     typical = [float(np.nanmedian(one)) if np.isfinite(one).any() else np.inf for one in error]
     about: dict[str, Any] = {
         "title": "oxygen from a recording",

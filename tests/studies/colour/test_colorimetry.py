@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nailoptics.errors import InputError
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import StageProgress
 from nailoptics.options import TraceOptions
@@ -41,11 +40,6 @@ def test_red_and_green_differ_as_the_eye_sees_them():
     lab = Viewer().lab(np.stack([red, green]))
     assert lab[0, 1] > 40 and lab[1, 1] < -40
     assert delta_e_2000(lab[0], lab[0]) == pytest.approx(0) and delta_e_2000(lab[0], lab[1]) > 50
-
-
-def test_an_unknown_light_is_refused_in_one_line():
-    with pytest.raises(InputError, match='illuminant = "moon" is unknown; choose one of D65, A, LED-B3'):
-        Viewer("moon")
 
 
 def test_between_the_nodes_a_parabola_in_the_logarithm_is_exact():

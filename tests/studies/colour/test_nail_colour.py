@@ -15,14 +15,14 @@ from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.report.pages.colour import summary as colour_summary
-from nailoptics.scene import load_scene, parse_scene
+from nailoptics.scene import Viewing, load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, measured_colours
 from nailoptics.studies.colour.nail_colour import colour
 from nailoptics.studies.colour.reflectance import GROUPS, walk_colour
 from nailoptics.tissue import properties
 
 PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
-LOOK = {"lit_by": "sky", "gloss": False}
+LOOK = Viewing(lit_by="sky", gloss=False)
 # A nail plate as moist as on a living finger: the bed is seen through it.
 SCENE = parse_scene(SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3"))
 
@@ -46,7 +46,7 @@ def rays(chosen_jit):
 def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
     """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
     rest = np.full((1, 2), 0.03)
-    read = rays.reflectance(rest, **LOOK)
+    read = rays.reflectance(rest, LOOK)
     for wavelength_nm in (450.0, 545.0, 680.0):
         bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
@@ -64,7 +64,7 @@ def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backen
 @pytest.mark.long
 def test_blood_reddens_and_melanin_darkens_as_was_measured(rays, monkeypatch):
     viewer = Viewer()
-    lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], **LOOK)[0])
+    lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], LOOK)[0])
     step = lab[0, 1] - lab[0, 0]
     # Takiwaki 1998: haemoglobin -0.74, melanin about -2.8.
     assert step[1] > 1 and -1.0 < step[0] / step[1] < -0.5
@@ -74,7 +74,7 @@ def test_blood_reddens_and_melanin_darkens_as_was_measured(rays, monkeypatch):
     def skin(melanin):
         finger = rays.scene.finger.model_copy(update={"melanin_fraction": melanin})
         scene = rays.scene.model_copy(update={"finger": finger})
-        return viewer.lab(rays.reflectance([[0.03, 0.03]], scene=scene, **LOOK))[:, 1, 0]
+        return viewer.lab(rays.reflectance([[0.03, 0.03]], LOOK, scene=scene))[:, 1, 0]
 
     tanned = skin(0.03) - skin(0.005)
     slope = tanned[:, 0] / tanned[:, 1]
@@ -97,7 +97,7 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
 @pytest.mark.long
 def test_a_colours_standard_error_is_true(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
-    found = [walked(seed, 8_000).reflectance([[0.03, 0.03], [0.05, 0.02]], **LOOK) for seed in range(20)]
+    found = [walked(seed, 8_000).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
     viewer = Viewer()
     lab = np.array([viewer.lab(one)[0] for one in found])
     error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in found])
@@ -186,11 +186,11 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
 @pytest.mark.long
 def test_a_lamp_at_45_degrees_sees_nearly_the_same_colour(rays):
     viewer, rest = Viewer(), [[0.03, 0.03]]
-    sky = viewer.lab(rays.reflectance(rest, **LOOK))
-    lamp = viewer.lab(rays.reflectance(rest, lit_by="lamp", gloss=False))
+    sky = viewer.lab(rays.reflectance(rest, LOOK))
+    lamp = viewer.lab(rays.reflectance(rest, Viewing(lit_by="lamp", gloss=False)))
     assert delta_e_2000(sky[0], lamp[0]).max() < 4
     # Gloss makes everything lighter and paler.
-    glossy = viewer.lab(rays.reflectance(rest, lit_by="sky", gloss=True))
+    glossy = viewer.lab(rays.reflectance(rest, Viewing(lit_by="sky", gloss=True)))
     assert (glossy[0, :, 0, 0] > sky[0, :, 0, 0] + 1).all()
 
 

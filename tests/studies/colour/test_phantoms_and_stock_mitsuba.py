@@ -12,7 +12,7 @@ from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
 from nailoptics.light.walk.interfaces import Interfaces
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
-from nailoptics.scene import parse_scene
+from nailoptics.scene import Viewing, parse_scene
 from nailoptics.statistics import jackknife, seed_of
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer
 from nailoptics.studies.colour.nail_colour import colour
@@ -104,7 +104,7 @@ def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backen
     """Plate and bed of one index over black, from four walked wavelengths, dimmed and interpolated."""
     monkeypatch.setitem(properties._INDEX, "bed", properties._INDEX["plate"])
     rays = walk_colour(FlatStack(CUT), MIDDLE, photons=photons, seed=3)
-    read = rays.reflectance(REST, lit_by="sky", gloss=True)[:, 0, 0]
+    read = rays.reflectance(REST, Viewing(lit_by="sky", gloss=True))[:, 0, 0]
     value, error = read[0], jackknife(read)
     for wavelength_nm in (420.0, 450.0, 500.0, 545.0, 575.0, 620.0, 680.0, 740.0):
         at = int(np.flatnonzero(WAVELENGTHS_NM == wavelength_nm)[0])
@@ -123,11 +123,11 @@ def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypa
     rays = ColourRays(stack.scene, MIDDLE, (found,) * NODES)
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.zeros((1, len(WAVELENGTHS_NM), absorbers)))
     # Every ray comes back, but for those that chance ended for others that count twice.
-    lab = viewer.lab(rays.reflectance(REST, lit_by="sky", gloss=True))
+    lab = viewer.lab(rays.reflectance(REST, Viewing(lit_by="sky", gloss=True)))
     error = jackknife(lab)[0, 0]
     assert np.all(np.abs(lab[0, 0, 0] - [100, 0, 0]) < np.maximum(3 * error, 1e-3)) and error.max() < 0.1
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.full((1, len(WAVELENGTHS_NM), absorbers), 1e5))
-    assert viewer.lab(rays.reflectance(REST, lit_by="sky", gloss=False))[0, 0, 0] == pytest.approx([0, 0, 0], abs=1e-3)
+    assert viewer.lab(rays.reflectance(REST, Viewing()))[0, 0, 0] == pytest.approx([0, 0, 0], abs=1e-3)
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
     backend.activate(chosen_jit)
     bare = NailReflectance(SCENE)
     rays = walk_colour(bare, MIDDLE, photons=320_000, seed=7)
-    read = rays.reflectance(REST, lit_by="sky", gloss=True)[:, 0, 0]
+    read = rays.reflectance(REST, Viewing(lit_by="sky", gloss=True))[:, 0, 0]
     value, error = read[0], jackknife(read)
     camera = NailCamera(bare.scene, MIDDLE, groups=GROUPS, backend=backend.choose("auto", volpath=True))
     for wavelength_nm in (450.0, 545.0, 680.0):
