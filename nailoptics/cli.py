@@ -202,7 +202,7 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
 
 def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any]:
     """Pictures of the finger at rest and under the last force; raises KeyboardInterrupt between them."""
-    from .studies.colour.views import photographs
+    from .studies.colour.nail_colour import photographs
 
     pictures: list[Any] = []
     with terminal.interruptible() as check:

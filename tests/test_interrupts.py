@@ -78,7 +78,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
     for place in (
         "nailoptics.studies.colour.adaptive_sampling:walk_colour",
-        "nailoptics.studies.colour.views:photograph",
+        "nailoptics.studies.colour.nail_colour:photograph",
     ):
         ended = interrupted_at(place, *command)
         assert (ended.code, ended.later) == (3, 0), ended.said

@@ -146,8 +146,7 @@ def _excess_of_readings(dataset: xr.Dataset, scene: Scene, options: TraceOptions
 
 def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Colours of the nail under each force, and a photograph of each."""
-    from ..studies.colour.nail_colour import colour
-    from ..studies.colour.views import photographs
+    from ..studies.colour.nail_colour import colour, photographs
 
     # The accuracy of a scene's readings is not that of its colours.
     required = replace(options, relative_error=None).fields

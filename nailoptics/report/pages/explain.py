@@ -156,17 +156,18 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
 
 def summary(result: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds", "cut_off")}
+    made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
     return {
         "effects": [_effect(one) for one in result.effects],
         "not_needed": [one.name for one in result.needless],
         "missing": [one.name for one in result.missing],
         "together": result.together and _effect(result.together),
+        "cut_off": result.attributes.get("cut_off"),
     } | made
 
 
 def _effect(one: Effect) -> dict[str, Any]:
-    return vars(one) | {"matters": one.matters, "lines": one.lines}
+    return vars(one) | {"matters": one.matters, "lines": lines_of(one.changes)}
 
 
 def lines(result: Explanation) -> list[str]:

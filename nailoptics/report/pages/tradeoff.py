@@ -193,10 +193,10 @@ def chosen_line(result: Tradeoff) -> str:
 
 def summary(result: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    names = ("tolerance", "simultaneous", "wall_seconds", "cut_off", "lines", "coverage_factor")
+    names = ("tolerance", "simultaneous", "wall_seconds", "lines", "coverage_factor")
     return (
         {name: getattr(result, name) for name in names}
-        | {name: result.attributes[name] for name in ("digest", "photons")}
+        | {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
         | {"chosen": result.chosen.level.name, "answer": _answer(result.chosen), "sentence": sentence(result)}
         | {"levels": [_level(result, one) for one in result.levels]}
         | {"fastest_within": {str(error): _answer(result.fastest(error)) for error in ERRORS}}

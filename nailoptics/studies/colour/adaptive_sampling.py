@@ -1,20 +1,17 @@
 """Adaptive sampling: rays go to each place of a bare nail until its colour and its changes reach their tolerance."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...light.tracing import StageProgress
 from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
-from ...statistics import jackknife, seed_of
+from ...statistics import Array, jackknife, seed_of
 from .colorimetry import Viewer, delta_e_2000
 from .reflectance import ColourRays, walk_colour
-
-Array = NDArray[np.float64]
 
 # Rays of all nodes of the first round, from whose errors the allocation follows, and the most of one part.
 PILOT, MOST_AT_ONCE = 120_000, 1_200_000
@@ -25,24 +22,13 @@ PARTS = 1000
 # Colours are given at so many places along the middle of the nail, each so far across and at most so far along, and on
 # skin behind and before it. [1, mm]
 PLACES, ACROSS_MM, SKIN_MM = 12, 2.0, 1.0
+# These, and those on skin, are the first of the patches.
+ALONG = PLACES + 2
 # The photograph is coloured by tiles of this size over one half of the finger, each with fewer rays than a place. [mm]
 TILE_MM, PLACE_SHARE = 1.5, 12
 
 
-@dataclass(frozen=True)
-class Places:
-    """Where colours are given: so many along the middle of the finger, and tiles for the photograph."""
-
-    patches: tuple[Patch, ...]
-    along: int = PLACES + 2
-
-    @property
-    def v_mm(self) -> Array:
-        """Along the nail, from its centre, towards the tip positive, (along,) float. [mm]"""
-        return np.array([patch.center_mm[1] for patch in self.patches[: self.along]])
-
-
-def places_of(scene: Scene) -> Places:
+def patches_of(scene: Scene) -> tuple[Patch, ...]:
     """Places along the middle of a scene's finger, the first and the last on skin, and tiles over its half."""
     assert scene.finger is not None
     half = scene.finger.nail_length_mm / 2
@@ -53,12 +39,11 @@ def places_of(scene: Scene) -> Places:
     for v in np.arange(-half - 2.5 * TILE_MM, half + 3 * TILE_MM, TILE_MM):
         for u in np.arange(TILE_MM / 2, scene.finger.width_mm / 2 - TILE_MM / 2, TILE_MM):
             tiles.append(Patch((float(u), float(v)), (TILE_MM, TILE_MM)))
-    return Places((*along, *tiles))
+    return (*along, *tiles)
 
 
 def sample_until_tolerance(
     nail: NailReflectance,
-    places: Places,
     states: Array,
     viewer: Viewer,
     viewing: Viewing,
@@ -72,7 +57,7 @@ def sample_until_tolerance(
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
     rays: ColourRays | None = None
-    patches, goal, parts = list(places.patches), options.photons or PILOT, 0
+    patches, goal, parts = patches_of(nail.scene), options.photons or PILOT, 0
     error, pace_s, why = math.inf, math.inf, ""
 
     def report(photons: int) -> None:
@@ -85,12 +70,12 @@ def sample_until_tolerance(
         while not why:
             left = goal - (rays.photons if rays else 0)
             if rays and left <= 0:
-                errors, changes = errors_of(rays, places, states, viewer, viewing)
+                errors, changes = errors_of(rays, states, viewer, viewing)
                 error = float(errors.max())
                 more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
                 if options.photons is not None or more.max() <= 1:
                     break
-                patches, count = _allocated(rays, places, more)
+                patches, count = _allocated(rays, more)
                 goal += count
             elif rays and stage.is_over(1.0):
                 why = "max_seconds ended the rays"
@@ -108,14 +93,14 @@ def sample_until_tolerance(
         why = "interrupted"
     if not why and not stage.interrupted:
         return rays, ""
-    error = float(errors_of(rays, places, states, viewer, viewing)[0].max())
+    error = float(errors_of(rays, states, viewer, viewing)[0].max())
     why = "interrupted" if stage.interrupted else why
     return rays, f"{why} at a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
 
 
-def errors_of(rays: ColourRays, places: Places, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:
+def errors_of(rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:
     """Largest standard errors over all states of each place's colour and of its change, (along,) each. [CIEDE2000]"""
-    lab = viewer.lab(rays.reflectance(states, viewing, patches=range(places.along)))
+    lab = viewer.lab(rays.reflectance(states, viewing, patches=range(ALONG)))
     change = delta_e_2000(lab, lab[:, :, :1])
     return stderr_of_colour(lab).max(1), jackknife(change).max(1)
 
@@ -129,16 +114,16 @@ def stderr_of_colour(lab: Array) -> Array:
     return np.asarray(np.sqrt((len(away) - 1) / len(away) * (away**2).sum(0)))
 
 
-def _allocated(rays: ColourRays, places: Places, needed: Array) -> tuple[list[Patch], int]:
+def _allocated(rays: ColourRays, needed: Array) -> tuple[tuple[Patch, ...], int]:
     """The patches with their shares of the next rays, and how many rays of all nodes there are.
 
     needed : (along,) float. How many times as many rays as now each place needs.
     """
     nodes = len(rays.light)
     now = nodes * rays.light[0].rays
-    more = np.maximum(MORE * needed - 1, 0) * now[: places.along]
-    tiles = np.full(len(now) - places.along, np.median(more) / PLACE_SHARE)
+    more = np.maximum(MORE * needed - 1, 0) * now[:ALONG]
+    tiles = np.full(len(now) - ALONG, np.median(more) / PLACE_SHARE)
     both = np.concatenate([more, tiles])
     shares = np.ceil(both / both.sum() * PARTS).astype(int)
-    patches = [replace(one, share=int(n)) for one, n in zip(places.patches, shares, strict=True)]
+    patches = tuple(replace(one, share=int(n)) for one, n in zip(rays.patches, shares, strict=True))
     return patches, int(both.sum())

@@ -6,12 +6,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...assets import asset_path
 from ...scene.models import Illuminant, Observer
-
-Array = NDArray[np.float64]
+from ...statistics import Array
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}
 # The wavelengths at which reflectance is taken. At 5 nm haemoglobin's bands are resolved; the eye sees little beyond

@@ -14,31 +14,42 @@ from pydantic import ValidationError
 from ...checks import explain
 from ...errors import InputError, NotReachedError
 from ...hemodynamics import white_band_mm
-from ...hemodynamics.for_scene import steady_blood
+from ...hemodynamics.for_scene import beat_at, blood_over_touch, steady_blood
 from ...light import ProgressCallback, backend
 from ...light.identity import light_digest
+from ...light.photograph import photograph
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
-from ...scene import Scene, Viewing
+from ...scene import Scene, Touch, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
-from ...statistics import seed_of
+from ...statistics import Array, seed_of
 from ...variables import estimated, variable
 from ..prior_uncertainty import only_absorbs, over_priors
-from .adaptive_sampling import TILE_MM, Places, places_of, sample_until_tolerance, stderr_of_colour
-from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
+from .adaptive_sampling import ALONG, TILE_MM, sample_until_tolerance, stderr_of_colour
+from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, linear
 from .reflectance import ColourRays, walk_colour
-from .views import beat, press_and_release
-
-Array = NDArray[np.float64]
 
 # Of the time, after which no spread over unknown fingers begins, which takes as long as 150 000 rays or so.
 SPREAD_BEGINS = 0.8
 # Rays of all nodes for each value of what needs rays of its own, such as scattering.
 OWN_PHOTONS = 24_000
 _SPREAD = 61
+# Force on, off, end, and how many pictures of it there are. [s]
+ON_S, OFF_S, END_S, STEPS = 0.5, 3.5, 8.0, 31
+# The touch is followed at so many times as many moments.
+FINER = 8
+# The smallest difference that an eye sees side by side. [CIEDE2000]
+JUST_NOTICEABLE = 1.0
+# One in so many rays is read over time: a change of colour needs fewer than a colour.
+ONE_IN = 4
+# Of a beat so many moments are read.
+BEAT_STEPS = 16
+# Of the linear colour; what is darker has missed the finger: no tissue is.
+MISSED = 0.02
+_CONTACT = ("contact_area_mm2", "site", "proximal_share", "proximal_area_mm2", "distal_area_mm2", "distal_relaxation_s")
 
 
 def colour(
@@ -132,15 +143,15 @@ def _traced(
 ) -> tuple[xr.Dataset, int, str]:
     """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
     backend.activate(chosen)
-    nail, places = NailReflectance(scene, backend=chosen.name, stores=stores), places_of(scene)
-    rays, unmet = sample_until_tolerance(nail, places, states, viewer, viewing, options, stage)
-    result = _dataset(scene, rays, places, states, viewer, viewing)
-    result = result.merge(press_and_release(scene, rays, places, viewer, viewing))
-    result = result.merge(beat(scene, rays, places, viewer, viewing))
+    nail = NailReflectance(scene, backend=chosen.name, stores=stores)
+    rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
+    result = _dataset(scene, rays, states, viewer, viewing)
+    result = result.merge(press_and_release(scene, rays, viewer, viewing))
+    result = result.merge(beat(scene, rays, viewer, viewing))
     if scene.priors.spread and not unmet:
         if stage.is_late(SPREAD_BEGINS):
             return result, rays.photons, "max_seconds left no time for the spread of colours over unknown fingers."
-        result = result.merge(spread_of_colours(nail, rays, places, viewer, viewing, seed=options.seed))
+        result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
     return result, rays.photons, unmet
 
 
@@ -170,28 +181,21 @@ def _redness_left(redness: Array, pale: Array) -> Array:
     return np.where(np.isfinite(part), part, 1.0)
 
 
-def _dataset(
-    scene: Scene,
-    rays: ColourRays,
-    places: Places,
-    states: Array,
-    viewer: Viewer,
-    viewing: Viewing,
-) -> xr.Dataset:
+def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
     """Colours in every state, with standard errors."""
     assert scene.finger is not None
     none = np.zeros((1, states.shape[1]))
     read = rays.reflectance(np.vstack([states, none]), viewing)
     lab = viewer.lab(read)
-    middle, pale, tiles = lab[:, : places.along, :-1], lab[:, : places.along, -1], read[0, places.along :, :-1]
+    middle, pale, tiles = lab[:, :ALONG, :-1], lab[:, :ALONG, -1], read[0, ALONG:, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
-    on_nail = slice(1, places.along - 1)
+    on_nail, v_mm = slice(1, ALONG - 1), np.array([patch.center_mm[1] for patch in rays.patches[:ALONG]])
     half = scene.finger.nail_length_mm / 2
     part = _redness_left(middle[:, on_nail, :, 1], pale[:, on_nail, 1])
-    band = white_band_mm(places.v_mm[on_nail], part, ends_mm=(-half, half))
+    band = white_band_mm(v_mm[on_nail], part, ends_mm=(-half, half))
     each = ("place", "state")
     text = "reflectance factor, seen from above"
-    reflected = read[:, : places.along, :-1]
+    reflected = read[:, :ALONG, :-1]
     data = estimated("reflectance", (*each, "wavelength"), reflected, text)
     data |= estimated("lab", (*each, "band"), middle, "CIE 1976 L*a*b*")
     data |= variable("lab_without_blood", ("place", "band"), pale[0], "L*a*b* of a bed without blood")
@@ -203,17 +207,17 @@ def _dataset(
     data |= estimated("white_band_mm", "state", band, text, units="mm")
     data |= variable("blood_fraction", ("zone", "state"), states.T, "blood fraction of the nail bed")
     data |= variable("tile_srgb", ("tile", "state", "channel"), viewer.srgb(tiles), "colour on a screen, of a tile")
-    centers = np.array([patch.center_mm for patch in places.patches[places.along :]]).reshape(-1, 2)
+    centers = np.array([patch.center_mm for patch in rays.patches[ALONG:]]).reshape(-1, 2)
     data |= variable("tile_mm", ("tile", "axis"), centers, "middle of a tile, across and along", units="mm")
     coordinates = variable("force_n", "state", np.array(viewing.forces_n), "force, held", units="N")
-    coordinates |= variable("v_mm", "place", places.v_mm, "place along the nail, towards the tip", units="mm")
+    coordinates |= variable("v_mm", "place", v_mm, "place along the nail, towards the tip", units="mm")
     coordinates |= variable("wavelength", "wavelength", WAVELENGTHS_NM, "wavelength", units="nm")
     names = {"band": ["L*", "a*", "b*"], "channel": ["red", "green", "blue"], "axis": ["u", "v"]}
     return xr.Dataset(data, coordinates | names)
 
 
 def spread_of_colours(
-    nail: NailReflectance, rays: ColourRays, places: Places, viewer: Viewer, viewing: Viewing, *, seed: int
+    nail: NailReflectance, rays: ColourRays, viewer: Viewer, viewing: Viewing, *, seed: int
 ) -> xr.Dataset:
     """Standard deviation of L*, a* and b* over each prior of the scene, and over all together.
 
@@ -221,7 +225,7 @@ def spread_of_colours(
     the rays; what scatters is walked anew, with the same random numbers at each of its values. The thickness of the bed
     is left out.
     """
-    scene, sites = nail.scene, (places.along // 2, 0)
+    scene, sites = nail.scene, (ALONG // 2, 0)
     priors = [prior for prior in scene.priors.of_finger() if prior.field != "finger.bed_thickness_mm"]
     priors.sort(key=lambda prior: not only_absorbs(scene, prior))
     own = light_digest(scene)
@@ -233,7 +237,7 @@ def spread_of_colours(
 
     def walked(one: Scene) -> Array:
         other = NailReflectance(one, backend=nail.backend, stores=nail.stores)
-        patches = [places.patches[site] for site in sites]
+        patches = [rays.patches[site] for site in sites]
         light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
         return lab(light, one, (0, 1))
 
@@ -252,3 +256,88 @@ def spread_of_colours(
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
     names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
     return xr.Dataset(data, names)
+
+
+def press_and_release(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
+    """The largest of the forces pressed and released: colours over time, and the capillary refill time."""
+    most = max(viewing.forces_n)
+    if most == 0:
+        return xr.Dataset()
+    step: dict[str, Any] = {"profile": "step", "force_n": most, "start_s": ON_S, "release_s": OFF_S}
+    step |= {"duration_s": END_S, "sample_rate_hz": (STEPS - 1) / END_S * FINER}
+    step |= {name: getattr(scene.touch, name) for name in _CONTACT}
+    touched = blood_over_touch(scene.model_copy(update={"touch": Touch(**step)}))
+    moments = touched.isel(time=slice(None, None, FINER))
+    few = rays.one_in(ONE_IN)
+    read = few.reflectance(moments.blood_fraction.values.T, viewing, patches=range(ALONG))
+    lab, time_s = viewer.lab(read), moments.time.values
+    over = ("place", "time")
+    text = "L*a*b* over a press"
+    data = estimated("press_lab", (*over, "band"), lab, text)
+    data |= variable("press_srgb", (*over, "channel"), viewer.srgb(read[0]), "colour on a screen, over a press")
+    data |= variable("press_force_n", "time", moments.force_n.values, "force of the press", units="N")
+    text = "capillary refill time: from release until the colour differs less from rest than an eye sees"
+    refill = np.array([capillary_refill_s(time_s, one) for one in lab])
+    with np.errstate(invalid="ignore"):  # a place that never returns, or whose change no eye sees
+        data |= estimated("refill_s", "place", refill, text, units="s")
+    return xr.Dataset(data, variable("time", "time", time_s, "time", units="s"))
+
+
+def capillary_refill_s(time_s: Array, lab: Array) -> Array:
+    """Time after release from which on each place differs less from its rest than an eye sees, (places,) float. [s]
+
+    lab : (places, times, 3) float. The first is at rest. Linear between samples; NaN where no eye sees the press at
+    all, infinite where the colour has not returned in the end.
+    """
+    difference = delta_e_2000(lab, lab[:, :1])
+    out = np.full(len(lab), np.nan)
+    for k, row in enumerate(difference):
+        visible = np.flatnonzero(row > JUST_NOTICEABLE)
+        if len(visible) and visible[-1] == len(row) - 1:
+            out[k] = np.inf
+        elif len(visible):
+            i = visible[-1]
+            step = (row[i] - JUST_NOTICEABLE) / (row[i] - row[i + 1]) * (time_s[i + 1] - time_s[i])
+            out[k] = max(time_s[i] + step - OFF_S, 0.0)
+    return out
+
+
+def beat(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
+    """One heartbeat at the first force: the change of each place's colour; nothing without a heart."""
+    heart = scene.body.heartbeat if scene.body else None
+    if heart is None or heart.pulse_pressure_pa == 0:
+        return xr.Dataset()
+    blood = beat_at(scene, viewing.forces_n[0])
+    which = np.linspace(0, len(blood.time_s) - 1, BEAT_STEPS).round().astype(int)
+    few = rays.one_in(ONE_IN)
+    read = few.reflectance(blood.blood_fraction.T[which], viewing, patches=range(ALONG))
+    lab = viewer.lab(read)
+    # From the palest moment, so that noise, which all moments share, makes no beat of its own.
+    palest = lab[0, ..., 1].mean(0).argmin()
+    moved = delta_e_2000(lab, lab[:, :, palest, None])
+    text = "colour over a beat, L*a*b*"
+    data = estimated("beat_lab", ("place", "beat_time", "band"), lab, text)
+    text = "largest colour difference over a beat, CIEDE2000"
+    most = moved[0].argmax(1)
+    largest = np.take_along_axis(moved, most[None, :, None], 2)[..., 0]
+    data |= estimated("beat_delta_e_2000", "place", largest, text)
+    return xr.Dataset(data, variable("beat_time", "beat_time", blood.time_s[which], "time", units="s"))
+
+
+def photographs(scene: Scene, result: xr.Dataset, *, states: Sequence[int], backend: str) -> list[NDArray[np.uint8]]:
+    """The finger in some states, (height, width, 3) each.
+
+    result : what `colour` returned for the scene.
+    """
+    assert scene.finger is not None
+    tiles, colours = result.tile_mm.values, linear(result.tile_srgb.values)
+    hit = colours[:, 0].mean(-1) > MISSED
+    # A tile across the nail's edge is neither.
+    reach = np.abs(tiles) + 0.5 * result.attrs["tile_size_mm"]
+    edge = scene.finger.nail_radius_mm * np.sin(0.5 * scene.finger.nail_width_mm / scene.finger.nail_radius_mm)
+    on_nail = (reach[:, 0] <= edge) & (reach[:, 1] <= scene.finger.nail_length_mm / 2)
+    inner = np.abs(tiles) - 0.5 * result.attrs["tile_size_mm"]
+    off_nail = (inner[:, 0] >= edge) | (inner[:, 1] >= scene.finger.nail_length_mm / 2)
+    drawn = hit & (on_nail | off_nail)
+    shown = colours[drawn][:, list(states)].swapaxes(0, 1)
+    return photograph(scene, tiles[drawn], on_nail[drawn], shown, size=scene.colour.photograph_px, backend=backend)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...light import optics
 from ...light.identity import light_scene
@@ -17,10 +16,8 @@ from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.reweight import attenuation
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...scene import Scene, Viewing
-from ...statistics import left_out
+from ...statistics import Array, left_out
 from .colorimetry import WAVELENGTHS_NM
-
-Array = NDArray[np.float64]
 
 # Groups of independent rays, from which standard errors are made.
 GROUPS = 32
@@ -32,19 +29,9 @@ LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
 CHUNK = 8192
 
 
-def _log_wavelengths(count: int) -> ChebyshevBox:
-    low, high = np.log(WAVELENGTHS_NM[[0, -1]])
-    return ChebyshevBox([low], [high], [count])
-
-
-def nodes_nm(count: int = NODES) -> Array:
-    """The wavelengths at which rays are walked, rising. [nm]"""
-    return np.asarray(np.exp(_log_wavelengths(count).nodes[::-1, 0]))
-
-
-def interpolation(count: int, wavelength_nm: Array) -> Array:
-    """Weight of each of so many nodes at each wavelength, (nodes, q) float."""
-    return _log_wavelengths(count).weights(np.log(wavelength_nm))[:, ::-1].T
+_BOX = ChebyshevBox(*np.log(WAVELENGTHS_NM[[[0], [-1]]]), [NODES])
+# The wavelengths at which rays are walked, rising, [nm], and what each counts for at `WAVELENGTHS_NM`, (nodes, q).
+NODES_NM, WEIGHTS = np.exp(_BOX.nodes[::-1, 0]), _BOX.weights(np.log(WAVELENGTHS_NM))[:, ::-1].T
 
 
 @dataclass(frozen=True)
@@ -89,10 +76,9 @@ class ColourRays:
         """
         absorbing = self.scene if scene is None else scene
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
-        weights = interpolation(len(self.light), WAVELENGTHS_NM)
         chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
         sums = [_sums(_weighted(one, viewing), mu_a, chosen) for one in self.light]
-        return left_out(sum(one * weight for one, weight in zip(sums, weights, strict=True)))
+        return left_out(sum(one * weight for one, weight in zip(sums, WEIGHTS, strict=True)))
 
 
 def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:
@@ -154,7 +140,7 @@ def walk_colour(
     # All nodes take the same random numbers, so that their errors hardly change the hue.
     how: dict[str, Any] = {"photons": photons // NODES, "seed": seed, "groups": GROUPS, "least_mu_a_per_mm": palest}
     lights = []
-    for wavelength_nm in nodes_nm():
+    for wavelength_nm in NODES_NM:
         lights.append(nail.reflect(float(wavelength_nm), patches, **how))
         progress(int(lights[-1].rays.sum()))
     return ColourRays(nail.scene, tuple(patches), tuple(lights))

@@ -150,19 +150,13 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
     data |= variable("setting", ("sweep", "point"), settings, text)
     of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]
-    data["setting_units"] = (
-        ("sweep",),
-        np.array(of_sweeps),
-        {"long_name": "units of what is swept, and of its limits"},
-    )
+    data |= variable("setting_units", "sweep", of_sweeps, "units of what is swept, and of its limits")
     # CF: a variable has one unit; where it has another in each sweep, it says where to look.
     comment = "each sweep in the unit that setting_units has for it"
     about = {"ancillary_variables": "setting_units", "comment": comment}
-    if len(set(of_sweeps)) == 1:
-        about = {"units": of_sweeps[0]}
     for name in ("setting", "limit", "limit_low", "limit_high"):
         del data[name][2]["units"]
-        data[name][2].update(about)
+        data[name][2].update({"units": of_sweeps[0]} if len(set(of_sweeps)) == 1 else about)
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -172,10 +166,10 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     coords = {
         "led": list(transfer.leds),
         "photodiode": list(transfer.photodiodes),
-        "sweep": [s.over for s in sweeps],
         "zone": capillary_zones(scene).names,
     }
-    coords |= {"model": list(MODELS), "way": list(WAYS), "part": list(PARTS), "within": list(TOLERANCES)}
+    coords |= {"sweep": [s.over for s in sweeps], "model": MODELS, "way": WAYS, "part": PARTS, "within": TOLERANCES}
+    coords = {name: list(labels) for name, labels in coords.items()}
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     attributes = transfer.attributes() | seconds | {"reused": int(transfer.reused)}
     return xr.Dataset(data, coords=coords, attrs=attributes)
@@ -188,11 +182,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "model_reading": (_MODEL, "1", "reading by the model, as a fraction of the emitted power"),
     "error": (_MODEL, "1", "model less trace, as a part of the traced swing over the sweep"),
     "range_error": (_MODEL, "1", "largest error of the model over the range up to here, as a part of the swing there"),
-    "part_error": (
-        ("photodiode", "way", "part", "point"),
-        "1",
-        "part of Taylor (9)'s error, as a part of the swing",
-    ),
+    "part_error": (("photodiode", "way", "part", "point"), "1", "part of Taylor (9)'s error, as a part of the swing"),
     "swing": (_PAIR, "1", "traced reading's largest less its least, as a fraction of the emitted power"),
     "relative_swing": (
         _PAIR,
@@ -279,7 +269,7 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     Met if even the error that is nearest to the tolerance lies below it, with a probability of 95 %; missed if one lies
     above it, with that probability after Bonferroni's correction: of many readings some lie above it by chance.
     """
-    from scipy.special import ndtr
+    from scipy.special import ndtr, ndtri
 
     sweep = "force" if "force" in result.sweep.values else str(result.sweep.values[0])
     end = result.sel(sweep=sweep, way="fitted", model=model).isel(point=-1)
@@ -288,19 +278,21 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
         # Of a photodiode that saw nothing nothing is known.
         below = np.where(np.isfinite(error), ndtr((tolerance - error) / stderr), 0.5)
     met, missed = float(below.min()), max(0.0, 1 - float(error.size * below.min()))
-    outcome: Literal["met", "missed", "undecided"] = "met" if met >= SURE else "undecided"
-    if missed >= SURE:
-        outcome = "missed"
+    outcome: Literal["met", "missed", "undecided"] = (
+        "missed" if missed >= SURE else "met" if met >= SURE else "undecided"
+    )
     i, j = np.unravel_index(int(np.where(np.isfinite(error), error, -np.inf).argmax()), error.shape)
-    low, high = _worst(error, stderr)
+    # Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.
+    low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
+    known = np.isfinite(low)
     return Verdict(
         outcome=outcome,
         model=model,
         tolerance=tolerance,
         worst_error=float(error[i, j]),
         worst_stderr=float(stderr[i, j]),
-        worst_low=low,
-        worst_high=high,
+        worst_low=float(np.max(low, where=known, initial=0.0)),
+        worst_high=float(np.max(high)) if known.all() else math.inf,
         led=str(result.led.values[i]),
         photodiode=str(result.photodiode.values[j]),
         sweep=sweep,
@@ -308,15 +300,3 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
         readings=error.size,
         surely_within=int(np.sum(below >= SURE)),
     )
-
-
-def _worst(error: np.ndarray, stderr: np.ndarray) -> tuple[float, float]:
-    """Between what the largest of some errors lies, which are 0 or more; nothing is known where one is not.
-
-    Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.
-    """
-    from scipy.special import ndtri
-
-    low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
-    known = np.isfinite(low)
-    return float(np.max(low, where=known, initial=0.0)), float(np.max(high)) if known.all() else float("inf")

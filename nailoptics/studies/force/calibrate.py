@@ -22,7 +22,7 @@ from ...scene import Scene, digest, to_toml
 from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
-from .fit import Fit, Fitted, Profile, profile_of
+from .fit import Fit, Fitted, bent_factors, profile_likelihoods
 from .kalman import PressureEstimate, estimate_pressures
 from .person import N_PER_CM2, NAMES, RIGID_PULP, SIDES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .predict import TOUCH_N, rms
@@ -128,7 +128,7 @@ def calibrate_with(
     try:
         fit = Fit(recordings, table, _nominal_finger(scene, model), free=_free(scene, recordings, model))
         fitted = fit.solve(lambda done: report(FITTED * done))
-        profile = profile_of(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
+        profiles = profile_likelihoods(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
         subject = _subject(scene, model, fit, fitted)
     except (ValidationError, InputError) as error:
         why = explain(error, BaseModel) if isinstance(error, ValidationError) else str(error)
@@ -137,15 +137,19 @@ def calibrate_with(
         ) from None
     subject, half_width_n = _judged(subject, recordings)
     report(1.0)
-    return _dataset(recordings, fitted, profile).assign_attrs(
-        title="nailoptics: a person's sensor, calibrated",
-        digest=subject.scene_digest,
-        scene=to_toml(scene),
-        subject=subject_toml(subject),
-        half_width_n=half_width_n,
-        bent_factors=list(profile.bent),
-        recordings=[one.name for one in recordings],
-        warnings=_warnings(subject, recordings),
+    return (
+        _dataset(recordings, fitted)
+        .merge(profiles)
+        .assign_attrs(
+            title="nailoptics: a person's sensor, calibrated",
+            digest=subject.scene_digest,
+            scene=to_toml(scene),
+            subject=subject_toml(subject),
+            half_width_n=half_width_n,
+            bent_factors=bent_factors(profiles),
+            recordings=[one.name for one in recordings],
+            warnings=_warnings(subject, recordings),
+        )
     )
 
 
@@ -370,9 +374,9 @@ def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
     yield from (f": {message}" for message, met in faults.items() if met)
 
 
-def _dataset(recordings: Sequence[Recording], fitted: Fitted, profile: Profile) -> xr.Dataset:
-    """The recordings beside their fit, one after the other, and the factors' profile likelihoods."""
-    every, reading, along = joined(recordings), ("reading", "sample"), ("factor", "place")
+def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
+    """The recordings beside their fit, one after the other."""
+    every, reading = joined(recordings), ("reading", "sample")
     which = np.repeat(np.arange(len(recordings)), [len(one.time_s) for one in recordings])
     columns: list[tuple[str, Any, Any, str, str]] = [
         ("recording", "sample", which, "number of the recording", "1"),
@@ -381,9 +385,6 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted, profile: Profile) 
         ("site", "sample", every.site, "1 proximal, 0 distal, NaN even", "1"),
         ("volts", reading, every.volts, "recorded voltage", "V"),
         ("volts_fitted", reading, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", "V"),
-        ("profile_factor", along, np.exp(profile.factors_ln), "factor held there, all others fitted", "1"),
-        ("profile_deviance", along, profile.deviance, "squared residuals beyond those of the best fit", "1"),
-        ("profile_quadratic", along, profile.offset**2, "the same were the fit quadratic", "1"),
     ]
     data = {name: one for *column, units in columns for name, one in variable(*column, units=units).items()}
-    return xr.Dataset(data, {"reading": list(every.names), "factor": list(profile.names)})
+    return xr.Dataset(data, {"reading": list(every.names)})

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
+from ...variables import variable
 from .body_noise import MEDIAN_OF_GAUSSIAN, arterial_response
 from .person import LONGEST_STEP_S, NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
@@ -314,31 +316,11 @@ def _averaged(recording: Recording) -> Recording:
     return replace(recording, time_s=mean(time_s), volts=mean(recording.volts), force_n=mean(force_n), site=site)
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Profile likelihoods of P free factors at N places each.
+def profile_likelihoods(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambda done: None) -> xr.Dataset:
+    """Profile likelihoods about the best fit of the free factors' logarithms (P,), over factor and place.
 
-    names : (P,) str. factors_ln : (P, N) float. Logarithms at which each factor is held, rising.
-    deviance : (P, N) float. Sum of squares less that of the best fit; NaN where the factor is at its bound.
-    offset : (P, N) float. Distance from the best fit in standard errors, whose square is the quadratic deviance.
+    report : takes the part done.
     """
-
-    names: tuple[str, ...]
-    factors_ln: Array
-    deviance: Array
-    offset: Array
-
-    @property
-    def bent(self) -> tuple[str, ...]:
-        """Factors in which the deviance is not quadratic."""
-        judged = (np.abs(self.offset) > 0.1) & (np.abs(self.offset) <= JUDGED_TO)
-        root = np.sqrt(np.maximum(self.deviance, 0.0)) / np.where(judged, np.abs(self.offset), 1.0)
-        # NaN compares false.
-        return tuple(np.array(self.names)[(judged & (np.abs(root - 1.0) > BENT)).any(1)].tolist())
-
-
-def profile_of(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambda done: None) -> Profile:
-    """Profile likelihoods about the best fit of the free factors' logarithms (P,); report : takes the part done."""
     value, jacobian = fit.residuals(free_ln[:, None])
     covariance = np.linalg.inv(jacobian[:, 0].T @ jacobian[:, 0])
     stderr, most, count = np.sqrt(np.diag(covariance)), fit.most_ln[:, None], len(free_ln)
@@ -350,9 +332,22 @@ def profile_of(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambd
         start = np.clip(quadratic, -most, most)
         places[held] = start[held]
         least = _least_squares_with_one_held(fit, start, held) - float((value**2).sum())
+        # Not known where the factor is at its bound.
         deviance[held] = np.where(start[held] == quadratic[held], least, np.nan)
-    names = tuple(NAMES[factor] for factor in fit.free)
-    return Profile(names, places, deviance, (places - free_ln[:, None]) / stderr[:, None])
+    quadratic, over = ((places - free_ln[:, None]) / stderr[:, None]) ** 2, ("factor", "place")
+    data = variable("profile_factor", over, np.exp(places), "factor held there, all others fitted")
+    data |= variable("profile_deviance", over, deviance, "squared residuals beyond those of the best fit")
+    data |= variable("profile_quadratic", over, quadratic, "the same were the fit quadratic")
+    return xr.Dataset(data, {"factor": [NAMES[factor] for factor in fit.free]})
+
+
+def bent_factors(profiles: xr.Dataset) -> list[str]:
+    """Factors in which the deviance of their profile likelihood is not quadratic."""
+    offset = np.sqrt(profiles.profile_quadratic.values)
+    judged = (offset > 0.1) & (offset <= JUDGED_TO)
+    root = np.sqrt(np.maximum(profiles.profile_deviance.values, 0.0)) / np.where(judged, offset, 1.0)
+    # NaN compares false.
+    return profiles.factor.values[(judged & (np.abs(root - 1.0) > BENT)).any(1)].tolist()
 
 
 def _least_squares_with_one_held(fit: Fit, factors_ln: Array, held: int) -> Array:

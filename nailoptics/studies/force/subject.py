@@ -67,9 +67,6 @@ class Quality:
         return self.rms_n > MOST_RMS_N
 
 
-READING_KEYS = ("gain", "gain_stderr", "offset_v", "offset_stderr_v", "residual_rms_v", "noise_v")
-
-
 @dataclass(frozen=True, config=TABLE)
 class Readings:
     """What was calibrated of the readings: (R,) float each. Volts are offset_v + gain * the table's.

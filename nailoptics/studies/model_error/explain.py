@@ -18,7 +18,7 @@ from ...scene import Scene
 from ...sensor import electronics
 from ...sensor.ambient import SOURCES, collecting_area_mm2
 from ...statistics import Z95
-from .changes import Change, changes_of, lines_of, merged, revised, shortened, swapped
+from .changes import Change, changes_of, merged, revised, shortened, swapped
 from .paired import (
     UNDETECTED,
     Difference,
@@ -78,11 +78,6 @@ class Effect(Change):
             return "no"
         return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
 
-    @property
-    def lines(self) -> list[str]:
-        """The scene lines that change it."""
-        return lines_of(self.changes)
-
 
 @dataclass(frozen=True)
 class Explanation:
@@ -102,11 +97,6 @@ class Explanation:
     backend: str
     wall_seconds: float
     attributes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def cut_off(self) -> str | None:
-        """Why it ended before all was measured, if it did."""
-        return self.attributes.get("cut_off")
 
     @property
     def needless(self) -> list[Effect]:

@@ -173,11 +173,6 @@ class Tradeoff:
     attributes: dict[str, Any]
 
     @property
-    def cut_off(self) -> str | None:
-        """Why it ended before all was measured, if it did."""
-        return self.attributes.get("cut_off")
-
-    @property
     def coverage_factor(self) -> float:
         """Standard errors within which all readings and changes lie at once with 95 % probability (Bonferroni)."""
         from scipy.special import ndtri

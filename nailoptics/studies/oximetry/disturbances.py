@@ -17,12 +17,10 @@ from ...options import TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.ambient import SOURCES, photocurrents_a
 from ...sensor.front_end import SampledFrontEnd
-from ...statistics import Z95, jackknife, seed_of
+from ...statistics import Z95, Array, jackknife, seed_of
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
-
-Array = NDArray[np.float64]
 
 FORCES_N = np.linspace(0.0, 2.0, 9)
 REST_BLOOD = np.linspace(0.01, 0.06, 6)
@@ -89,11 +87,6 @@ class CalibratedOximeter:
             out.append(read_pulsations(light, self.leds, [(scene.blood.so2, beat)], seed=self.seed).ratio)
         return np.concatenate(out, -1)
 
-    @property
-    def scene(self) -> Scene:
-        """The scene as it is."""
-        return self.transfer.scene
-
 
 def sensitivity_curves(
     oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array, nails: dict[float, Transfer]
@@ -103,7 +96,12 @@ def sensitivity_curves(
     sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
     nails : traces of the scene with a nail plate of other thicknesses, by thickness. [mm]
     """
-    scene, leds, beat, curves = oximeter.scene, oximeter.leds, rest_beat(oximeter.scene), dict[str, Variables]()
+    scene, leds, beat, curves = (
+        oximeter.transfer.scene,
+        oximeter.leds,
+        rest_beat(oximeter.transfer.scene),
+        dict[str, Variables](),
+    )
 
     def add(name: str, text: str, units: str, values: Array, changes: list[tuple[Scene, BloodBeat]]) -> None:
         # Light scatters as at the wavelength that was traced, however an LED's line moves.
@@ -156,7 +154,7 @@ def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], s
 
 def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[Array, Array, Array]:
     """Thicknesses of the nail plate, the scene's among them, which has no bias, and the bias at each."""
-    finger = oximeter.scene.finger
+    finger = oximeter.transfer.scene.finger
     assert finger is not None
     none = np.zeros((len(oximeter.transfer.photodiodes), 1))
     found = {finger.nail_thickness_mm: (none, none)}
@@ -182,7 +180,7 @@ def melanin_bound(oximeter: CalibratedOximeter) -> tuple[Array, Array]:
     """
     transfer, share, change = oximeter.transfer, [], []
     column = transfer.absorbers.index("epidermis")
-    beds = list(optics.bed_columns(oximeter.scene))
+    beds = list(optics.bed_columns(oximeter.transfer.scene))
     for led in oximeter.leds:
         trace = transfer.traces[led]
         steady, pulsating = trace.weight, trace.weight * trace.path_mm[:, beds].sum(1)
@@ -194,7 +192,7 @@ def melanin_bound(oximeter: CalibratedOximeter) -> tuple[Array, Array]:
             change.append(part)
         share.append(change[-2])
     slope = np.abs(np.gradient(100 * oximeter.so2, axis=0) / np.gradient(oximeter.curve[0], axis=-1))
-    nearest = int(np.abs(oximeter.so2 - oximeter.scene.blood.so2).argmin())
+    nearest = int(np.abs(oximeter.so2 - oximeter.transfer.scene.blood.so2).argmin())
     return np.max(share, axis=0), slope[:, nearest] * oximeter.nominal.ratio[0, :, 0] * np.sum(change, axis=0)
 
 

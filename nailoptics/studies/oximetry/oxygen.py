@@ -6,7 +6,6 @@ from typing import Unpack
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
@@ -15,7 +14,7 @@ from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
-from ...statistics import jackknife, seed_of
+from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
 from ..prior_uncertainty import at_value
 from .disturbances import (
@@ -36,8 +35,6 @@ from .ratio import (
     trace_for_ratio,
 )
 from .recording import light_of_touch
-
-Array = NDArray[np.float64]
 
 SO2 = np.linspace(0.5, 1.0, 51)
 # Of nails as thin and as thick as these a trace of their own is made, of so many of the scene's photons. [mm]
@@ -202,7 +199,7 @@ def _error_variables(
 
     slope : (photodiodes,) float. Of SpO2 over R. [percent]
     """
-    scene, nominal = oximeter.scene, oximeter.nominal
+    scene, nominal = oximeter.transfer.scene, oximeter.nominal
     ratio, index = nominal.ratio[0, :, 0], nominal.perfusion_index[0, ..., 0].T
     level_v, pulse = volts["volts"][1].mean(-1).T, volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
@@ -223,7 +220,7 @@ def _error_variables(
 
 
 def _warnings(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_ratio: Array) -> list[str]:
-    scene, nominal = oximeter.scene, oximeter.nominal
+    scene, nominal = oximeter.transfer.scene, oximeter.nominal
     lines = path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
     for j, (front_end, name) in enumerate(zip(front_ends, oximeter.transfer.photodiodes, strict=True)):
         _, full = front_end.slot_volts(nominal.dc[0, :, j, 0])

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ... import tissue
 from ...errors import NotReachedError, as_far_as_reached
@@ -16,9 +16,7 @@ from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.series import read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import jackknife, seed_of
-
-Array = NDArray[np.float64]
+from ...statistics import Array, jackknife, seed_of
 
 # Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
 NODES = 7

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ... import hemodynamics, tissue
 from ...commit import code_attributes
@@ -19,11 +18,9 @@ from ...scene.importers.sensor_recordings import SATURATED, OximeterRecording, r
 from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_ends_of
-from ...statistics import Z95, seed_of
+from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
 from .ratio import read_states, saturation_of
-
-Array = NDArray[np.float64]
 
 # Nodes along the first principal components of the zones' blood, between which light is interpolated.
 NODES = (8, 4)
@@ -254,15 +251,15 @@ def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) ->
 
 def _noise_variance(both: Array, rate_hz: float, width_hz: float) -> Array:
     """Variance of each LED's noise in the pulse's band, (2,) float, from what lies above all pulses."""
+    from scipy.signal import periodogram
+
     top_hz = 0.5 * rate_hz
     if top_hz < 1.3 * NOISE_FROM_HZ:
         return np.ones(2)
-    step_hz, power = 1.0 / (both.shape[1] / rate_hz), np.abs(np.fft.rfft(both - both.mean(1, keepdims=True))) ** 2
-    frequency = np.arange(power.shape[1]) * step_hz
-    above = power[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
+    frequency, density = periodogram(both, rate_hz)
+    above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
     # The median of an exponential distribution is ln 2 of its mean; motion's few lines do not move it.
-    density = np.median(above, axis=1) / np.log(2) / both.shape[1] ** 2 * 2
-    return np.asarray(np.maximum(density * width_hz / step_hz, np.finfo(float).tiny))
+    return np.asarray(np.maximum(np.median(above, axis=1) / np.log(2) * width_hz, np.finfo(float).tiny))
 
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:
@@ -280,23 +277,20 @@ def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -
 
 def _near(even_s: Array, places_s: Array, within_s: float) -> Marks:
     """Which times lie near some places."""
-    if not len(places_s):
-        return np.zeros(len(even_s), bool)
-    places = np.sort(places_s)
-    after = np.searchsorted(places, even_s)
-    before_s = np.abs(even_s - places[np.maximum(after - 1, 0)])
-    return np.asarray(np.minimum(before_s, np.abs(places[np.minimum(after, len(places) - 1)] - even_s)) <= within_s)
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(places_s[:, None]).query(even_s[:, None])[0] <= within_s)
 
 
 def _check_limit(recording: OximeterRecording, range_v: float) -> None:
-    for k, light in enumerate(("red", "infrared")):
-        for name, volts in zip(recording.photodiodes, recording.volts[k], strict=True):
-            full = float(np.mean(volts[np.isfinite(volts)] >= SATURATED * range_v))
-            if full > MOST_SATURATED:
-                raise InputError(
-                    f'{recording.name}: photodiode "{name}" is saturated in {100 * full:.0f} % of its {light} readings '
-                    f"({range_v:g} V is the converter's limit); lower the LED's power and record again."
-                )
+    valid = np.isfinite(recording.volts)
+    full = ((recording.volts >= SATURATED * range_v) & valid).sum(-1) / valid.sum(-1)
+    for k, j in np.argwhere(full > MOST_SATURATED):
+        raise InputError(
+            f'{recording.name}: photodiode "{recording.photodiodes[j]}" is saturated in {100 * full[k, j]:.0f} % of '
+            f"its {('red', 'infrared')[k]} readings ({range_v:g} V is the converter's limit); lower the LED's power "
+            "and record again."
+        )
 
 
 def spo2_rows(result: xr.Dataset) -> list[str]:

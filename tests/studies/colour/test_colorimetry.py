@@ -7,14 +7,14 @@ import pytest
 
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import StageProgress
+from nailoptics.light.transfer.interpolation import ChebyshevBox
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Viewing
 from nailoptics.studies.colour import adaptive_sampling
 from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from nailoptics.studies.colour.nail_colour import _redness_left
-from nailoptics.studies.colour.reflectance import NODES, interpolation, nodes_nm
-from nailoptics.studies.colour.views import capillary_refill_s
+from nailoptics.studies.colour.nail_colour import _redness_left, capillary_refill_s
+from nailoptics.studies.colour.reflectance import NODES, NODES_NM, WEIGHTS
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])
@@ -43,10 +43,10 @@ def test_red_and_green_differ_as_the_eye_sees_them():
 
 
 def test_between_the_nodes_a_parabola_in_the_logarithm_is_exact():
-    weights, x = interpolation(NODES, WAVELENGTHS_NM), np.log(WAVELENGTHS_NM / 550)
-    assert weights.sum(0) == pytest.approx(np.ones(len(x)), abs=1e-9)
+    x = np.log(WAVELENGTHS_NM / 550)
+    assert WEIGHTS.sum(0) == pytest.approx(np.ones(len(x)), abs=1e-9)
     parabola = np.polynomial.Polynomial([0.3, -0.2, 0.5])
-    assert parabola(np.log(nodes_nm() / 550)) @ weights == pytest.approx(parabola(x), abs=1e-9)
+    assert parabola(np.log(NODES_NM / 550)) @ WEIGHTS == pytest.approx(parabola(x), abs=1e-9)
 
 
 def test_the_number_of_nodes_is_what_the_colours_error_needs():
@@ -63,9 +63,9 @@ def test_the_number_of_nodes_is_what_the_colours_error_needs():
     exact = viewer.lab(reflected(fine))
     found = []
     for count in (NODES - 1, NODES):
-        nodes = nodes_nm(count)
-        each = np.array([reflected(4.6 * (node / 500) ** -1.421) for node in nodes])
-        found.append(float(delta_e_2000(viewer.lab((interpolation(count, WAVELENGTHS_NM) * each).sum(0)), exact)))
+        box = ChebyshevBox(*np.log(WAVELENGTHS_NM[[[0], [-1]]]), [count])
+        each = np.array([reflected(4.6 * (node / 500) ** -1.421) for node in np.exp(box.nodes[:, 0])])
+        found.append(float(delta_e_2000(viewer.lab((box.weights(np.log(WAVELENGTHS_NM)) @ each).diagonal()), exact)))
     # A hundredth of the standard error that colours are traced to.
     assert found[1] < 0.003 < found[0], found
 
@@ -118,10 +118,11 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
 
     def sampled(photons, **limit):
         stage = StageProgress(None, **limit)
-        options, places = TraceOptions(photons=photons), adaptive_sampling.Places(())
-        return adaptive_sampling.sample_until_tolerance(None, places, None, None, Viewing(), options, stage)
+        options, nail = TraceOptions(photons=photons), SimpleNamespace(scene=None)
+        return adaptive_sampling.sample_until_tolerance(nail, None, None, Viewing(), options, stage)
 
     monkeypatch.setattr(adaptive_sampling, "walk_colour", walk_colour)
+    monkeypatch.setattr(adaptive_sampling, "patches_of", lambda _: ())
     monkeypatch.setattr(adaptive_sampling, "errors_of", lambda *_: (np.ones(1), np.ones(1)))
     limit_s = 10 * adaptive_sampling.PILOT * pace_s
     _, why = sampled(10**8, limit_s=limit_s)
