@@ -91,6 +91,7 @@ def sample_until_tolerance(
         if rays is None:
             raise
         why = "interrupted"
+    assert rays is not None
     if not why and not stage.interrupted:
         return rays, ""
     error = float(errors_of(rays, states, viewer, viewing)[0].max())

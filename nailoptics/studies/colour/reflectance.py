@@ -29,7 +29,7 @@ LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
 CHUNK = 8192
 
 
-_BOX = ChebyshevBox(*np.log(WAVELENGTHS_NM[[[0], [-1]]]), [NODES])
+_BOX = ChebyshevBox(np.log(WAVELENGTHS_NM[:1]), np.log(WAVELENGTHS_NM[-1:]), [NODES])
 # The wavelengths at which rays are walked, rising, [nm], and what each counts for at `WAVELENGTHS_NM`, (nodes, q).
 NODES_NM, WEIGHTS = np.exp(_BOX.nodes[::-1, 0]), _BOX.weights(np.log(WAVELENGTHS_NM))[:, ::-1].T
 

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Unpack
+from typing import Any, Literal, Unpack
 
 import numpy as np
 import xarray as xr
@@ -163,9 +163,9 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     text = "slope of ln reading by ln of the bed's scattering"
     data |= variable("scattering_slope", ("led", "photodiode"), slopes[0], text, stderr=slopes[1])
     data |= variable("wavelength_nm", "led", [led.wavelength_nm for led in scene.leds], "peak wavelength", units="nm")
-    coords = {
-        "led": list(transfer.leds),
-        "photodiode": list(transfer.photodiodes),
+    coords: dict[str, Any] = {
+        "led": transfer.leds,
+        "photodiode": transfer.photodiodes,
         "zone": capillary_zones(scene).names,
     }
     coords |= {"sweep": [s.over for s in sweeps], "model": MODELS, "way": WAYS, "part": PARTS, "within": TOLERANCES}

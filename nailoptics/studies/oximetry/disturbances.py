@@ -162,9 +162,9 @@ def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[
         states = [(light.scene.blood.so2, rest_beat(light.scene))]
         ratio = read_pulsations(light, oximeter.leds, states, seed=oximeter.seed).ratio
         found.setdefault(thickness_mm, oximeter.bias(ratio, independent=True))
-    thickness_mm = np.sort(list(found))
-    bias, stderr = np.concatenate([found[one] for one in thickness_mm], -1)
-    return thickness_mm, bias, stderr
+    values_mm = sorted(found)
+    bias, stderr = np.concatenate([found[one] for one in values_mm], -1)
+    return np.array(values_mm), bias, stderr
 
 
 def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:
@@ -285,7 +285,7 @@ def diffusion_paths_mm(scene: Scene) -> Array:
     return np.asarray(np.log(readings[..., 1] / readings[..., 0]) / (mu[:, None] * rest * LESS_BLOOD))
 
 
-def ambient_leakage(scene: Scene, options: TraceOptions) -> Array:
+def ambient_leakage(scene: Scene, options: TraceOptions, *, seed: int) -> Array:
     """Photocurrents of the ambient light that a scene names, and of full sun, (2, 2, photodiodes) float. [A]
 
     Of each value and standard error. By reciprocity, from one trace of each photodiode's own light. Where none of n
@@ -297,7 +297,7 @@ def ambient_leakage(scene: Scene, options: TraceOptions) -> Array:
         replace(by_name[named.ambient_light], lux=named.ambient_lux),
         replace(by_name["sun"], lux=float(SUN_LUX[-1])),
     ]
-    seed, store = options.seed, LightStore.of_user() if options.store else None
+    store = LightStore.of_user() if options.store else None
     how: dict[str, Any] = {"backend": options.backend, "store": store, "seed": seed}
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
     led = int(np.argmax([one.wavelength_nm for one in scene.leds]))

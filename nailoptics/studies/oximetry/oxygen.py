@@ -114,7 +114,7 @@ def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: 
     curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
     oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2), seed)
     (ambient_a, ambient_stderr_a), (sun_a, sun_stderr_a) = ambient_leakage(
-        scene, replace(options, seed=seed_of(options.seed, _LEAKAGE))
+        scene, options, seed=seed_of(options.seed, _LEAKAGE)
     )
     front_ends = front_ends_of(scene, leds, ambient_a)
     path_mm, path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
