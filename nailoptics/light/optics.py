@@ -134,9 +134,11 @@ def absorption(
         own = saturation if absorber.zone is None or pooled is None else pooled[..., absorber.zone, None]
         melanin, dermis = scene.finger.melanin_fraction, scene.finger.dermis
         mixed = tissue.absorption(region, wavelength, so2=own, melanin_fraction=melanin, dermis_absorption=dermis)
-        at_rest = tissue.REST_BLOOD_FRACTION.get(region, 0.0)
-        blood = at_rest if absorber.zone is None else fraction[..., absorber.zone, None]
+        # Only the pulp outside the bed's zones carries blood.
+        blood = scene.blood.pulp_blood_fraction if absorber.zone is None else fraction[..., absorber.zone, None]
         base = _factor(scene, region, "absorption") * np.asarray(mixed.base_per_mm)
+        if region == "plate":
+            base = base * (wavelength / 500) ** scene.finger.plate_absorption_slope
         column = base + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)

@@ -22,7 +22,15 @@ ANATOMY = {digit: dict(zip(_SIZES, sizes, strict=True)) for digit, sizes in _DIG
 DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
 Factor = Annotated[float, Field(ge=0.01, le=100)]
 # Fields that decide how much light tissue absorbs, and how it scatters; all others are sizes.
-ABSORBING = ("melanin_fraction", "dermis", "plate_absorption", "bed_absorption", "bone_absorption", "pulp_absorption")
+ABSORBING = (
+    "melanin_fraction",
+    "dermis",
+    "plate_absorption",
+    "plate_absorption_slope",
+    "bed_absorption",
+    "bone_absorption",
+    "pulp_absorption",
+)
 SCATTERING = ("plate_scattering", "bed_scattering", "bone_scattering", "pulp_scattering")
 # From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
 BEYOND_NAIL_MM = 4.0
@@ -59,6 +67,8 @@ class Finger(Table):
     """Absorption of the bloodless nail bed; the two tables measured ex vivo are two and five times the default."""
     plate_absorption: Factor = 1.0
     """Factor on the nail plate's absorption."""
+    plate_absorption_slope: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    """Power of the wavelength over 500 nm by which the nail plate's absorption is multiplied, too."""
     plate_scattering: Factor = 1.0
     """Factor on the nail plate's scattering."""
     bed_absorption: Factor = 1.0

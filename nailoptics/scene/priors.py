@@ -1,13 +1,15 @@
-"""Prior ranges of a scene's fields, shipped with their sources, and a scene's own [priors]."""
+"""Prior ranges of a scene's fields, shipped with their sources and correlations, and a scene's own [priors]."""
 
 import tomllib
+from collections.abc import Sequence
 from functools import cache
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from ..assets import asset_path
-from .base import Positive, Table, check_unique
+from .base import Table, check_unique
 from .body import Body
 
 
@@ -16,9 +18,9 @@ class PriorRange(Table):
 
     field: str
     """The field, such as finger.plate_absorption."""
-    low: Positive
+    low: float
     """Lower end; 2.5 % of fingers lie below."""
-    high: Positive
+    high: float
     """Upper end; 2.5 % of fingers lie above."""
 
     @model_validator(mode="after")
@@ -44,21 +46,25 @@ class Priors(Table):
 
     spread: bool = True
     """Report the prior uncertainty of every result in addition to its standard error."""
-    own_traces: bool = False
-    """Include scattering and thickness, each of which takes two more traces; else absorption only."""
+    own_traces: bool | None = None
+    """Include scattering and thickness, each of which takes two short traces; else absorption and blood only. If not
+    given they are included but in place, where every layout would take as many."""
     known: tuple[str, ...] = ()
     """Fields whose value in the scene is known exactly, such as "blood.so2"."""
     ranges: Annotated[tuple[PriorRange, ...], Field(max_length=100)] = ()
-    """Ranges that replace the shipped ones."""
+    """Ranges that replace the shipped ones; such a field is independent of all others."""
 
     @model_validator(mode="after")
     def _names_unknowns(self) -> Self:
         named = [*self.known, *(one.field for one in self.ranges)]
         check_unique(named, "known and ranges")
-        fields = [one.field for one in shipped_priors()]
+        shipped = {one.field: one for one in shipped_priors()}
         for field in named:
-            if field not in fields:
-                raise ValueError(f'"{field}" has no prior; choose from {", ".join(fields)}')
+            if field not in shipped:
+                raise ValueError(f'"{field}" has no prior; choose from {", ".join(shipped)}')
+        for one in self.ranges:
+            if one.low <= 0 < shipped[one.field].low:
+                raise ValueError(f"ranges: low = {one.low:g} must be above 0 for {one.field}")
         return self
 
     def of_finger(self) -> tuple[Prior, ...]:
@@ -76,9 +82,30 @@ class Priors(Table):
             one.model_copy(update=own.get(one.field, {})) for one in shipped_priors() if one.field not in self.known
         )
 
+    def correlation(self, priors: Sequence[Prior]) -> np.ndarray:
+        """Correlations of some priors, each on its scale, (priors, priors) float; 0 with the scene's own ranges."""
+        of = {one.field: i for i, one in enumerate(priors)}
+        own = {one.field for one in self.ranges}
+        matrix = np.eye(len(priors))
+        for (first, second), value in _shipped_correlations().items():
+            if first in of and second in of and not own & {first, second}:
+                matrix[of[first], of[second]] = matrix[of[second], of[first]] = value
+        return matrix
+
 
 @cache
 def shipped_priors() -> tuple[Prior, ...]:
     """The priors of assets/priors.toml."""
+    return tuple(Prior(**one) for one in _shipped()["priors"])
+
+
+@cache
+def _shipped_correlations() -> dict[tuple[str, str], float]:
+    """Correlation of two fields, by both; others are independent."""
+    return {(first, second): one["value"] for one in _shipped()["correlations"] for first, second in [one["fields"]]}
+
+
+@cache
+def _shipped() -> dict[str, Any]:
     with asset_path("priors.toml").open("rb") as file:
-        return tuple(Prior(**one) for one in tomllib.load(file)["priors"])
+        return tomllib.load(file)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from .base import USUAL_BLOOD_FRACTION, USUAL_SO2, Fraction, Positive, Table
+from .base import USUAL_BLOOD_FRACTION, USUAL_PULP_BLOOD_FRACTION, USUAL_SO2, Fraction, Positive, Table
 
 MOST_ZONES = 32
 
@@ -116,6 +116,8 @@ class Blood(Table):
     """Values of parameters that replace those of the named set, or factors on them."""
     rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
+    pulp_blood_fraction: Fraction = USUAL_PULP_BLOOD_FRACTION
+    """Volume fraction of blood in the pulp."""
     so2: Fraction = USUAL_SO2
     """Oxygen saturation of the blood; of arterial blood if venous_so2 is given."""
     venous_so2: Fraction | None = None

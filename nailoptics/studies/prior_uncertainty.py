@@ -1,12 +1,14 @@
-"""The uncertainty of an answer due to the unknown parameters of a finger: quadrature over one prior at a time."""
+"""The uncertainty of an answer due to the unknown parameters of a finger: draws from their joint prior."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
 import xarray as xr
+from scipy.stats import norm, qmc
 
 from ..errors import as_far_as_reached
 from ..light import ProgressCallback, Transfer, optics, trace
@@ -22,6 +24,8 @@ NODES = np.array([-(3**0.5), 0.0, 3**0.5])
 WEIGHTS = np.array([1, 4, 1]) / 6
 # A field this near a node, relative, is at that node.
 AT_NODE = 1e-3
+# Draws from the joint prior, and the part of them in which a sign that holds holds.
+DRAWS, SURELY = 512, 0.975
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
 OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
@@ -72,33 +76,64 @@ def over_priors(scene: Scene, priors: Sequence[Prior], answer: Callable[[Scene],
         for value in nodes_of(prior):
             there = np.isclose(value, mine, rtol=AT_NODE, atol=0)
             nodes.append(own if there else answer(at_value(scene, prior.field, value)))
-    return PriorSensitivity(tuple(priors), np.array(nodes).reshape(len(priors), len(NODES), *own.shape), own)
+    by_prior = np.array(nodes).reshape(len(priors), len(NODES), *own.shape)
+    return PriorSensitivity(tuple(priors), by_prior, own, scene.priors.correlation(priors))
+
+
+def standard_draws(correlation: np.ndarray) -> np.ndarray:
+    """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors) float.
+
+    Always the same ones: a Sobol' sequence.
+    """
+    count = len(correlation)
+    draws = norm.ppf(qmc.Sobol(count, seed=1).random(DRAWS)) if count else np.zeros((DRAWS, 0))
+    draws -= draws.mean(0)
+    draws = draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T
+    # Correlations are rounded: an eigenvalue may be a little below 0.
+    value, vector = np.linalg.eigh(correlation)
+    return np.asarray(draws @ (vector * np.sqrt(np.maximum(value, 0.0))).T)
 
 
 @dataclass(frozen=True)
 class PriorSensitivity:
-    """Answers at the nodes of every prior, by all photons and without each group of them.
+    """Quantities at the nodes of every prior, by all photons and without each group of them, and an answer by them.
 
-    The variance of an answer over the priors is the sum of what each of them makes alone; what two of them together add
-    to that is left out.
+    Between the nodes of one prior a quantity is quadratic in the standardised field, and what several priors change
+    adds up; so a logarithm, whose changes multiply, is a better quantity than what it is of. Over all priors an answer
+    has the mean and the standard deviation of its draws from their joint, correlated distribution.
 
-    nodes : (priors, 3, 1 + groups, ...) float. Answers, one prior at a time at each of its nodes.
-    own : (1 + groups, ...) float. Answers of the scene as it is.
+    nodes : (priors, 3, 1 + groups, ...) float. Quantities, one prior at a time at each of its nodes.
+    own : (1 + groups, ...) float. Quantities of the scene as it is.
+    correlation : (priors, priors) float. Of the fields, each on the scale of its prior.
+    answer : of quantities (n, ...) and the scene's own, (...), the answer; the quantities themselves if not given.
     """
 
     priors: tuple[Prior, ...]
     nodes: np.ndarray
     own: np.ndarray
+    correlation: np.ndarray
+    answer: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda values, own: values
+
+    @cached_property
+    def own_answer(self) -> np.ndarray:
+        """The answer of the scene as it is, by all photons and without each group, (1 + groups, ...) float."""
+        return np.stack([self.answer(own[None], own)[0] for own in self.own])
 
     @property
     def by_prior(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviation that each prior makes, and its standard error, (priors, ...) float each."""
-        return _root(np.stack([self._variance(k) for k in range(len(self.priors))], 1))
+        """Standard deviation that each prior makes alone, and its standard error, (priors, ...) float each."""
+        variances = []
+        for group, own in enumerate(self.own):
+            each = (
+                np.stack([self.answer(node, own) for node in self.nodes[:, :, group]], 1) if self.priors else own[None]
+            )
+            variances.append(np.tensordot(WEIGHTS, each**2, 1) - np.tensordot(WEIGHTS, each, 1) ** 2)
+        return _root(np.stack(variances))
 
     @property
     def total(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviation over all of these priors, and its standard error, (...) float each."""
-        return _root(np.sum([self._variance(k) for k in range(len(self.priors))], axis=0))
+        return _root(self._moments[1])
 
     @property
     def shift(self) -> tuple[np.ndarray, np.ndarray]:
@@ -106,33 +141,37 @@ class PriorSensitivity:
 
         Not 0 where values of the scene are not the means of their priors, or the answer bends.
         """
-        weights = WEIGHTS.reshape(-1, *([1] * self.own.ndim))
-        shift = np.sum([(weights * self._moved(k)).sum(0) for k in range(len(self.priors))], axis=0)
+        shift = self._moments[0] - self.own_answer
         return shift[0], jackknife(shift)
 
     @property
     def keeps_sign(self) -> np.ndarray:
-        """Whether an answer has one sign at every node and within its 95 % interval, (...) bool.
+        """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool."""
+        draws, noise = self.draws(0), np.nan_to_num(jackknife(self.own_answer), nan=np.inf)
+        same = (np.sign(draws) == np.sign(self.own_answer[0])).mean(0)
+        return np.asarray((same >= SURELY) & (np.abs(self.own_answer[0]) > Z95 * noise))
 
-        That interval is about the mean over these priors, of them and of the photons' noise.
-        """
-        values = np.concatenate([self.own[None, 0], self.nodes[:, :, 0].reshape(-1, *self.own.shape[1:])])
-        one_sign = (values > 0).all(0) | (values < 0).all(0)
-        noise = np.nan_to_num(jackknife(self.own), nan=np.inf)
-        mean = self.own[0] + self.shift[0]
-        return np.asarray(one_sign & (np.abs(mean) > Z95 * np.hypot(self.total[0], noise)))
-
-    def _moved(self, prior: int) -> np.ndarray:
-        """By how much the answers at one prior's nodes differ from the scene's, (3, 1 + groups, ...) float."""
+    def draws(self, group: int) -> np.ndarray:
+        """Answers at draws of the joint priors, without one group of photons (0: by all), (DRAWS, ...) float."""
+        own = self.own[group]
         # The logarithm of a reading that saw no light is not known, whatever the prior.
-        own = np.where(np.isfinite(self.own), self.own, np.nan)
-        return np.asarray(np.where(np.isfinite(self.nodes[prior]), self.nodes[prior], np.nan) - own)
+        nodes = np.where(np.isfinite(self.nodes[:, :, group]), self.nodes[:, :, group], np.nan)
+        low, middle, high = np.moveaxis(nodes, 1, 0)
+        slope, bend = (high - low) / (NODES[2] - NODES[0]), (high + low - 2 * middle) / (2 * NODES[2] ** 2)
+        values = np.tensordot(self._standard, slope, 1) + np.tensordot(self._standard**2, bend, 1)
+        values += own + (middle - own).sum(0)
+        return np.asarray(self.answer(values, own))
 
-    def _variance(self, prior: int) -> np.ndarray:
-        """Variance that one prior makes, (1 + groups, ...) float."""
-        each = self._moved(prior)
-        weights = WEIGHTS.reshape(-1, *([1] * (each.ndim - 1)))
-        return np.asarray((weights * each**2).sum(0) - (weights * each).sum(0) ** 2)
+    @cached_property
+    def _standard(self) -> np.ndarray:
+        return standard_draws(self.correlation)
+
+    @cached_property
+    def _moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Means and variances over the draws, by all photons and without each group, (1 + groups, ...) float each."""
+        draws = (self.draws(group) for group in range(len(self.own)))
+        mean, variance = zip(*((one.mean(0), one.var(0)) for one in draws), strict=True)
+        return np.stack(mean), np.stack(variance)
 
     def variables(self, name: str, dims: tuple[str, ...], text: str, untraced: int = 0) -> Variables:
         """Standard deviations, over all priors and by each, and the shift of an answer; NaN of the untraced priors."""
@@ -204,7 +243,7 @@ class ReadingUncertainty:
         data |= self.change.variables("change", pair, "the change by touch, as a part of the scene's,", count)
         text = "change by touch as a part of the reading at the start"
         data |= self.signal.variables("signal", pair, f"the {text}", count)
-        data |= variable("signal", pair, self.signal.own[0], text)
+        data |= variable("signal", pair, self.signal.own_answer[0], text)
         text = "whether the change has one sign over the evaluated priors, to which vessels and touch do not belong"
         data |= variable("keeps_sign", pair, self.signal.keeps_sign, text)
         return xr.Dataset(data).merge(prior_variables(self.level.priors, self.untraced, scene))
@@ -230,39 +269,49 @@ def readings_over_priors(
     evaluated = priors if own_traces else priors[: len(priors) - len(own)]
     limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(own), 1)
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
-    fewer = TraceOptions(seed=options.seed, backend=options.backend, photons=photons, max_seconds=limit)
+    fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
     def retraced(one: Scene) -> np.ndarray:
-        return read_by_groups(_fresh(one, fewer, progress), one, states(one), options.seed)
+        return _quantities(read_by_groups(_fresh(one, fewer, progress), one, states(one), options.seed))
 
-    base = read_by_groups(transfer, scene, states(scene), options.seed)
+    def reread(one: Scene) -> np.ndarray:
+        return _quantities(read_by_groups(transfer, one, states(one), options.seed))
+
+    base = reread(scene)
     # Of as many photons with the same random numbers, so that what all have in common cancels.
     twin = retraced(scene) if own_traces and own else base
 
     def answer(one: Scene) -> np.ndarray:
-        if light_digest(one) == light_digest(scene):
-            return read_by_groups(transfer, one, states(one), options.seed)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(base * (retraced(one) / twin))
+        return reread(one) if light_digest(one) == light_digest(scene) else base + retraced(one) - twin
 
     result = over_priors(scene, evaluated, answer)
-    # Each group's left-out change in its own unit, so that the noise that both share cancels.
-    unit = np.abs(base[..., 1] - base[..., 0])
-    level, change, signal = (
-        PriorSensitivity(result.priors, *both)
-        for both in zip(_answers(result.nodes, unit), _answers(result.own, unit), strict=True)
-    )
+    level, change, signal = (replace(result, answer=one) for one in (_level, _change, _signal))
     return ReadingUncertainty(level, change, signal, untraced=() if own_traces else tuple(own))
 
 
-def _answers(read: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Logarithm of the first reading, the change to the second in its unit, and as a part of the first, (...) float.
-
-    read : (..., 2) float.
-    """
-    first, change = read[..., 0], read[..., 1] - read[..., 0]
+def _quantities(read: np.ndarray) -> np.ndarray:
+    """Logarithms of the first reading and of the second as a part of it, of readings (..., 2), (..., 2) float."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.log(first), change / unit, change / first
+        first, second = np.moveaxis(np.log(read), -1, 0)
+        return np.stack([first, second - first], -1)
+
+
+def _level(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Logarithm of the first reading."""
+    return np.asarray(values[..., 0])
+
+
+def _signal(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """The change to the second reading, as a part of the first."""
+    return np.asarray(np.expm1(values[..., 1]))
+
+
+def _change(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(
+            np.exp(values[..., 0] - own[..., 0]) * np.expm1(values[..., 1]) / np.abs(np.expm1(own[..., 1]))
+        )
 
 
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:

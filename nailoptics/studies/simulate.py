@@ -108,15 +108,18 @@ def _spread(
     result: xr.Dataset, transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None
 ) -> xr.Dataset:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
-    blood, usual = result.blood_fraction.values[:, [0, hold_end(result)]].T, transfer.scene.blood.rest_blood_fraction
+    scene, ends = transfer.scene, [0, hold_end(result)]
 
-    def states(scene: Scene) -> np.ndarray:
+    def states(one: Scene) -> np.ndarray:
+        same = all(getattr(one.blood, name) == getattr(scene.blood, name) for name in ("tuning", "decay_length"))
+        course = result if same and one.touch == scene.touch else blood_over_touch(one)
         # Eq. (7): blood goes with the blood at rest.
-        return np.asarray(blood * (scene.blood.rest_blood_fraction / usual))
+        part = one.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0
+        return np.asarray(part * course.blood_fraction.values[:, ends].T)
 
-    own = transfer.scene.priors.own_traces
+    own = scene.priors.own_traces is not False
     over_priors = readings_over_priors(transfer, states, options=options, own_traces=own, progress=progress)
-    return over_priors.dataset(transfer.scene)
+    return over_priors.dataset(scene)
 
 
 def hold_end(result: xr.Dataset) -> int:

@@ -89,7 +89,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
     exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
     assert value == pytest.approx(np.full((1, 8), exact), rel=0.01) and (error < 1e-6).all()
     # No light went through the bed, so touch changes nothing.
-    assert (found.signal.own == 0).all() and not found.signal.keeps_sign.any()
+    assert (found.signal.own_answer == 0).all() and not found.signal.keeps_sign.any()
 
 
 @pytest.mark.slow
@@ -141,7 +141,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
     for k in range(parts):
         part = replace(light.select(of == k), photons=light.photons // parts)
         found = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
-        each.append([(*one.total, one.own[0]) for one in (found.level, found.change, found.signal)])
+        each.append([(*one.total, one.own_answer[0]) for one in (found.level, found.change, found.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
     for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
         truth = one.total[0][0]
@@ -162,21 +162,50 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     value, error = (each[1] for each in found.level.by_prior)
     assert (value > 3 * error).sum() > 4
     # A plate that scatters more passes less: the nodes fall in order, where the photodiodes see enough light.
-    nodes = found.level.nodes[1, :, 0, 0]
+    nodes = found.level.nodes[1, :, 0, 0, :, 0]
     assert (np.diff(nodes[:, 2:6], axis=0) < 0).all()
     assert (found.level.total[0] >= without.level.total[0] - 1e-12).all()
 
 
-def test_a_sign_holds_where_no_node_and_no_sum_of_them_turns_it():
-    prior = shipped_priors()[0]
-    nodes = np.zeros((1, 3, 5, 1, 3))
-    nodes[0, :, :] = np.array([[1.0, 1.0, 0.5], [1.2, 2.0, 1.0], [1.4, -0.5, 6.0]])[:, None, None]
-    own = np.broadcast_to(np.array([1.2, 1.0, 1.0]), (5, 1, 3))
-    assert PriorSensitivity((prior,), nodes, own).keeps_sign.tolist() == [[True, False, False]]
-    # Nor does it where photons alone could have made it: with four groups their error here is 0.8 of the first answer.
+def test_a_sign_holds_where_nearly_all_draws_have_it_beyond_noise():
+    """Rationale: a normal answer of mean 1 is above 0 in 97.5 % where its standard deviation is 1 / 1.96."""
+    prior, root3 = shipped_priors()[0], 3**0.5
+    sd = np.array([0.9 / Z95, 1.1 / Z95])
+    nodes = 1 + np.array([-root3, 0.0, root3])[None, :, None, None, None] * np.broadcast_to(sd, (1, 3, 5, 1, 2))
+    own = np.ones((5, 1, 2))
+    one = np.eye(1)
+    assert PriorSensitivity((prior,), nodes, own, one).keeps_sign.tolist() == [[True, False]]
+    # Nor does it where photons alone could have made it: with four groups their error here is 0.8 of the answer.
     noisy = own * np.array([1.0, 1.4, 0.6, 1.4, 0.6])[:, None, None]
     assert jackknife(noisy)[0, 0] > own[0, 0, 0] / Z95
-    assert not PriorSensitivity((prior,), nodes, noisy).keeps_sign.any()
+    assert not PriorSensitivity((prior,), nodes, noisy, one).keeps_sign.any()
+
+
+def test_correlated_priors_add_up_as_their_correlation_says():
+    """Expected: var(a u + b v) = a^2 + b^2 + 2 r a b, and of squares 2 (a^2 + b^2 + 2 r^2 a b)."""
+    priors, root3 = shipped_priors()[:2], 3**0.5
+    linear, bent = np.array([-root3, 0.0, root3]), np.array([3.0, 0.0, 3.0])
+    a, b = 1.0, -0.5
+    nodes = np.stack([[a * linear, a * bent], [b * linear, b * bent]])
+    nodes = np.moveaxis(nodes, 2, 1)[:, :, None] * np.ones((1, 1, 5, 1))
+    for r in (0.0, 0.6, -0.8):
+        found = PriorSensitivity(tuple(priors), nodes, np.zeros((5, 2)), np.array([[1, r], [r, 1]]))
+        assert found.by_prior[0] == pytest.approx(np.outer(np.abs([a, b]), [1, 2**0.5]))
+        # 512 draws have these correlations exactly, and those of their squares nearly.
+        expected = np.sqrt([a**2 + b**2 + 2 * r * a * b, 2 * (a**2 + b**2 + 2 * r**2 * a * b)])
+        assert found.total[0] == pytest.approx(expected, rel=0.08)
+        assert found.shift[0] == pytest.approx([0, a + b], abs=1e-9)
+
+
+def test_shipped_correlations_are_possible_and_left_out_for_own_ranges():
+    own = PriorRange(field="finger.plate_scattering", low=0.9, high=1.1)
+    for priors in (Priors(), Priors(ranges=(own,)), Priors(known=("blood.so2",))):
+        matrix = priors.correlation(priors.of_finger())
+        assert (matrix == matrix.T).all() and (np.diag(matrix) == 1).all()
+        assert np.linalg.eigvalsh(matrix).min() > 0
+        fields = [one.field for one in priors.of_finger()]
+        row = matrix[fields.index("finger.plate_scattering")]
+        assert (np.count_nonzero(row) > 1) == (not priors.ranges)
 
 
 def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
@@ -195,7 +224,7 @@ def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
     assert found.keeps_sign.all()
     # Far from 0 at the scene, but not over the prior.
     nodes = np.array([0.02, 0.3, 0.6])[None, :, None, None] + 0 * found.nodes
-    assert not PriorSensitivity((prior,), nodes, 1.2 * found.own).keeps_sign.any()
+    assert not PriorSensitivity((prior,), nodes, 0.6 * found.own, np.eye(1)).keeps_sign.any()
 
 
 @pytest.mark.slow
@@ -226,7 +255,7 @@ def test_a_simulated_touch_reports_its_prior_uncertainty_if_enabled(chosen_jit):
         ),
         ('known = ["blood.so2", "blood.so2"]', "used twice"),
         ('[[priors.ranges]]\nfield = "blood.so2"\nlow = 0.9\nhigh = 0.8', "low = 0.9 must be below high = 0.8"),
-        ('[[priors.ranges]]\nfield = "blood.so2"\nlow = -0.9\nhigh = 0.8', "priors.ranges.* = -0.9"),
+        ('[[priors.ranges]]\nfield = "blood.so2"\nlow = -0.9\nhigh = 0.8', "priors: ranges.* = -0.9"),
     ],
 )
 def test_impossible_priors_are_refused_in_one_line(lines, words):

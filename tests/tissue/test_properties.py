@@ -1,5 +1,6 @@
 """Tissue: absorption and scattering against their literature, the nail plate against its facts, bad input refused."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,9 @@ import pytest
 from nailoptics import tissue
 from nailoptics.assets import asset_path, read_table
 from nailoptics.errors import InputError
+from nailoptics.scene import Priors
+from nailoptics.scene.priors import shipped_priors
+from nailoptics.tissue import properties
 
 
 def test_blood_absorbs_as_in_prahls_table():
@@ -118,16 +122,22 @@ def plate_transmission(mu_a_per_mm, mu_s_reduced_per_mm, thickness_mm):
     return float(slab.rt()[1])
 
 
+# How many times as much as a living plate a dry one scatters, on which transmittance was measured: of the fit.
+DRY = 3.3
+
+
 def test_the_nail_plate_transmits_red_more_than_blue_and_hardly_uv():
     # The facts and their sources stand in the header of assets/spectra/nail_plate.csv.
     table = read_table("spectra/nail_plate.csv")
     wavelength_nm = np.arange(400, 760, 50.0)
     rows = np.searchsorted(table["wavelength_nm"], wavelength_nm)
     mu_a, reduced = table["mu_a_per_mm"][rows], table["mu_s_reduced_per_mm"][rows]
+    reduced = DRY * reduced
     passed = np.array([plate_transmission(a, s, 0.44) for a, s in zip(mu_a, reduced, strict=True)])
-    assert passed[1] == pytest.approx(0.20, abs=0.002)
+    # Within the standard deviation between nails that the fit has.
+    assert abs(np.log(passed[1] / 0.20)) < 0.35
     # "Highest at longer wavelengths, decreasing gradually"; not more than a plate that absorbs nothing would pass.
-    assert (np.diff(passed) > 0).all() and (np.diff(passed[1:]) < 0.06).all()
+    assert (np.diff(passed) > 0).all() and (np.diff(passed[1:]) < 0.08).all()
     assert passed[-1] < plate_transmission(0.0, reduced[-1], 0.44)
     # Nails between 0.40 and 0.48 mm differ by less than the 0.56 to 2.43 % of UV-A that ten nails passed.
     assert 0.0165 < passed[0] < 0.5 * passed[1]
@@ -137,25 +147,53 @@ def test_transmission_falls_exponentially_with_the_plates_thickness():
     thicknesses_mm = np.linspace(0.3, 0.9, 5)
     for wavelength_nm in (450.0, 550.0, 620.0, 700.0):
         plate = tissue.optical_properties("plate", wavelength_nm)
-        reduced = plate.mu_s_per_mm * (1 - plate.g)
+        reduced = DRY * plate.mu_s_per_mm * (1 - plate.g)
         passed = [plate_transmission(plate.mu_a_per_mm, reduced, d) for d in thicknesses_mm]
-        # Exponential: the loss per mm is the same at each thickness, within 5 %.
+        # Exponential: the loss per mm is the same at each thickness, within 12 %: red is absorbed the least.
         loss_per_mm = -np.diff(np.log(passed)) / np.diff(thicknesses_mm)
-        assert np.ptp(loss_per_mm) < 0.05 * loss_per_mm.mean()
+        assert np.ptp(loss_per_mm) < 0.12 * loss_per_mm.mean()
         # A plate that only scatters would not do so: this is what tells that it absorbs.
         clear = [plate_transmission(0.0, reduced, d) for d in thicknesses_mm]
         assert np.ptp(np.diff(np.log(clear))) > 0.2 * np.abs(np.diff(np.log(clear)).mean())
 
 
-def test_the_shipped_nail_plate_is_what_its_script_fits():
+@pytest.mark.slow
+def test_the_shipped_nail_plate_and_its_priors_are_what_their_script_fits():
     script = Path(__file__).parents[2] / "assets/spectra/fit_nail_plate.py"
-    printed = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout.splitlines()
+    code = "import fit_nail_plate as f; p = f.Posterior(); print(f.table(p) + f.priors(p), end='')"
+    run = [sys.executable, "-c", code]
+    printed = subprocess.run(run, cwd=script.parent, capture_output=True, text=True, check=True).stdout.splitlines()
     shipped = asset_path("spectra/nail_plate.csv").read_text(encoding="utf-8").splitlines()
     header = [line for line in shipped if line.startswith("#")]
     assert printed[: len(header) + 1] == shipped[: len(header) + 1]
     # The last digit may differ from machine to machine.
-    fitted, kept = (np.loadtxt(lines[len(header) + 1 :], delimiter=",") for lines in (printed, shipped))
+    lines = printed[len(header) + 1 : len(shipped)], shipped[len(header) + 1 :]
+    fitted, kept = (np.loadtxt(each, delimiter=",") for each in lines)
     assert fitted == pytest.approx(kept, rel=1e-3)
+    of = {one.field: one for one in shipped_priors()}
+    for line in printed[len(shipped) :]:
+        if match := re.fullmatch("(.*): low = (.*), high = (.*)", line):
+            low, high = float(match[2]), float(match[3])
+            assert (of[match[1]].low, of[match[1]].high) == pytest.approx((low, high), rel=0.01, abs=0.01)
+    correlations = re.findall(r'fields = \["(.*)", "(.*)"\]\nvalue = (.*)', "\n".join(printed[len(shipped) :]))
+    assert len(correlations) > 5
+    for first, second, value in correlations:
+        matrix = Priors().correlation([of[first], of[second]])
+        assert matrix[0, 1] == pytest.approx(float(value), abs=0.011)
+
+
+def test_ring_fingers_have_the_skin_that_the_pulp_is_fitted_to():
+    script = Path(__file__).parents[2] / "assets/spectra/fit_fingertip_skin.py"
+    printed = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout
+    fit = re.search(r"scattering x(.*) \(wavelength/500\)\^(.*), absorption x(.*), blood (.*)", printed)
+    shipped = (
+        *(getattr(properties, f"PULP_{name}") for name in ("SCATTERING", "SCATTERING_POWER", "ABSORPTION")),
+        0.019,
+    )
+    assert [float(one) for one in fit.groups()] == pytest.approx(shipped, abs=0.005)
+    assert int(re.search(r"quartiles at (\d+) of 31", printed)[1]) >= 27
+    within = [int(one) for one in re.findall(r"back of hand .* within 5-95 % at (\d+)", printed)]
+    assert len(within) == 8 and min(within) == 31
 
 
 def test_the_beds_default_absorption_is_the_median_of_five_measurements():

@@ -222,12 +222,10 @@ def spread_of_colours(
     """Standard deviation of L*, a* and b* over each prior of the scene, and over all together.
 
     On the middle of the nail and on the skin behind it, at the first of the forces. What only absorbs is reread from
-    the rays; what scatters is walked anew, with the same random numbers at each of its values. The thickness of the bed
-    is left out.
+    the rays; what scatters or is shaped otherwise is walked anew, with the same random numbers at each of its values.
     """
     scene, sites = nail.scene, (ALONG // 2, 0)
-    priors = [prior for prior in scene.priors.of_finger() if prior.field != "finger.bed_thickness_mm"]
-    priors.sort(key=lambda prior: not only_absorbs(scene, prior))
+    priors = sorted(scene.priors.of_finger(), key=lambda prior: not only_absorbs(scene, prior))
     own = light_digest(scene)
 
     def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:

@@ -149,7 +149,9 @@ def resolution_over_priors(
     chosen = chosen[: len(results)]
     nodes, own = (np.full((*one.shape, len(layouts)), np.nan) for one in results[0])
     nodes[..., chosen], own[..., chosen] = (np.stack(one, -1) for one in zip(*results, strict=True))
-    return _dataset(PriorSensitivity(tuple(evaluated), nodes, own), chosen, untraced, scene)
+    return _dataset(
+        PriorSensitivity(tuple(evaluated), nodes, own, scene.priors.correlation(evaluated)), chosen, untraced, scene
+    )
 
 
 class _Resolution:
