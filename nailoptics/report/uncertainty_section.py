@@ -122,7 +122,8 @@ def spread_section(result: xr.Dataset) -> str:
     sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
     note = (
         "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
-        f"layout; together they vary as their correlations say (assets/priors.toml). Ranges of absorption and scattering are factors. {sources}."
+        "layout; together they vary as their correlations say. Ranges of absorption and scattering are factors. "
+        f"{sources}."
     )
     return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), small(note))
 

@@ -22,8 +22,8 @@ from ..variables import Variables, variable
 # Gauss-Hermite quadrature of three nodes: in standard deviations from the mean, and their weights.
 NODES = np.array([-(3**0.5), 0.0, 3**0.5])
 WEIGHTS = np.array([1, 4, 1]) / 6
-# A field this near a node, relative, is at that node.
-AT_NODE = 1e-3
+# A parabola through the nodes at the ends and the scene's value needs that to be no nearer to them.
+MOST_OFFSET = 1.0
 # Draws from the joint prior, and the part of them in which a sign that holds holds.
 DRAWS, SURELY = 512, 0.975
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
@@ -67,17 +67,30 @@ def nodes_of(prior: Prior) -> tuple[float, ...]:
 def over_priors(scene: Scene, priors: Sequence[Prior], answer: Callable[[Scene], np.ndarray]) -> "PriorSensitivity":
     """Carry an answer over priors, one at a time.
 
-    answer : of a scene, by all photons and without each group of them, (1 + groups, ...) float.
+    answer : of a scene, by all photons and without each group of them, (1 + groups, ...) float. Where another value
+        takes a trace, that of the middle node is on the parabola through the ends and the scene's own.
     """
     own = answer(scene)
     nodes = []
     for prior in priors:
-        mine = value_of(scene, prior.field)
-        for value in nodes_of(prior):
-            there = np.isclose(value, mine, rtol=AT_NODE, atol=0)
-            nodes.append(own if there else answer(at_value(scene, prior.field, value)))
+        ends = nodes_of(prior)[::2]
+        low, high = (answer(at_value(scene, prior.field, value)) for value in ends)
+        offset = offset_of(scene, prior)
+        if abs(offset) < MOST_OFFSET and not only_absorbs(scene, prior):
+            middle = own * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
+            middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
+        else:
+            middle = answer(at_value(scene, prior.field, nodes_of(prior)[1]))
+        nodes.append([low, middle, high])
     by_prior = np.array(nodes).reshape(len(priors), len(NODES), *own.shape)
     return PriorSensitivity(tuple(priors), by_prior, own, scene.priors.correlation(priors))
+
+
+def offset_of(scene: Scene, prior: Prior) -> float:
+    """The scene's value less the mean of a prior, in its standard deviations."""
+    (mean, sd), value = prior_of(prior), value_of(scene, prior.field)
+    with np.errstate(divide="ignore"):
+        return float(((np.log(value) if prior.scale == "log" else value) - mean) / sd)
 
 
 def standard_draws(correlation: np.ndarray) -> np.ndarray:
@@ -208,11 +221,7 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
         data |= variable(f"prior_{field}", "prior", [getattr(one, field) for one in priors], text)
     ends = [[one.low, one.high] for one in priors]
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
-    offsets = []
-    for one in priors:
-        (mean, sd), value = prior_of(one), value_of(scene, one.field)
-        with np.errstate(divide="ignore"):
-            offsets.append(((np.log(value) if one.scale == "log" else value) - mean) / sd)
+    offsets = [offset_of(scene, one) for one in priors]
     text = "the scene's value less the mean of its prior, in standard deviations"
     data |= variable("prior_offset", "prior", offsets, text)
     how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in evaluated]
