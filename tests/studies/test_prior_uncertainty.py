@@ -152,9 +152,9 @@ def test_the_standard_error_of_a_spread_is_true(traced):
 
 def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     # A plate far clearer than these passes no more light to what lies next to the LED.
-    own = PriorRange(field="finger.plate_scattering", low=0.6, high=1.667)
+    own = PriorRange(field="finger.plate_scattering", low=0.25, high=2.5)
     scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"), ranges=(own,))
-    transfer = trace(scene, photons=200_000, seed=1)
+    transfer = trace(scene, photons=400_000, seed=1)
     without = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
     assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
     found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)

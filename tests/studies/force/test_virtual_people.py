@@ -19,6 +19,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.touch import value_at
+from nailoptics.studies.prior_uncertainty import value_of
 
 
 def test_eight_people_differ_in_all_that_the_papers_did():
@@ -45,14 +46,10 @@ def test_eight_people_differ_in_all_that_the_papers_did():
 
 
 def test_tissue_of_all_people_lies_within_the_shipped_priors():
-    import tomllib
-
-    priors = tomllib.loads((data_dir("assets") / "priors.toml").read_text())["priors"]
     for name in people():
-        scene = load_person(name).model_dump()
-        for prior in priors:
-            table, field = prior["field"].split(".")
-            assert prior["low"] <= scene[table][field] <= prior["high"], (name, prior["field"])
+        scene = load_person(name)
+        for prior in scene.priors.of_finger():
+            assert prior.low <= value_of(scene, prior.field) <= prior.high, (name, prior.field)
 
 
 def test_touches_are_those_of_the_paper():
