@@ -30,6 +30,8 @@ KNOTS_PER_PERIOD = 128
 KNOTS_PER_RELAXATION = 16
 # Of one beat: its extremes are missed by less than 0.3 % of the pulse.
 SAMPLES_PER_BEAT = 64
+# Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
+PA_PER_M_OF_BLOOD = 1.04e4
 CONTACT = ("contact_area_mm2", "proximal_share", "proximal_area_mm2", "distal_area_mm2")
 
 
@@ -159,6 +161,19 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
     return own if stated_pa is None else own.replace(arterial_pressure_pa=stated_pa)
 
 
+def with_posture(parameters: hemodynamics.Parameters, body: Body | None) -> hemodynamics.Parameters:
+    """The vessels under the pressures that the hand's height and the veins give them."""
+    if body is None:
+        return parameters
+    fall_pa = PA_PER_M_OF_BLOOD * body.hand_height_m
+    low_pa = parameters.venous_pressure_pa if body.venous_pressure_pa is None else body.venous_pressure_pa
+    # Veins above the heart collapse: their pressure falls no further than to that around them.
+    return parameters.replace(
+        arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa,
+        venous_pressure_pa=max(low_pa - fall_pa, min(low_pa, 0.0)),
+    )
+
+
 def capillary_zones(scene: Scene) -> hemodynamics.Zones:
     """How the scene cuts the nail bed into capillary units, and how far the touch's pressures reach."""
     blood, edges_mm, touch = scene.blood, scene.zone_edges_mm, scene.touch
@@ -183,9 +198,11 @@ def zones_of_photodiodes(scene: Scene) -> np.ndarray:
 class BloodModel:
     """What a scene says of the blood under its nail, for the network of vessels.
 
+    rest : the vessels as the blood at rest holds for them; parameters : under the hand's height, too.
     zone_ends_mm : (zones + 1,) float. Where zones meet along the nail, from the cuticle to the tip. [mm]
     """
 
+    rest: hemodynamics.Parameters
     parameters: hemodynamics.Parameters
     zones: hemodynamics.Zones
     touch: TouchCourse
@@ -198,7 +215,7 @@ class BloodModel:
         """Small arteries and arterioles; None where no heart beats, or the bed has no blood."""
         if self.blood.rest_blood_fraction == 0.0:
             return None
-        return arterioles_of(self.body, mean_pa=self.parameters.arterial_pressure_pa)
+        return arterioles_of(self.body, mean_pa=self.rest.arterial_pressure_pa)
 
     @property
     def rest_fraction(self) -> float:
@@ -209,7 +226,7 @@ class BloodModel:
     def fraction(self, diameter_m: np.ndarray, touch_pa: ArrayLike, *, unit: int | None = None) -> np.ndarray:
         """Blood fraction of each zone, or of one, by the diameter of its capillaries and the touch on them. [1]"""
         own: dict[str, Any] = {"rest_blood_fraction": self.blood.rest_blood_fraction, "zones": self.zones, "unit": unit}
-        return hemodynamics.blood_fraction(self.parameters, diameter_m, touch_pa=touch_pa, **own)
+        return hemodynamics.blood_fraction(self.rest, diameter_m, touch_pa=touch_pa, **own)
 
     def steady(self, pressure_pa: np.ndarray) -> np.ndarray:
         """Blood fractions once pressures (M, n) have been held for long, (n, zones) float. [1]"""
@@ -217,7 +234,7 @@ class BloodModel:
         touch_pa, small = self.zones.on_walls(pressure_pa)[:-1], self.arterioles
         fraction = self.fraction(state.capillary_diameter_m, touch_pa)
         if small is not None:
-            fraction = fraction + small.fraction(small.mean_pa - touch_pa)
+            fraction = fraction + small.fraction(self.parameters.arterial_pressure_pa - touch_pa)
         return fraction.T
 
     def without_shear(self) -> "BloodModel":
@@ -240,7 +257,8 @@ class BloodModel:
         if body is None or not body.moves:
             return None
         if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-            return hemodynamics.Waveform(time_s=body.recorded_time_s, pressure_pa=body.recorded_arterial_pressure_pa)
+            pressure_pa = np.array(body.recorded_arterial_pressure_pa) - PA_PER_M_OF_BLOOD * body.hand_height_m
+            return hemodynamics.Waveform(time_s=body.recorded_time_s, pressure_pa=pressure_pa)
         spacing_s = 1.0 / (KNOTS_PER_PERIOD * fastest_hz(body))
         since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
         pressure = waves_pressure(body, since_s, mean_pressure_pa=self.parameters.arterial_pressure_pa)
@@ -249,9 +267,10 @@ class BloodModel:
     def arteriolar_pressure_pa(self) -> np.ndarray:
         """The pressure in arterioles at the samples of the touch, (t,) float, or that of arterioles at rest. [Pa]"""
         small, since_s = self.arterioles, self.touch.samples_s - self.touch.samples_s[0]
+        mean_pa = self.parameters.arterial_pressure_pa
         if self.body is None or small is None:
-            return np.full(since_s.shape, self.parameters.arterial_pressure_pa)
-        return waves_pressure(self.body, since_s, mean_pressure_pa=small.mean_pa, pulse_ratio=small.pulse_ratio)
+            return np.full(since_s.shape, mean_pa)
+        return waves_pressure(self.body, since_s, mean_pressure_pa=mean_pa, pulse_ratio=small.pulse_ratio)
 
     def capillary_saturation(self, run: xr.Dataset, fraction: np.ndarray) -> np.ndarray:
         """Saturation of the capillaries' blood by the balance of oxygen, whose pulse is arterial, (zones, t) float. [1]
@@ -269,9 +288,9 @@ class BloodModel:
             """Inflow, which goes with the fourth power of the diameter, and outflow."""
             return (high_pa - capillary_pa) * diameter_m**4, capillary_pa - vein_pa
 
-        rest = hemodynamics.steady_state(self.parameters, zones=self.zones)
+        rest = hemodynamics.steady_state(self.rest, zones=self.zones)
         pressures = rest.capillary_diameter_m, rest.capillary_pressure_pa, rest.vein_pressure_pa
-        at_rest = flows(*pressures, self.parameters.arterial_pressure_pa)
+        at_rest = flows(*pressures, self.rest.arterial_pressure_pa)
         names = "capillary_diameter_m", "capillary_pressure_pa", "vein_pressure_pa", "arterial_pressure_pa"
         both = zip(flows(*(run[name].values for name in names)), at_rest, strict=True)
         # What a wall that moves takes up or gives off does not flow through.
@@ -338,7 +357,8 @@ def blood_model(scene: Scene) -> BloodModel:
     assert scene.finger is not None
     half_mm = scene.finger.nail_length_mm / 2
     return BloodModel(
-        parameters=vessels(scene),
+        rest=(rest := vessels(scene)),
+        parameters=with_posture(rest, scene.body),
         zones=capillary_zones(scene),
         touch=touch_course(scene.touch),
         body=scene.body,
@@ -402,7 +422,7 @@ def blood_by_arterial_pressure(scene: Scene, frequency_hz: ArrayLike, force_n: f
     if (small := model.arterioles) is not None:
         # All that is slower than a beat has the height in arterioles that it has in P_H.
         beats = np.asarray(frequency_hz) > 0.99 * heart_rate_per_min(scene) / 60.0
-        compliance = small.compliance_per_pa(small.mean_pa - model.zones.on_walls(pressure_pa[:, None])[:-1])
+        compliance = small.compliance_per_pa(p.arterial_pressure_pa - model.zones.on_walls(pressure_pa[:, None])[:-1])
         change = change + compliance * np.where(beats, small.pulse_ratio, 1.0)
     return change
 

@@ -109,6 +109,11 @@ class Body(Table):
     """The breath."""
     vasomotion: Vasomotion | None = None
     """Slow waves of the vessels' tone."""
+    hand_height_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    """Height of the hand above that at which P_H and P_L hold, by which both fall (rho g h); veins of a raised hand
+    collapse at a P_L of 0. The blood at rest is that without it. [m]"""
+    venous_pressure_pa: Annotated[float, Field(ge=-5000, le=10_000)] | None = None
+    """Venous pressure P_L, in place of the vessels' own, at which the blood at rest holds. [Pa]"""
     drift: Drift | None = None
     """The slow wander of LEDs and readings."""
     motion: Motion | None = None

@@ -71,6 +71,16 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
     )
 
 
+def posture_force_n(scene: Scene, force_n: float) -> float:
+    """The false force by the hand's height and venous pressure of a scene while a force is held: what their change of
+    both zones' blood is as a change of both touch pressures, on their areas. [N]"""
+    assert scene.body is not None
+    without = scene.body.model_copy(update={"hand_height_m": 0.0, "venous_pressure_pa": None})
+    usual = operating_point(scene.model_copy(update={"body": without}), force_n)
+    moved = operating_point(scene, force_n).blood_fraction - usual.blood_fraction
+    return float(usual.force_per_pa @ np.linalg.lstsq(usual.blood_per_pa, moved)[0])
+
+
 @dataclass(frozen=True)
 class Response:
     """What photodiodes read and how it changes, any shape (...).

@@ -11,11 +11,14 @@ from ..light import optics
 from ..light.diffusion import DiffusionModel
 from ..scene import Scene
 from ..sensor import electronics
+from ..sensor.information import posture_force_n
 from .oximetry.disturbances import warnings_without_light
 from .placement import boards, candidates
 
 # Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
 MAY_BE_FULL = 0.6
+# Forces beside which a change of posture is shown as a false one. [N]
+POSTURE_FORCES_N = (0.1, 0.5)
 
 
 def check_scene(scene: Scene) -> dict[str, Any]:
@@ -44,7 +47,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     if scene.board.unmapped is not None:
         file = scene.board.kicad or scene.board.positions
         report["ignored"] = {str(file): list(scene.board.unmapped)}
-    report["warnings"] += _beyond_the_nail(scene)
+    report["warnings"] += _beyond_the_nail(scene) + _posture(scene)
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
     report["warnings"] += full + warnings_without_light(scene)
@@ -55,6 +58,15 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         ignored = {c.positions or c.kicad: list(c.unmapped) for c in scene.placement.candidates if c.unmapped}
         report["ignored"] = report.get("ignored", {}) | ignored
     return report
+
+
+def _posture(scene: Scene) -> list[str]:
+    """The false force that the hand's height and venous pressure make, beside some forces."""
+    if scene.body is None or not (scene.body.hand_height_m or scene.body.venous_pressure_pa is not None):
+        return []
+    false_n = [posture_force_n(scene, force_n) for force_n in POSTURE_FORCES_N]
+    shown = " and ".join(f"{n:+.2g} N at {at:g} N" for n, at in zip(false_n, POSTURE_FORCES_N, strict=True))
+    return [f"body: hand_height_m and venous_pressure_pa are a false force of {shown}, if rest was read without them"]
 
 
 def _led(led: Any) -> dict[str, Any]:

@@ -1,0 +1,79 @@
+"""The hand's height and the venous pressure: what they make of the blood, and the force that they feign."""
+
+import numpy as np
+import pytest
+from small_scenes import SMALL_FINGER_BEST
+
+from nailoptics.errors import InputError
+from nailoptics.hemodynamics import parameters, steady_state
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood, touch_areas_mm2
+from nailoptics.scene import parse_scene
+from nailoptics.sensor.information import posture_force_n
+from nailoptics.studies.scene_check import check_scene
+
+FORCES_N = [0.0, 0.5, 1.0]
+
+
+def scene_with(body: str, more: str = ""):
+    return parse_scene(SMALL_FINGER_BEST + more + body)
+
+
+def test_a_height_moves_both_pressures_by_the_weight_of_the_blood() -> None:
+    usual = parameters("best")
+    for height_m, low_pa in ((-0.2, 2080.0), (0.2, 0.0)):
+        scene = scene_with(f"[body]\nhand_height_m = {height_m}\n")
+        worn = blood_model(scene).parameters
+        assert worn.arterial_pressure_pa == pytest.approx(1e4 - 1.04e4 * height_m)
+        # Veins of a raised hand collapse instead.
+        assert worn.venous_pressure_pa == pytest.approx(low_pa)
+        moved = usual.replace(arterial_pressure_pa=worn.arterial_pressure_pa, venous_pressure_pa=low_pa)
+        width, rest = (steady_state(one).capillary_diameter_m for one in (moved, usual))
+        assert steady_blood(scene, [0.0])[0] == pytest.approx(0.03 * (width / rest) ** 2, rel=1e-9)
+
+
+def test_a_venous_pressure_fills_the_bed() -> None:
+    filled = steady_blood(scene_with("[body]\nvenous_pressure_pa = 1000.0\n"), FORCES_N)
+    assert (filled > steady_blood(scene_with(""), FORCES_N)).all()
+
+
+def test_without_height_and_venous_pressure_nothing_moves() -> None:
+    touch = "[touch]\nforce_n = 1.0\nduration_s = 2.0\n"
+    plain, level = (blood_over_touch(scene_with(body, touch)) for body in ("", "[body]\nhand_height_m = 0.0\n"))
+    assert np.array_equal(plain.blood_fraction, level.blood_fraction)
+
+
+def test_a_lowered_hands_arterioles_are_wider() -> None:
+    body = "[body.heartbeat]\n[body]\nhand_height_m = {}\n"
+    low, level, high = (steady_blood(scene_with(body.format(h)), [0.0])[0, 0] for h in (-0.3, 0.0, 0.3))
+    assert low > level > high and level == pytest.approx(0.05)
+
+
+def test_the_false_force_of_a_small_change_moves_the_blood_as_it_does() -> None:
+    scene, force_n = scene_with("[body]\nvenous_pressure_pa = 20.0\n"), 0.3
+    change = steady_blood(scene, [force_n]) - steady_blood(scene_with(""), [force_n])
+    # A touch on both sides whose pressures change by what the force of either side is.
+    false_n = posture_force_n(scene, force_n)
+    areas_m2 = 1e-6 * np.array(touch_areas_mm2(scene))
+    per_pa = []
+    for step in np.eye(2):
+        moved = blood_model(scene_with("")).touch.held_pa([force_n])[:, 0] + step
+        per_pa.append(
+            blood_model(scene_with("")).steady(moved[:, None])[0] - steady_blood(scene_with(""), [force_n])[0]
+        )
+    assert false_n == pytest.approx(areas_m2 @ np.linalg.solve(np.transpose(per_pa), change[0]), rel=0.02)
+    assert posture_force_n(scene_with("[body]\nhand_height_m = 0.0\n"), force_n) == 0.0
+
+
+def test_check_states_the_false_force() -> None:
+    (line,) = [x for x in check_scene(scene_with("[body]\nhand_height_m = -0.1\n"))["warnings"] if "hand_height" in x]
+    assert "false force of +0." in line and "N at 0.5 N" in line
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("hand_height_m = 1.5", "hand_height_m = 1.5"), ("venous_pressure_pa = 2e4", "venous_pressure_pa")],
+)
+def test_a_posture_that_cannot_be_is_refused_in_one_line(line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        scene_with(f"[body]\n{line}\n")
+    assert "\n" not in str(error.value)
