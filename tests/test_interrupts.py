@@ -119,7 +119,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
     recording.write_text("\n".join([names, *lines]) + "\n")
     command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
     for twice in (True, False):
-        ended = interrupted_at("nailoptics.light.tracing.store:LedSource.batch", *command, twice=twice)
+        ended = interrupted_at("nailoptics.light.tracing.trace_scene:LedSource.batch", *command, twice=twice)
         assert (ended.code, ended.later) == (130, 0)
         assert ended.said[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..errors import InputError
 from ..geometry import SPACING_MM, Face, underside
-from ..io import CorruptError
 from ..scene import Scene
 from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
@@ -20,8 +19,8 @@ from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
-from .tracing.store import LightStore, made_of
-from .transfer.records import FINGER_BATCH_PHOTONS, check_arrays
+from .tracing.store import LightStore, made_of, stored_or_made
+from .transfer.records import FINGER_BATCH_PHOTONS
 from .transfer.reweight import attenuation
 
 if TYPE_CHECKING:
@@ -85,12 +84,8 @@ class Arrivals:
         return replace(self.select(self.photon % step == first), photons=len(range(first, self.photons, step)))
 
     @classmethod
-    def from_stored(cls, photons: int, absorbers: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
-        """What such arrays were made of, bit for bit; raises CorruptError where they can be of no such photons."""
-        shapes: dict[str, tuple[int, ...]] = {"photon": (-1,), "weight": (-1,), "path_mm": (-1, absorbers)}
-        check_arrays(arrays, shapes | ({"place_mm": (-1, 2)} if "place_mm" in arrays else {}))
-        if (arrays["photon"] >= photons).any():
-            raise CorruptError("it counts more photons than there are")
+    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
+        """What such arrays were made of, bit for bit."""
         photon = arrays["photon"].astype(np.int64)
         place = arrays["place_mm"].astype(float) if "place_mm" in arrays else np.full((len(photon), 2), np.nan)
         return cls(photons, photon, place, arrays["weight"].astype(float), arrays["path_mm"])
@@ -125,11 +120,6 @@ class BoardTracer:
         self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
 
     @cached_property
-    def absorbers(self) -> int:
-        """How many absorbers the photons' paths are in."""
-        return len(optics.absorbers(self.scene))
-
-    @cached_property
     def tracer(self) -> "FingerTracer":
         """What walks the photons; it takes a second to make, and is not made where all light is stored."""
         backends.activate(self.backend)
@@ -150,17 +140,13 @@ class BoardTracer:
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
-        if self.store is None:
-            return build(trace())
-        made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
-        traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
-        stored = self.store.light(made | {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()})
-        stored_map = stored.read(name, lambda about, arrays: build(arrays))
-        if stored_map is None:
-            arrays = trace()
-            stored.write(name, {}, arrays)
-            stored_map = build(arrays)
-        return stored_map
+        lights = []
+        if self.store is not None:
+            made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
+            traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
+            made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()}
+            lights = [self.store.light(made)]
+        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: build(arrays))[0]
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
@@ -170,7 +156,7 @@ class BoardTracer:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
             return arrived.reweighted(self._accepted(0, cos)).stored()
 
-        build = partial(Arrivals.from_stored, photons, self.absorbers)
+        build = partial(Arrivals.from_stored, photons)
         return self._stored(led, f"arrivals{seed}-{photons}", trace, build)
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
@@ -194,8 +180,8 @@ class BoardTracer:
 
         def build(arrays: dict[str, np.ndarray]) -> tuple[Arrivals, Arrivals]:
             left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
-            arrived = Arrivals.from_stored(photons, self.absorbers, arrays)
-            return arrived, Arrivals.from_stored(photons, self.absorbers, left)
+            arrived = Arrivals.from_stored(photons, arrays)
+            return arrived, Arrivals.from_stored(photons, left)
 
         return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
 
@@ -222,8 +208,7 @@ class BoardTracer:
         from .walk.tallies import BoardTally
 
         backends.activate(self.backend)
-        angles = any(one.angular_response is not None for one in self.scene.photodiodes)
-        tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths, angles=angles)
+        tally = BoardTally(self.tracer.geometry, photons=photons, paths=self.tracer.paths)
         walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally)
         photon, place, weight, paths, cos = tally.arrays()
         left = np.flatnonzero(walked.outcome == TOP)
@@ -249,23 +234,14 @@ class BoardTracer:
         in each cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
         """
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
-
-        def trace() -> dict[str, np.ndarray]:
-            means, sensitivity = self._detected(led, point, photons=photons, seed=seed, cells=cells)
-            return {"means": means, "sensitivity": sensitivity}
-
-        def build(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-            count = len(self.scene.layout.photodiodes)
-            shapes = {"means": (count, 2 + len(point.beds)), "sensitivity": (count, *cells.shape)}
-            check_arrays(arrays, shapes)
-            return arrays["means"], arrays["sensitivity"]
-
+        trace = partial(self._detected, led, point, photons=photons, seed=seed, cells=cells)
         name = f"detected{seed}-{photons}"
-        return self._stored(led, name, trace, build, blood=blood, cells=list(cells.shape))
+        arrays = self._stored(led, name, trace, dict, blood=blood, cells=list(cells.shape))
+        return arrays["means"], arrays["sensitivity"]
 
     def _detected(
         self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> dict[str, np.ndarray]:
         from .walk.interfaces import DETECTED
         from .walk.sampling import acceptance_of
         from .walk.tallies import SensitivityTally
@@ -278,14 +254,14 @@ class BoardTracer:
         values = point.values(arrived)
         means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
         if not len(ended):
-            return means, np.zeros((count, *cells.shape))
+            return {"means": means, "sensitivity": np.zeros((count, *cells.shape))}
         counts, detector = np.zeros(photons), np.zeros(photons, int)
         counts[ended], detector[ended] = values[:, 0], where
         tally = SensitivityTally(cells, (counts, detector), count)
         again = self.tracer.walk(led, photons=photons, seed=seed, which=ended, section=tally).outcome[ended]
         if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
             raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
-        return means, tally.sums() / (photons * cells.volume_mm3)
+        return {"means": means, "sensitivity": tally.sums() / (photons * cells.volume_mm3)}
 
     def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
         """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail

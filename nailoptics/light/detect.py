@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -25,9 +24,8 @@ from .identity import led_digest, light_scene
 from .reference import readings as volpath
 from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
-from .tracing.store import LightStore, made_of
+from .tracing.store import LightStore, made_of, stored_or_made
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
-from .transfer.records import check_arrays
 from .transfer.series import ReadingSeries, readings_over_states
 
 T = TypeVar("T")
@@ -224,23 +222,14 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     if light.transfer is None:
         return _section(scene, options, geometry.build(scene))
     options = replace(options, backend=backends.choose(options.backend).name)
-    store, result = LightStore.of_user() if options.store else None, None
+    store, lights = LightStore.of_user() if options.store else None, []
     if store is not None:
         made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
-        stored = store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})
+        lights = [store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})]
 
-        def build(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> xr.Dataset:
-            section = from_record(header, arrays)
-            pixels = section.section_region.shape
-            check_arrays(arrays, {"section_region": pixels, "path_density": (len(scene.leds), *pixels)})
-            return section
-
-        result = stored.read("section", build)
-    if result is None:
-        result = _section(light_scene(scene), options)
-        if store is not None:
-            stored.write("section", *to_record(result))
-            store.close()
+    result, _ = stored_or_made(lights, "section", lambda: to_record(_section(light_scene(scene), options)), from_record)
+    if store is not None:
+        store.close()
     # Its light knows no names.
     result.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
     return result
@@ -294,8 +283,8 @@ def _light_by_volpath(
         options.relative_error,
     )
     begin, cpu = time.perf_counter(), time.process_time()
-    finger, corners = geometry.build(scene), volpath.corner_states(states)
-    traced = volpath.read_leds(scene, options, partial(volpath.finger_readings, scene, finger, corners, progress))
+    corners = volpath.corner_states(states)
+    traced = volpath.read_leds(scene, options, progress, corners)
     fraction, stderr, ratio, ratio_stderr = (
         np.stack([getattr(one, name) for one in traced])
         for name in ("fraction", "fraction_stderr", "ratio", "ratio_stderr")
@@ -352,16 +341,14 @@ def _rest_by_volpath(
     scene: Scene, options: TraceOptions, progress: ProgressCallback | None
 ) -> tuple[RestReadings, NotReachedError | None]:
     """The readings of a scene at rest, traced by volpath."""
-    if scene.phantom is not None:
-        read = partial(volpath.phantom_readings, scene, progress)
-    else:
+    rest = None
+    if scene.phantom is None:
         target = options.relative_error or VOLPATH_RELATIVE_ERROR
         if options.relative_error is None and options.max_seconds is None:
             log.warning("volpath traces a finger to a relative error, not a number of photons; it takes %g", target)
         options = replace(options, relative_error=target)
         rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
-        read = partial(volpath.finger_readings, scene, geometry.build(scene), rest, progress)
-    traced = volpath.read_leds(scene, options, read)
+    traced = volpath.read_leds(scene, options, progress, rest)
     rows = []
     for led, one in zip(scene.leds, traced, strict=True):
         values = zip(photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.build import LED_LIGHT
 from ..scene import Scene, digest
 from ..scene.finger import ABSORBING
 from ..scene.parts import ELECTRICAL
@@ -86,6 +87,5 @@ def led_digest(scene: Scene, led: int) -> str:
     light = light_scene(scene)
     if scene.phantom is not None:
         return digest(light.model_copy(update={"leds": (light.leds[led],)}))
-    unlit = {"wavelength_nm": 800.0, "pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
-    dies = (one if i == led else one.model_copy(update=unlit) for i, one in enumerate(light.leds))
+    dies = (one if i == led else one.model_copy(update=LED_LIGHT) for i, one in enumerate(light.leds))
     return digest(light.model_copy(update={"leds": tuple(dies)}))

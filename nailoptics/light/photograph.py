@@ -13,7 +13,7 @@ from .. import geometry as finger_geometry
 from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
-from .reference.mitsuba_scene import stock_mitsuba
+from .reference.mitsuba_scene import rectangle, stock_mitsuba
 from .walk.nail_reflectance import as_seen
 
 Array = NDArray[np.float64]
@@ -79,26 +79,16 @@ def _part(
     at = np.clip(np.stack([np.abs(points[:, 0]), points[:, 1]], -1), places.min(0), places.max(0))
     smooth = RBFInterpolator(places, colours[own], neighbors=min(24, len(places)), smoothing=2.0, kernel="linear")
     colour = np.clip(smooth(at), 0.0, 1.0)
-    shape = mi.Mesh(kind, len(points), len(triangles), has_vertex_normals=True, props=_surface(mi, kind))
+    surface, base = mi.Properties(), {"type": "mesh_attribute", "name": "vertex_color"}
+    bsdf = {"type": "principled", "base_color": base, "roughness": ROUGHNESS[kind], "specular": 0.5}
+    surface["bsdf"] = mi.load_dict(bsdf)
+    shape = mi.Mesh(kind, len(points), len(triangles), has_vertex_normals=True, props=surface)
     shape.add_attribute("vertex_color", 3, colour.astype(np.float32).ravel())
     params = mi.traverse(shape)
     params["vertex_positions"] = points.astype(np.float32).ravel()
     params["faces"] = flat.reshape(-1, 3).astype(np.uint32).ravel()
     params.update()
     return shape
-
-
-def _surface(mi: Any, kind: str) -> Any:
-    props = mi.Properties()
-    props["bsdf"] = mi.load_dict(
-        {
-            "type": "principled",
-            "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
-            "roughness": ROUGHNESS[kind],
-            "specular": 0.5,
-        }
-    )
-    return props
 
 
 def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, camera_mm: Point) -> NDArray[np.uint8]:
@@ -111,16 +101,8 @@ def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, cam
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 6},
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": SKY}},
-        "window": {
-            "type": "rectangle",
-            "to_world": window,
-            "light": {"type": "area", "radiance": {"type": "rgb", "value": WINDOW}},
-        },
-        "desk": {
-            "type": "rectangle",
-            "to_world": desk,
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": DESK}},
-        },
+        "window": rectangle(window, light={"type": "area", "radiance": {"type": "rgb", "value": WINDOW}}),
+        "desk": rectangle(desk, bsdf={"type": "diffuse", "reflectance": {"type": "rgb", "value": DESK}}),
         "camera": {
             "type": "perspective",
             "fov": FIELD_OF_VIEW_DEG,

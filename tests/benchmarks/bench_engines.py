@@ -15,7 +15,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reference.mitsuba_scene import BedAbsorption, FingerPaths
+from nailoptics.light.reference.mitsuba_scene import BedAbsorption, Paths, finger_paths
 
 GROUPS = ((0, 1, 2), (3, 4), (5, 6, 7))
 PATHS = 11264
@@ -50,14 +50,14 @@ def main() -> None:
         print(f"  all          photons / volpath {weight @ ratio:.4f} +- {np.sum(spread**-2) ** -0.5:.4f}")
 
 
-def volpath(scene: nail.Scene, group: tuple[int, ...]) -> FingerPaths:
+def volpath(scene: nail.Scene, group: tuple[int, ...]) -> Paths:
     """Paths from the LED's die to a group of photodiodes."""
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
     rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
     chosen = backend.choose("auto", volpath=True)
-    return FingerPaths(shape, found, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
+    return finger_paths(shape, found, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
 
 
 if __name__ == "__main__":

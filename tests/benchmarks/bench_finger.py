@@ -18,6 +18,7 @@ from nailoptics.light.transfer.series import readings_over_states
 
 PHOTODIODE = 1
 MORE_BLOOD = 1.1
+PATHS = 11264
 
 
 def main() -> None:
@@ -45,13 +46,13 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     shape, zones = geometry.build(scene), optics.zones(scene)
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
-    from nailoptics.light.reference.mitsuba_scene import BedAbsorption, FingerPaths
+    from nailoptics.light.reference.mitsuba_scene import BedAbsorption, finger_paths
 
     means, variances, cpu = [], [], 0.0
     for k, state in enumerate(states):
         mu_a = optics.absorption(scene, led, blood_fraction=state)[0]
         bed = BedAbsorption(v, (zones.weights(v) @ mu_a[1 : 1 + zones.count])[None])
-        paths = FingerPaths(
+        paths = finger_paths(
             shape,
             optics.finger_media(scene, shape.regions, led),
             bed=bed,
@@ -59,9 +60,8 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
             photodiodes=(PHOTODIODE,),
             backend=backend.choose("llvm", volpath=True),
         )
-        count = paths.paths_for(1.0)
         start = time.process_time()
-        batches = np.array([paths.batch(paths=count, seed=100 * k + i)[0] for i in range(12)])
+        batches = np.array([paths.batch(paths=PATHS, seed=100 * k + i)[0] for i in range(12)])
         cpu += time.process_time() - start
         means.append(batches.mean())
         variances.append(batches.var(ddof=1) / len(batches))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nailoptics.geometry import build, distance_grid
-from nailoptics.geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
+from nailoptics.geometry.distance import CAP_MM, NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
 
 
 def exact_distance(point, corners):
@@ -33,7 +33,7 @@ def test_bounds_hold_and_are_tight(geometry, spacing):
     close = ((corners.min(axis=1) < bounds[1] + 1) & (corners.max(axis=1) > bounds[0] - 1)).all(axis=1)
     corners = corners[close]
     true = np.array([exact_distance(p, corners) for p in grid.centers(cells)])
-    short = np.minimum(true, grid.cap_mm) - grid.distance_mm[tuple(cells.T)]
+    short = np.minimum(true, CAP_MM) - grid.distance_mm[tuple(cells.T)]
     assert short.min() >= 0
     assert (short[true < 0.5 * spacing] <= 0.4 * spacing).all()
     assert (short[true >= 0.5 * spacing] <= 0.3 * spacing + 0.02 * true[true >= 0.5 * spacing]).all()
@@ -46,7 +46,7 @@ def test_the_air_has_no_distance_and_tissue_has(geometry):
     air = geometry.region_at(grid.centers(cells)) == 0
     assert (grid.distance_mm.ravel()[air] == 0).all()
     assert (grid.distance_mm.ravel()[~air] > 0).mean() > 0.5
-    assert grid.distance_mm.max() == pytest.approx(grid.cap_mm, rel=1e-5)
+    assert grid.distance_mm.max() == pytest.approx(CAP_MM, rel=1e-5)
 
 
 def in_the_plate(geometry, bounds, count):

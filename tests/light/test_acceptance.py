@@ -60,8 +60,8 @@ def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power
         """Even radiance on a face, from a little below it."""
 
         def emit(self, rng, index):
-            p, w = super().emit(rng, index)
-            return mi.Point3f(p + 0.01 * w), mi.Vector3f(-w)
+            p, w, cos = super().emit(rng, index)
+            return mi.Point3f(p + 0.01 * w), mi.Vector3f(-w), cos
 
     emitter = Inwards(tracer.geometry.photodiodes[chosen], LAMBERTIAN, tracer.regions[0].epoxy)
     ends = PhotonEnds(photons, paths=tracer.paths, media=len(tracer.regions[0].absorbing))

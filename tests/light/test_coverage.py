@@ -11,12 +11,12 @@ from small_scenes import phantom
 import nailoptics as nail
 from nailoptics import tissue
 from nailoptics.light import Transfer, optics, read_rest
+from nailoptics.light.backend import ENGINES, Backend
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.tracing import trace_scene
-from nailoptics.light.tracing.store import LedSource
-from nailoptics.light.tracing.trace_scene import take_batches
+from nailoptics.light.tracing.trace_scene import LedSource, LightEngine, take_batches
 from nailoptics.light.tracing.trigger import LedTrigger
-from nailoptics.light.transfer.records import LedRecords, LedTrace, joined
+from nailoptics.light.transfer.records import ENERGY, LedTrace, joined
 from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
@@ -197,25 +197,31 @@ class Urn:
     probability = 0.05
     truth = probability / 4  # the mean of u^3
 
-    def mu_a(self, led: int) -> np.ndarray:
-        return np.zeros(1)
-
     def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         rng = np.random.default_rng(seed)
         count = int(rng.binomial(photons, self.probability))
         weight = rng.random(count) ** 3
         path_mm = np.zeros((count, 1), np.float32)
-        return LedTrace(photons, np.zeros(1), np.zeros(count, np.uint16), weight, path_mm, {}, (seed,))
+        return LedTrace(
+            photons,
+            np.zeros(1),
+            np.zeros(count, np.uint16),
+            weight,
+            path_mm,
+            dict.fromkeys(ENERGY, (0.0, 0.0)),
+            (seed,),
+        )
 
 
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
-    rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), urn.mu_a(0), full=urn.batch_photons)
-    records = LedRecords(rule.rest)
-    take_batches(LedSource(lambda: urn, 0, urn.mu_a(0), photodiodes=1, seed=seed), rule, records)
+    rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), np.zeros(1), full=urn.batch_photons)
+    engine = LightEngine(urn.scene, Backend("llvm", None, ENGINES, "made up"))
+    engine._opened = urn
+    take_batches(LedSource(urn.scene, 0, engine, seed=seed), rule)
     assert rule.met
-    trace = records.trace()
+    trace = rule.trace()
     total = trace.weight.sum()
     error = stderr_of_mean(total, (trace.weight**2).sum(), trace.photons) * trace.photons / total
     return float(total / trace.photons / Urn.truth - 1), float(error)

@@ -85,7 +85,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    paths = mitsuba_scene.FingerPaths(
+    paths = mitsuba_scene.finger_paths(
         shape,
         found,
         bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),

@@ -8,7 +8,7 @@ from small_scenes import phantom
 
 from nailoptics.light.tracing import Ending, Trigger, run_until, seconds_per_sample
 from nailoptics.light.tracing.trigger import LedTrigger
-from nailoptics.light.transfer.records import LedRecords, LedTrace
+from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Accuracy, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
 
@@ -23,16 +23,15 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
     """
     rng = np.random.default_rng(seed)
     trigger = LedTrigger(SCENE, 0, Accuracy(relative_error=target), np.zeros(1), full=PHOTONS)
-    records, number = LedRecords(trigger.rest), 0
+    number = 0
     while trigger.next_batch():
         detected = int(rng.binomial(PHOTONS, PROBABILITY))
         weight = np.exp(spread * rng.normal(size=detected) - spread**2 / 2)
         path_mm = np.zeros((detected, 1), np.float32)
         batch = LedTrace(PHOTONS, np.zeros(1), np.zeros(detected, np.uint16), weight, path_mm, {}, (number,))
         trigger.add(batch)
-        records.add(batch)
         number += 1
-    trace = records.trace()
+    trace = trigger.trace()
     total = trace.weight.sum()
     error = float(stderr_of_mean(total, (trace.weight**2).sum(), trace.photons)) * trace.photons / total
     assert error == pytest.approx(trigger.error) and error <= target and trigger.unmet_reason() is None

@@ -11,8 +11,7 @@ with less noise. All three colours of an rgb variant are plain floats here; they
 import math
 import sys
 import tempfile
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,6 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Face, Geometry
 from ...scene import Led, Phantom, Scene
-from ...statistics import seed_of
 from ..backend import Backend, Name, activate, choose
 from ..optics import Media
 
@@ -138,6 +136,11 @@ def emitter(colour: list[float]) -> dict[str, Any]:
     return {"type": "area", "radiance": {"type": "rgb", "value": colour}}
 
 
+def rectangle(to_world: Any, **more: Any) -> dict[str, Any]:
+    """A rectangle; more : its BSDF, media, emitter or sensor."""
+    return {"type": "rectangle", "to_world": to_world} | more
+
+
 def check_pattern(led: Led) -> None:
     """Raise InputError for an LED that stock sensors cannot stand for."""
     if led.pattern == "measured":
@@ -162,11 +165,9 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
     for i in range(len(layers) + 1):
         if math.isinf(z[i]):
             break
-        scene[f"face_{i}"] = {
-            "type": "rectangle",
-            "to_world": T().translate([0, 0, float(z[i])]).scale([INFINITE_MM, INFINITE_MM, 1]),
-            "bsdf": boundary(n_below=n[i + 1], n_above=n[i]),
-        } | sides(below=media[i + 1], above=media[i])
+        place = T().translate([0, 0, float(z[i])]).scale([INFINITE_MM, INFINITE_MM, 1])
+        between = sides(below=media[i + 1], above=media[i])
+        scene[f"face_{i}"] = rectangle(place, bsdf=boundary(n_below=n[i + 1], n_above=n[i]), **between)
     reach = max(math.hypot(*(abs(c) + s / 2 for c, s in zip(w.center_mm, w.size_mm, strict=True))) for w in windows)
     gap = GAP * (1 + reach)
     for i, window in enumerate(windows):
@@ -174,12 +175,8 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
             continue
         flip = T().rotate([1, 0, 0], 180) if window.top else T()
         height = gap if window.top else float(z[-1]) - gap
-        scene[f"window_{i}"] = {
-            "type": "rectangle",
-            "to_world": (T().translate([*window.center_mm, height]) @ flip).scale([*np.divide(window.size_mm, 2), 1]),
-            "bsdf": BLACK,
-            "emitter": emitter([float(i == k) for k in range(3)]),
-        }
+        place = (T().translate([*window.center_mm, height]) @ flip).scale([*np.divide(window.size_mm, 2), 1])
+        scene[f"window_{i}"] = rectangle(place, bsdf=BLACK, emitter=emitter([float(i == k) for k in range(3)]))
     x, y = led.position_mm
     if led.pattern == "pencil":
         look = T().look_at(origin=[x, y, gap / 2], target=[x, y, -1.0], up=[0, 1, 0])
@@ -191,15 +188,11 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
             "film": RGB_FILM,
         }
     else:
-        scene["die"] = {
-            "type": "rectangle",
-            "to_world": T().translate([x, y, gap / 2])
-            @ T().rotate([1, 0, 0], 180)
-            @ T().scale([*np.divide(led.size_mm, 2), 1]),
-            # In a phantom the die stands in nobody's way.
-            "bsdf": {"type": "null"},
-            "sensor": {"type": "irradiancemeter", "film": RGB_FILM},
-        }
+        place = T().translate([x, y, gap / 2]) @ T().rotate([1, 0, 0], 180)
+        place = place @ T().scale([*np.divide(led.size_mm, 2), 1])
+        # In a phantom the die stands in nobody's way.
+        meter = {"type": "irradiancemeter", "film": RGB_FILM}
+        scene["die"] = rectangle(place, bsdf={"type": "null"}, sensor=meter)
     return scene
 
 
@@ -322,7 +315,7 @@ def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
     try:
         yield mi
     finally:
-        if before:
+        if before and mi.variant() != before:
             mi.set_variant(before)
 
 
@@ -338,80 +331,64 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
     return np.asarray(mean)
 
 
-def phantom_fractions(
-    scene: Scene,
-    windows: Sequence[Window],
-    *,
-    led: int = 0,
-    batches: int,
-    paths_per_batch: int,
-    seed: int,
-    backend: Backend | None = None,
-) -> NDArray[np.float64]:
-    """The fraction of an LED's power that leaves a phantom through up to three windows, (batches, windows) float.
+class Paths:
+    """Traces one LED's light to up to three readings at once.
+
+    made : the scene of a Mitsuba, which may write meshes to a folder; colour k of its film is reading k.
+    scale : (channels,) float. Fraction of the LED's power per colour.
+    """
+
+    def __init__(
+        self, made: Callable[[Any, Path], dict[str, Any]], scale: Sequence[float], backend: Backend | None
+    ) -> None:
+        self._backend, self._scale = backend or choose(volpath=True), np.array(scale)
+        with stock_mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
+            self._scene = mi.load_dict(made(mi, Path(folder)), optimize=False)
+
+    def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
+        """Fractions of the LED's power from one batch, (channels,) float; kernels cannot be interrupted."""
+        with stock_mitsuba(self._backend) as mi:
+            return np.asarray(_render(mi, self._scene, paths=paths, seed=seed)[: len(self._scale)] * self._scale)
+
+
+def phantom_paths(scene: Scene, windows: Sequence[Window], *, led: int = 0, backend: Backend | None = None) -> Paths:
+    """An LED's light that leaves a phantom through up to three windows.
 
     Raises: InputError for an LED with a measured pattern.
     """
     assert scene.phantom is not None
     phantom, source = scene.phantom, scene.leds[led]
-    # What is reciprocal is radiance over n squared.
-    scale = np.array([1.0 if window.top else (phantom.n_below / phantom.n_above) ** 2 for window in windows])
-    # A beam reads the radiance that leaves along it; a die reads irradiance, pi times as much.
-    scale /= 1.0 if source.pattern == "pencil" else math.pi
-    with stock_mitsuba(backend) as mi:
-        loaded = mi.load_dict(phantom_scene(mi, phantom, source, windows), optimize=False)
-        colours = np.stack([_render(mi, loaded, paths=paths_per_batch, seed=seed_of(seed, k)) for k in range(batches)])
-    return np.asarray(colours[:, : len(windows)] * scale)
+    # What is reciprocal is radiance over n squared. A beam reads the radiance that leaves along it; a die reads
+    # irradiance, pi times as much.
+    below = (phantom.n_below / phantom.n_above) ** 2
+    read = 1.0 if source.pattern == "pencil" else math.pi
+    scale = [(1.0 if window.top else below) / read for window in windows]
+    return Paths(lambda mi, _: phantom_scene(mi, phantom, source, windows), scale, backend)
 
 
-class FingerPaths:
-    """Traces one LED of a finger to one photodiode in up to three blood states, or to up to three in one state.
+def finger_paths(
+    geometry: Geometry,
+    media: Media,
+    *,
+    bed: BedAbsorption,
+    led: int,
+    photodiodes: tuple[int, ...],
+    backend: Backend | None = None,
+) -> Paths:
+    """An LED's light on one photodiode of a finger in up to three blood states, or on up to three in one state.
 
-    geometry : the finger.
     media : optics of its regions; the bed's own mu_a is not used.
     bed : absorption of the bed along the nail in each state.
     led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
         several only with one state.
     """
+    channels, die = max(len(bed.mu_a_per_mm), len(photodiodes)), geometry.leds[led]
+    colours = {geometry.photodiodes[p].region: [float(i == k) for k in range(3)] for i, p in enumerate(photodiodes)}
+    if len(photodiodes) == 1:
+        colours = dict.fromkeys(colours, [1.0, 1.0, 1.0])
 
-    def __init__(
-        self,
-        geometry: Geometry,
-        media: Media,
-        *,
-        bed: BedAbsorption,
-        led: int,
-        photodiodes: tuple[int, ...],
-        backend: Backend | None = None,
-    ) -> None:
-        states = len(bed.mu_a_per_mm)
-        self.channels, die = max(states, len(photodiodes)), geometry.leds[led]
-        colours = {geometry.photodiodes[p].region: [float(i == k) for k in range(3)] for i, p in enumerate(photodiodes)}
-        if len(photodiodes) == 1:
-            colours = dict.fromkeys(colours, [1.0, 1.0, 1.0])
-        self._backend = backend or choose(volpath=True)
-        with stock_mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
-            made = finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=Path(folder))
-            self._scene = mi.load_dict(made, optimize=False)
+    def made(mi: Any, folder: Path) -> dict[str, Any]:
+        return finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)
 
-    def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
-        """Detected fraction of the LED's power in each state or photodiode from one batch, (channels,) float.
-
-        Cannot be interrupted where kernels are compiled: ask `paths_for` how many paths a second or two can hold.
-        """
-        with stock_mitsuba(self._backend) as mi:
-            # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
-            return _render(mi, self._scene, paths=paths, seed=seed)[: self.channels] / math.pi
-
-    def paths_for(self, seconds: float) -> int:
-        """How many paths take about this long; measured, and rounded to whole samples per pixel."""
-        paths = 4 * PIXELS
-        self.batch(paths=paths, seed=0)  # compiles kernels
-        while True:
-            start = time.perf_counter()
-            self.batch(paths=paths, seed=1)
-            spent = time.perf_counter() - start
-            if spent > 0.1 * seconds or paths >= MAX_SPP * PIXELS:
-                batch_paths = int(paths * seconds / max(spent, 1e-6)) // PIXELS * PIXELS
-                return min(max(batch_paths, PIXELS), MAX_SPP * PIXELS)
-            paths *= 4
+    # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
+    return Paths(made, [1 / math.pi] * channels, backend)

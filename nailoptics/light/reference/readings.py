@@ -2,15 +2,15 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...geometry import Geometry
+from ...geometry import Geometry, build
 from ...options import TraceOptions
 from ...scene import Scene
 from ...scene.parts import check_flat
@@ -18,23 +18,22 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import choose
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
+from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
-from .mitsuba_scene import LEAVING, BedAbsorption, FingerPaths, Window, check_pattern, phantom_fractions
+from . import mitsuba_scene
+from .mitsuba_scene import LEAVING, PIXELS, BedAbsorption, Paths, Window
 
-# Batches per photodiode that settle how its states differ; their noise is shared, so few do.
-RATIO_BATCHES = 16
-RATIO_SHARE = 0.4
-BATCH_SECONDS = 1.5
-# Batches are skewed: few of them look settled too soon, and stopping whenever they do favours low ones. So none stops
-# before so many, and what is still needed is decided in few rounds.
-LEAST_BATCHES = 30
-ROUND_FACTOR = 4.0
-# A photodiode that so many batches saw nothing of is taken for unlit.
-UNLIT_BATCHES = 400
-# Batches of each round over a phantom, whose spread gives the standard error.
-ROUND_BATCHES = 32
+# Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
+# stopping whenever they do favours low ones. So none stops before so many, and few rounds decide what is still needed.
+ROUND_BATCHES, ROUND_GROWTH = 32, 3.0
+# Every group of readings gets so many batches, whatever the time.
+LEAST_BATCHES = 8
 # Paths of the first round, and most paths of one batch, which runs uninterrupted.
-FIRST_ROUND, MAX_BATCH_PATHS = 1 << 16, 1 << 18
+FIRST_ROUND, MAX_BATCH_PATHS = 1 << 14, 1 << 15
+# A photodiode that so many paths saw nothing of is taken for unlit.
+UNLIT_PATHS = 1 << 23
+# States or photodiodes that one path reads.
+COLOURS = 3
 # A zone whose blood changes by less than this part of it gets a state of its own, so that its mean path is known: by a
 # fifth more, or less where half is blood; without blood, by a thousandth.
 LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
@@ -52,7 +51,7 @@ class StateReadings:
     fraction, fraction_stderr : (photodiodes, states) float. Detected fraction of the LED's power; the error is infinite
         where nothing was detected.
     ratio, ratio_stderr : (photodiodes, states) float. Reading over that of the first state; far less noisy than either.
-    batches, paths : How many in all.
+    paths : How many every reading rests on, at least.
     unmet_reason : Why some fraction does not have the relative error that was required; None if all have.
     interrupted : Whether that is because the user ended it.
     energy : Where the light went, with standard errors; None where that is not known.
@@ -62,11 +61,133 @@ class StateReadings:
     fraction_stderr: NDArray[np.float64]
     ratio: NDArray[np.float64]
     ratio_stderr: NDArray[np.float64]
-    batches: int
     paths: int
     unmet_reason: str | None
+    interrupted: bool
     energy: dict[str, tuple[float, float]] | None = None
-    interrupted: bool = False
+
+
+@dataclass(eq=False)
+class _Group:
+    """Readings that share their paths.
+
+    make : the paths, once the first batch is due.
+    photodiodes : names of those that it reads, or of the one that it reads in several states; none where it reads
+        parts of the LED's power.
+    sizes, rows : paths of each batch, and what it read, (channels,) float.
+    size, planned : paths of the next batch, and of all that are planned.
+    """
+
+    make: Callable[[], Paths]
+    photodiodes: Sequence[str]
+    sizes: list[int] = field(default_factory=list)
+    rows: list[NDArray[np.float64]] = field(default_factory=list)
+    size: int = 0
+    planned: int = 0
+
+    @cached_property
+    def traced(self) -> Paths:
+        """The paths."""
+        return self.make()
+
+    @property
+    def paths(self) -> int:
+        """How many there are."""
+        return sum(self.sizes)
+
+    def plan(self, more: int) -> None:
+        """Plan a round of more paths."""
+        self.planned += more
+        self.size = min(PIXELS * math.ceil(more / (ROUND_BATCHES * PIXELS)), MAX_BATCH_PATHS)
+
+    def batch(self, seed: int) -> None:
+        """Trace one batch."""
+        self.rows.append(self.traced.batch(paths=self.size, seed=seed))
+        self.sizes.append(self.size)
+
+    @property
+    def error(self) -> float:
+        """The largest relative standard error of a photodiode in its first state; an absolute one of parts."""
+        if len(self.sizes) < 2:
+            return math.inf
+        mean, stderr = pooled(self.sizes, np.array(self.rows))
+        of = mean[: len(self.photodiodes)] if self.photodiodes else np.ones_like(mean)
+        return float(np.max(np.divide(stderr[: len(of)], of, out=np.full_like(of, math.inf), where=of > 0)))
+
+
+def pooled(sizes: Sequence[int], rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean of batches (b, k) of so many paths (b,), and its standard error, (k,) float each."""
+    weight = np.array(sizes) / sum(sizes)
+    mean = weight @ rows
+    return mean, np.sqrt(weight**2 @ (rows - mean) ** 2 * (len(rows) / (len(rows) - 1)))
+
+
+def ratio_to_first(sizes: Sequence[int], rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ratio of each column's mean to the first column's, and its standard error; columns share their noise.
+
+    sizes, rows : as for `pooled`. Returns two (k,) floats; ones with infinite errors where nothing was detected.
+    """
+    mean, _ = pooled(sizes, rows)
+    if not mean[0] > 0:
+        return np.ones_like(mean), np.full_like(mean, math.inf)
+    ratio = mean / mean[0]
+    return ratio, pooled(sizes, rows - rows[:, :1] * ratio)[1] / mean[0]
+
+
+def _sample(
+    groups: Sequence[_Group], led: str, options: TraceOptions, seed: int, progress: ProgressCallback | None
+) -> tuple[str | None, bool]:
+    """Trace groups of readings of an LED in rounds until each has the paths or the error that are required.
+
+    No batch begins after max_seconds, but for the first few of each group.
+
+    Returns: why what is required was not reached, if it was not, and whether the user interrupted.
+    """
+    begin, photons, max_seconds = time.perf_counter(), options.photons, options.max_seconds or math.inf
+    # Without a tolerance or a number the time alone ends it.
+    target = options.relative_error or 0.0
+    trigger = Trigger(target=target, first=FIRST_ROUND, margin=1.05, growth=ROUND_GROWTH)
+    dark = []
+    for group in groups:
+        group.plan(photons or trigger.first)
+
+    def seconds() -> float:
+        return time.perf_counter() - begin
+
+    def worst() -> float:
+        return max(group.error for group in groups)
+
+    def needed() -> Iterator[_Group]:
+        while unfinished := [group for group in groups if group.paths < group.planned]:
+            yield min(unfinished, key=lambda group: group.paths / group.planned)
+
+    def sample(group: _Group) -> None:
+        group.batch(seed_of(seed, groups.index(group), len(group.sizes)))
+        if group.paths < group.planned or photons:
+            return
+        unread = [name for name, lit in zip(group.photodiodes, np.any(group.rows, axis=0), strict=False) if not lit]
+        if unread and group.paths >= UNLIT_PATHS:
+            dark.append(unlit(led, unread[0], group.paths))
+        elif more := trigger.needed(group.paths, group.error):
+            group.plan(more)
+
+    def is_late(_: _Group) -> bool:
+        return seconds() >= max_seconds and min(len(group.sizes) for group in groups) >= LEAST_BATCHES
+
+    def report() -> None:
+        if progress:
+            paths, error = min(group.paths for group in groups), worst()
+            share = max(paths / photons if photons else trigger.share_done(error), seconds() / max_seconds)
+            progress(TraceProgress(led, paths, error, target or None, min(1.0, share), seconds()))
+
+    ending, so_far = run_until(needed(), sample, is_late=is_late, report=report), f"relative error {worst():.3g}"
+    if ending is Ending.INTERRUPTED:
+        if min(len(group.sizes) for group in groups) < 2:
+            raise KeyboardInterrupt
+        return f'interrupted: LED "{led}" has {so_far}.', True
+    if ending is Ending.OUT_OF_TIME and (photons or target):
+        return out_of_time(led, f"{so_far}, {target:g} requested" if target else so_far), False
+    return (dark[0] if dark else None), False
 
 
 def finger_states(
@@ -81,178 +202,75 @@ def finger_states(
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
 
-    Colour channels first separate the states, photodiode by photodiode, which settles the ratios; then the
-    photodiodes, three in one trace, which settles the level. The first part always runs, whatever the time; an
-    interrupt (from `progress`) in the second ends it with what is there.
+    The colours of a path are the states of one photodiode, or three photodiodes in one state.
 
-    options : with a relative error, which every reading must reach; no new batch begins after max_seconds.
+    options : with a relative error, which every reading must reach.
 
     Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
-    check_pattern(scene.leds[led])
+    mitsuba_scene.check_pattern(scene.leds[led])
     check_flat(scene.photodiodes, "volpath")
-    tracer = partial(FingerPaths, geometry, media, led=led, backend=choose(options.backend, volpath=True))
-    names = [face.name for face in geometry.photodiodes]
-    batches = _Batches(tracer, bed, geometry.leds[led].name, names, options, progress, seed_of(options.seed, led))
-    ratio, ratio_stderr = batches.settle_ratios()
-    reason = batches.settle_levels()
-    mean = np.array([np.mean(values) for values in batches.level])
-    relative = np.array([relative_stderr(values) for values in batches.level])
-    fraction = mean[:, None] * ratio
-    error = np.full_like(fraction, math.inf)
-    lit = mean > 0
-    error[lit] = fraction[lit] * np.hypot(relative[lit, None], ratio_stderr[lit] / ratio[lit])
-    paths, interrupted = batches.done * batches.paths, batches.interrupted
-    return StateReadings(fraction, error, ratio, ratio_stderr, batches.done, paths, reason, interrupted=interrupted)
+    backend = choose(options.backend, volpath=True)
+    paths = partial(mitsuba_scene.finger_paths, geometry, media, bed=bed, led=led, backend=backend)
+    names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
+    together = 1 if states > 1 else COLOURS
+    parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
+    groups = [_Group(partial(paths, photodiodes=part), [names[i] for i in part]) for part in parts]
+    options = replace(options, photons=None)
+    # One change of Mitsuba's variant for all batches.
+    with mitsuba_scene.stock_mitsuba(backend):
+        reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
+    return _readings(groups, reason, interrupted, states=states)
 
 
-@dataclass
-class _Batches:
-    """The batches of one LED as they come, all of one size, so that all weigh the same.
-
-    done, paths : How many batches there are, and the paths of each.
-    level : Of each photodiode, its readings in the first state, batch by batch.
-    start : of the performance counter. [s]
-    """
-
-    tracer: Callable[..., FingerPaths]
-    bed: BedAbsorption
-    led: str
-    photodiodes: list[str]
-    options: TraceOptions
-    progress: ProgressCallback | None
-    seed: int
-    interrupted: bool = False
-    done: int = 0
-    paths: int = 0
-    start: float = field(default_factory=time.perf_counter)
-
-    def __post_init__(self) -> None:
-        self.target, self.max_seconds = self.options.relative_error or 0.0, self.options.max_seconds or math.inf
-        self.level: list[list[float]] = [[] for _ in self.photodiodes]
-        self.trigger = Trigger(target=self.target, first=LEAST_BATCHES, margin=1.05, growth=ROUND_FACTOR - 1)
-
-    def settle_ratios(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Each state's reading over that of the first state, and its standard error, (photodiodes, states) float."""
-        ratios = []
-        for i in range(len(self.level)):
-            traced, rows = self.tracer(bed=self.bed, photodiodes=(i,)), []
-            share = RATIO_SHARE * self.max_seconds / (RATIO_BATCHES * len(self.level))
-            self.paths = self.paths or traced.paths_for(min(BATCH_SECONDS, share))
-            for _ in range(RATIO_BATCHES):
-                rows.append(self._trace(traced, (i,)))
-                self._report()
-            ratios.append(ratio_to_first(np.stack(rows)))
-        ratio, stderr = np.reshape(ratios, (len(ratios), 2, -1)).swapaxes(0, 1)
-        return ratio, stderr
-
-    def settle_levels(self) -> str | None:
-        """Trace the first state until every photodiode has the relative error; says why not, if they do not."""
-        rest = BedAbsorption(self.bed.v_mm, self.bed.mu_a_per_mm[:1])
-        # Photodiodes that are equally hard share a trace.
-        order = sorted(range(len(self.level)), key=lambda i: relative_stderr(self.level[i]))
-        groups = [tuple(order[k : k + 3]) for k in range(0, len(order), 3)]
-        tracers: dict[tuple[int, ...], FingerPaths] = {}
-        planned, reasons = dict.fromkeys(groups, LEAST_BATCHES), []
-
-        def needed() -> Iterator[tuple[int, ...]]:
-            while unfinished := [group for group in groups if len(self.level[group[0]]) < planned[group]]:
-                yield max(unfinished, key=lambda group: planned[group] / len(self.level[group[0]]))
-
-        def sample(group: tuple[int, ...]) -> None:
-            if group not in tracers:
-                tracers[group] = self.tracer(bed=rest, photodiodes=group)
-            self._trace(tracers[group], group)
-            count = len(self.level[group[0]])
-            if count < planned[group]:
-                return
-            dark = [i for i in group if not any(self.level[i])]
-            if dark and count >= UNLIT_BATCHES:
-                reasons.append(unlit(self.led, self.photodiodes[dark[0]], count * self.paths))
-            else:
-                planned[group] += max(self.trigger.needed(count, relative_stderr(self.level[i])) for i in group)
-
-        ending = run_until(
-            needed(), sample, is_late=lambda group: self.seconds >= self.max_seconds, report=self._report
-        )
-        if ending is Ending.OUT_OF_TIME:
-            return out_of_time(self.led, f"relative error {self.worst:.3g}, {self.target:g} requested")
-        if ending is Ending.INTERRUPTED:
-            self.interrupted = True
-            return f'interrupted: LED "{self.led}" has {self.done} batches.'
-        return reasons[0] if reasons else None
-
-    @property
-    def seconds(self) -> float:
-        """Time since the first batch began. [s]"""
-        return time.perf_counter() - self.start
-
-    def _trace(self, traced: FingerPaths, photodiodes: tuple[int, ...]) -> NDArray[np.float64]:
-        """Add one batch to the levels; its first readings are those of the photodiodes in the first state."""
-        values = traced.batch(paths=self.paths, seed=seed_of(self.seed, self.done))
-        for i, value in zip(photodiodes, values, strict=False):
-            self.level[i].append(float(value))
-        self.done += 1
-        return values
-
-    def _report(self) -> None:
-        if self.progress:
-            worst = self.worst
-            share = min(1.0, max(self.trigger.share_done(worst), self.seconds / self.max_seconds))
-            self.progress(TraceProgress(self.led, 0, worst, self.target, share, self.seconds))
-
-    @property
-    def worst(self) -> float:
-        """The largest relative standard error so far."""
-        return max(relative_stderr(values) for values in self.level)
+def phantom_readings(
+    scene: Scene, *, led: int, options: TraceOptions, progress: ProgressCallback | None = None
+) -> StateReadings:
+    """Read one LED over a phantom, and where its light went."""
+    backend = choose(options.backend, volpath=True)
+    paths = partial(mitsuba_scene.phantom_paths, scene, led=led, backend=backend)
+    groups = [_Group(partial(paths, [Window(p.position_mm, p.size_mm)]), [p.name]) for p in scene.photodiodes]
+    leaving = _Group(partial(paths, LEAVING), [])
+    with mitsuba_scene.stock_mitsuba(backend):
+        ended = _sample([*groups, leaving], scene.leds[led].name, options, seed_of(options.seed, led), progress)
+    rows = np.array(leaving.rows)
+    mean, stderr = pooled(leaving.sizes, np.column_stack([rows, 1 - rows.sum(1), np.zeros(len(rows))]))
+    energy = dict(zip(ENERGY, zip(mean.tolist(), stderr.tolist(), strict=True), strict=True))
+    return replace(_readings(groups, *ended), energy=energy, paths=leaving.paths)
 
 
-def ratio_to_first(batches: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ratio of each column's mean to the first column's, and its standard error; columns share their noise.
-
-    batches : (b, k) float.
-
-    Returns two (k,) floats; ones with infinite errors where nothing was detected.
-    """
-    mean = batches.mean(axis=0)
-    if not mean[0] > 0:
-        return np.ones_like(mean), np.full_like(mean, math.inf)
-    ratio = mean / mean[0]
-    return ratio, (batches - batches[:, :1] * ratio).std(axis=0, ddof=1) / mean[0] / math.sqrt(len(batches))
+def _readings(groups: Sequence[_Group], reason: str | None, interrupted: bool, *, states: int = 1) -> StateReadings:
+    """What groups read of their photodiodes, or of one in several states."""
+    means = [np.reshape(pooled(group.sizes, np.array(group.rows)), (2, -1, states)) for group in groups]
+    fraction, stderr = np.concatenate([np.zeros((2, 0, states)), *means], axis=1)
+    ratios = [ratio_to_first(group.sizes, np.array(group.rows)) for group in groups] if states > 1 else []
+    ratio, ratio_stderr = np.swapaxes(ratios, 0, 1) if ratios else (np.ones_like(fraction), np.zeros_like(fraction))
+    paths = min((group.paths for group in groups), default=0)
+    error = np.where(fraction > 0, stderr, math.inf)
+    return StateReadings(fraction, error, ratio, ratio_stderr, paths, reason, interrupted)
 
 
-def relative_stderr(values: list[float]) -> float:
-    """Relative standard error of a mean; infinite while nothing was detected."""
-    mean = float(np.mean(values)) if values else 0.0
-    return float(np.std(values, ddof=1)) / math.sqrt(len(values)) / mean if mean > 0 and len(values) > 1 else math.inf
-
-
-def read_leds(scene: Scene, options: TraceOptions, read: Callable[..., StateReadings]) -> list[StateReadings]:
+def read_leds(
+    scene: Scene, options: TraceOptions, progress: ProgressCallback | None, blood: np.ndarray | None = None
+) -> list[StateReadings]:
     """The readings of every LED, each in its share of the time.
 
-    read : reads one LED, given its number and the options for it alone.
+    blood : (states, zones) float in 0-1. Up to three states of a finger's blood.
     """
-    begin, traced = time.perf_counter(), []
-    for led in range(len(scene.leds)):
-        share = share_of_time(options.max_seconds, begin, len(scene.leds) - led)
-        traced.append(read(led, replace(options, max_seconds=max(share, LEAST_SECONDS))))
-        if traced[-1].interrupted and led + 1 < len(scene.leds):
+    begin, traced = time.perf_counter(), list[StateReadings]()
+    finger = None if blood is None else build(scene)
+    for i, led in enumerate(scene.leds):
+        share = share_of_time(options.max_seconds, begin, len(scene.leds) - i)
+        how: dict[str, Any] = {"led": i, "options": replace(options, max_seconds=max(share, LEAST_SECONDS))}
+        if finger is None or blood is None:
+            traced.append(phantom_readings(scene, progress=progress, **how))
+        else:
+            media = optics.finger_media(scene, finger.regions, led.wavelength_nm)
+            bed = bed_absorption(scene, finger, blood, i)
+            traced.append(finger_states(scene, finger, media, bed, progress=progress, **how))
+        if traced[-1].interrupted and i + 1 < len(scene.leds):
             raise KeyboardInterrupt  # nothing is known of the other LEDs
     return traced
-
-
-def finger_readings(
-    scene: Scene,
-    finger: Geometry,
-    blood: np.ndarray,
-    progress: ProgressCallback | None,
-    led: int,
-    options: TraceOptions,
-) -> StateReadings:
-    """Read one LED of a finger in up to three blood states, (states, zones) float."""
-    media = optics.finger_media(scene, finger.regions, scene.leds[led].wavelength_nm)
-    bed = bed_absorption(scene, finger, blood, led)
-    return finger_states(scene, finger, media, bed, led=led, options=options, progress=progress)
 
 
 def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) -> BedAbsorption:
@@ -263,81 +281,6 @@ def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) 
     places = 1 + round((high - low) / (zones.width_mm / PLACES_PER_STEP))
     v = np.linspace(low - BEYOND_MM, high + BEYOND_MM, places)
     return BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
-
-
-def _pooled(rounds: list[np.ndarray], sizes: list[int]) -> np.ndarray:
-    """Mean and standard error of photodiodes, light reflected, transmitted, both of these, (p + 3, 2) float.
-
-    rounds : (p + 3, batches) float each. sizes : paths of a batch of each round.
-    """
-    weight = np.array(sizes) / sum(sizes)
-    mean = np.mean(rounds, -1)
-    stderr = np.std(rounds, -1, ddof=1) / math.sqrt(ROUND_BATCHES)
-    return np.array([[weight @ m, np.linalg.norm(weight * e)] for m, e in zip(mean.T, stderr.T, strict=True)])
-
-
-def phantom_readings(scene: Scene, progress: ProgressCallback | None, led: int, options: TraceOptions) -> StateReadings:
-    """Read one LED over a phantom, and where its light went.
-
-    Paths are traced in rounds, each as long as all before it; the first always runs, and none begins after max_seconds.
-    """
-    name, target, max_seconds = scene.leds[led].name, options.relative_error, options.max_seconds or math.inf
-    begin, rounds, sizes = time.perf_counter(), list[np.ndarray](), list[int]()
-    # Without a tolerance or a number the time alone ends it.
-    trigger = Trigger(target=target or 0.0, first=FIRST_ROUND, growth=1.0)
-    windows = [*([Window(p.position_mm, p.size_mm)] for p in scene.photodiodes), LEAVING]
-    made: dict[str, Any] = {"led": led, "batches": ROUND_BATCHES, "backend": choose(options.backend, volpath=True)}
-
-    def worst() -> float:
-        if not rounds:
-            return math.inf
-        estimates = _pooled(rounds, sizes)[:-3].tolist()
-        return max((stderr / value if value > 0 else math.inf for value, stderr in estimates), default=0.0)
-
-    def paths() -> int:
-        return ROUND_BATCHES * sum(sizes)
-
-    def seconds() -> float:
-        return time.perf_counter() - begin
-
-    def needed() -> Iterator[int]:
-        while more := max(options.photons - paths(), 0) if options.photons else trigger.needed(paths(), worst()):
-            yield more
-
-    def sample(more: int) -> None:
-        size = min(math.ceil(more / ROUND_BATCHES), MAX_BATCH_PATHS)
-        *apertures, leaving = (
-            phantom_fractions(
-                scene, some, seed=seed_of(options.seed, led, len(rounds), k), paths_per_batch=size, **made
-            )
-            for k, some in enumerate(windows)
-        )
-        rounds.append(np.stack([*(batches[:, 0] for batches in apertures), *leaving.T, leaving.sum(1)]))
-        sizes.append(size)
-
-    def report() -> None:
-        if progress:
-            error = worst()
-            share = paths() / options.photons if options.photons else trigger.share_done(error)
-            share = min(1.0, max(share, seconds() / max_seconds))
-            progress(TraceProgress(name, paths(), error, target, share, seconds()))
-
-    ending = run_until(needed(), sample, is_late=lambda _: bool(rounds) and seconds() >= max_seconds, report=report)
-    *values, reflected, transmitted, out = _pooled(rounds, sizes).tolist()
-    met = ending is Ending.MET or not (options.photons or target)
-    fraction, fraction_stderr = np.array(values).reshape(-1, 2, 1).swapaxes(0, 1)
-    energy = {"reflected": reflected, "transmitted": transmitted, "absorbed": [1 - out[0], out[1]], "lost": [0.0, 0.0]}
-    return StateReadings(
-        fraction=fraction,
-        fraction_stderr=fraction_stderr,
-        ratio=np.ones_like(fraction),
-        ratio_stderr=np.zeros_like(fraction),
-        batches=len(rounds) * ROUND_BATCHES,
-        paths=paths(),
-        unmet_reason=None if met else out_of_time(name, f"relative error {worst():.3g}"),
-        interrupted=ending is Ending.INTERRUPTED,
-        energy={part: (value, stderr) for part, (value, stderr) in energy.items()},
-    )
 
 
 def corner_states(states: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,10 +21,8 @@ from ... import io
 from ...assets import data_dir
 from ...errors import InputError, WriteError
 from ...scene import Scene
-from ...statistics import seed_of
-from ..identity import led_digest, usual_layer_name
+from ..identity import led_digest
 from ..transfer import current_versions
-from ..transfer.records import COLUMNS, SUMS, LedTrace, read_escaping
 
 T = TypeVar("T")
 
@@ -208,58 +206,23 @@ class StoredLight:
         self.store.write(self.path(name), io.pack({"made": self.made, "name": name, "about": about}, arrays))
 
 
-@dataclass
-class LedSource:
-    """The batches of one LED by number and photons: those that are stored, and new ones, which are stored as they come.
+def stored_or_made(
+    lights: Sequence[StoredLight],
+    name: str,
+    make: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]],
+    build: Callable[[dict[str, Any], dict[str, np.ndarray]], T],
+) -> tuple[T, bool]:
+    """What `build` makes of a header and arrays that lie stored or, if there are none, are made and go to the first.
 
-    engine : makes the engine; called only if something has to be traced.
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    photodiodes : how many there are.
-    stored : where batches may lie; new ones go to the first.
-    layers : names of a phantom's layers, which its light does not know.
-    read_mu_a : (r,) float. Absorption at which a phantom's energy is read, if its batches hold all escaping light.
-    reused : photons that were taken from the store.
+    Returns: it, and whether it was stored.
     """
-
-    engine: Callable[[], Any]
-    led: int
-    mu_a: np.ndarray
-    photodiodes: int
-    seed: int
-    stored: Sequence[StoredLight] = ()
-    layers: Sequence[str] = ()
-    read_mu_a: np.ndarray | None = None
-    reused: int = 0
-
-    def has(self, number: int, photons: int) -> bool:
-        """Whether a batch is stored."""
-        return any(os.path.exists(one.path(f"{number}-{photons}")) for one in self.stored)
-
-    def batch(self, number: int, photons: int) -> LedTrace:
-        """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
-        name, seed = f"{number}-{photons}", seed_of(self.seed, self.led, number)
-
-        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
-            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS[:3]}
-            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
-            batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
-            ends = 0 if self.read_mu_a is None else 2
-            batch.check(photodiodes=self.photodiodes + ends, absorbers=len(self.mu_a))
-            return batch
-
-        batch = next((batch for one in self.stored if (batch := one.read(name, build))), None)
-        if batch:
-            self.reused += photons
-        else:
-            batch = self.engine().batch(self.led, photons=photons, seed=seed)
-            if self.stored:
-                about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
-                self.stored[0].write(name, about, {column: getattr(batch, column) for column in COLUMNS[:3]})
-        if self.read_mu_a is not None:
-            return read_escaping(batch, self.photodiodes, self.read_mu_a - self.mu_a)
-        names = {usual_layer_name(i): name for i, name in enumerate(self.layers)}
-        absorbed = {names.get(place, place): sums for place, sums in batch.absorbed.items()}
-        return replace(batch, absorbed=absorbed)
+    for light in lights:
+        if (stored := light.read(name, build)) is not None:
+            return stored, True
+    about, arrays = make()
+    if lights:
+        lights[0].write(name, about, arrays)
+    return build(about, arrays), False
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,26 @@
 """Traces a scene: batches of each LED until its trigger is met, from what is already stored."""
 
 import itertools
+import os
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Unpack
 
+import numpy as np
 from pydantic import ValidationError
 
 from ... import checks
 from ...errors import InputError, NotReachedError
 from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene
+from ...statistics import seed_of
 from .. import backend as backends
 from .. import optics
-from ..identity import light_scene
+from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
-from ..transfer.records import FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, LedRecords
-from .store import LedSource, LightStore, made_of
+from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
+from .store import LightStore, made_of, stored_or_made
 from .trigger import Ending, LedTrigger, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
@@ -54,11 +58,10 @@ def trace(
     start, cpu = time.perf_counter(), time.process_time()
     traces, reused, complaint, interrupted = [], 0, None, False
     for led in range(len(scene.leds)):
-        source = led_source(scene, led, engine, stores, seed=options.seed)
+        source = LedSource(scene, led, engine, stores, seed=options.seed)
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
         trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
-        records = LedRecords(trigger.rest)
-        ending = take_batches(source, trigger, records, progress=progress, opening=lambda: engine.wall_seconds)
+        ending = take_batches(source, trigger, progress)
         reason = trigger.unmet_reason()
         if ending is Ending.INTERRUPTED:
             interrupted = True
@@ -68,7 +71,7 @@ def trace(
             required = Accuracy(photons=engine.full)
         complaint = complaint or reason
         reused += source.reused
-        traces.append(records.trace())
+        traces.append(trigger.trace())
     for store in stores:
         store.close()
     result = Transfer(
@@ -116,11 +119,10 @@ class LightEngine:
         self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = (), escaping: bool = False
     ) -> None:
         self.scene, self.backend = light_scene(scene), backend
-        self.more: dict[str, Any] = {}
+        self.more: dict[str, Any] = {"escaping": True} if escaping else {}
         if faces := sorted({*with_faces} & {*scene.light.left_out}):
             self.more["with_faces"] = faces
-        if escaping:
-            self.more["escaping"] = True
+        self.escaping = escaping
         self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -135,20 +137,51 @@ class LightEngine:
         return self._opened
 
 
-def led_source(scene: Scene, led: int, engine: LightEngine, stores: Sequence[LightStore], *, seed: int) -> LedSource:
-    """Where the batches of an LED come from; new ones go to the first store."""
-    made = made_of(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more
-    wavelength_nm = scene.leds[led].wavelength_nm
-    return LedSource(
-        engine,
-        led,
-        optics.absorption(engine.scene, wavelength_nm)[0],
-        photodiodes=len(photodiode_names(scene)),
-        seed=seed,
-        stored=[store.light(made) for store in stores],
-        layers=[layer.name for layer in scene.phantom.layers] if scene.phantom else [],
-        read_mu_a=optics.absorption(scene, wavelength_nm)[0] if "escaping" in engine.more else None,
-    )
+class LedSource:
+    """The batches of one LED by number and photons: those that are stored, and new ones, which go to the first store.
+
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    reused : photons that were taken from a store.
+    """
+
+    def __init__(
+        self, scene: Scene, led: int, engine: LightEngine, stores: Sequence[LightStore] = (), *, seed: int
+    ) -> None:
+        self.scene, self.led, self.engine, self.seed, self.reused = scene, led, engine, seed, 0
+        self.mu_a = optics.absorption(engine.scene, scene.leds[led].wavelength_nm)[0]
+        made = made_of(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more if stores else {}
+        self.stored = [store.light(made) for store in stores]
+
+    def has(self, number: int, photons: int) -> bool:
+        """Whether a batch is stored."""
+        return any(os.path.exists(one.path(f"{number}-{photons}")) for one in self.stored)
+
+    def batch(self, number: int, photons: int) -> LedTrace:
+        """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
+        seed, count = seed_of(self.seed, self.led, number), len(photodiode_names(self.scene))
+        ends = 2 if self.engine.escaping else 0
+
+        def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+            batch = self.engine().batch(self.led, photons=photons, seed=seed)
+            about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
+            return about, {column: getattr(batch, column) for column in COLUMNS[:3]}
+
+        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
+            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS[:3]}
+            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
+            batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
+            batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))
+            return batch
+
+        batch, stored = stored_or_made(self.stored, f"{number}-{photons}", make, build)
+        self.reused += photons * stored
+        if ends:
+            read_mu_a = optics.absorption(self.scene, self.scene.leds[self.led].wavelength_nm)[0]
+            return read_escaping(batch, count, read_mu_a - self.mu_a)
+        # The light does not know the names of a phantom's layers.
+        layers = self.scene.phantom.layers if self.scene.phantom else ()
+        names = {usual_layer_name(i): layer.name for i, layer in enumerate(layers)}
+        return replace(batch, absorbed={names.get(place, place): sums for place, sums in batch.absorbed.items()})
 
 
 def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
@@ -168,25 +201,17 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return required
 
 
-def take_batches(
-    source: LedSource,
-    trigger: LedTrigger,
-    records: LedRecords,
-    *,
-    progress: ProgressCallback | None = None,
-    opening: Callable[[], float] = lambda: 0.0,
-) -> Ending:
+def take_batches(source: LedSource, trigger: LedTrigger, progress: ProgressCallback | None = None) -> Ending:
     """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
 
-    What is stored is taken even when time is over.
+    What is stored is taken even when time is over; opening the engine is no part of the time.
 
     progress : called after every batch.
-    opening : what opening the engine has taken so far, which is no part of the time for tracing. [s]
     """
-    begin = time.perf_counter() - opening()
+    begin = time.perf_counter() - source.engine.wall_seconds
 
     def seconds() -> float:
-        return time.perf_counter() - opening() - begin
+        return time.perf_counter() - source.engine.wall_seconds - begin
 
     def needed() -> Iterator[tuple[int, int]]:
         for number in itertools.count():
@@ -198,9 +223,7 @@ def take_batches(
         return not source.has(*batch) and batch[0] > 0 and seconds() >= trigger.seconds
 
     def sample(numbered: tuple[int, int]) -> None:
-        batch = source.batch(*numbered)
-        records.add(batch)
-        trigger.add(batch)
+        trigger.add(source.batch(*numbered))
 
     def report() -> None:
         if progress:

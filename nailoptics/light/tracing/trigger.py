@@ -10,7 +10,7 @@ References: Romano et al. 2015, Ann. Nucl. Energy 82, 90 (OpenMC's tally trigger
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeVar
 
@@ -19,7 +19,7 @@ import numpy as np
 from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
 from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
-from ..transfer.records import LedTrace
+from ..transfer.records import LedTrace, bounded, joined
 from ..transfer.reweight import transmission
 
 T = TypeVar("T")
@@ -189,7 +189,7 @@ class Trigger:
 
 
 class LedTrigger:
-    """When the trace of one LED may end: what a scene requires of it, held against the batches as they come.
+    """The batches of one LED as they come, and when its trace may end: what a scene requires of it.
 
     photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
     very many photons of which some photodiode has detected none, which no number of photons will mend.
@@ -206,6 +206,7 @@ class LedTrigger:
         self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
         self.rest, self._mu_a = rest_state(scene, led), mu_a
+        self._traces: list[LedTrace] = []
         # Weights of all batches and their squares by photodiode.
         self._total = np.zeros((2, len(self.photodiodes)))
         self.photons = self.batches = 0
@@ -215,7 +216,8 @@ class LedTrigger:
         self.unlit = ""
 
     def add(self, batch: LedTrace) -> None:
-        """Take in the next batch."""
+        """Take in the next batch; memory stays bounded however many there are."""
+        self._traces = bounded([*self._traces, replace(batch, rest=self.rest)])
         weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
         count = len(self.photodiodes)
         self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
@@ -227,6 +229,10 @@ class LedTrigger:
         self.met = target is not None and self.error <= target and check_schedule(self.batches)
         if math.isinf(self.seconds) and self.photons >= UNLIT_PHOTONS and not self._total[0].all():
             self.unlit = unlit(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
+
+    def trace(self) -> LedTrace:
+        """All batches so far as one."""
+        return joined(self._traces)
 
     def next_batch(self) -> int:
         """Photons of the next batch; 0 where no more are needed."""

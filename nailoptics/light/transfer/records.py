@@ -163,7 +163,7 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
     if len({trace.rest and (trace.rest.mu_a.tobytes(), trace.rest.share.tobytes()) for trace in traces}) > 1:
         raise InputError("these traces are of scenes that differ at rest; merge traces of one scene.")
-    traces = _bounded(traces)
+    traces = bounded(traces)
     sums = [trace.full for trace in traces if trace.full is not None]
     together: dict[str, Any] = {name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS}
     together |= {name: _added([getattr(trace, name) for trace in traces]) for name in SUMS}
@@ -177,7 +177,7 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     )
 
 
-def _bounded(traces: Sequence[LedTrace]) -> list[LedTrace]:
+def bounded(traces: Sequence[LedTrace]) -> list[LedTrace]:
     """The traces with a probability for the photons of all that is low enough that there are not too many records."""
     # One probability for all: had records of earlier batches another, few of them would carry most of a reading.
     keep = min(trace.keep for trace in traces)
@@ -205,22 +205,3 @@ def read_escaping(batch: LedTrace, photodiodes: int, mu_a: np.ndarray) -> LedTra
     lost = batch.energy["lost"]
     energy |= {"absorbed": (batch.photons - total - lost[0], batch.photons - 2 * total + square), "lost": lost}
     return replace(batch.select(end < 0), energy=energy, absorbed={})
-
-
-class LedRecords:
-    """The batches of one LED as they come in; memory stays bounded however many there are.
-
-    rest : the state in which sums over all photons are taken when records are dropped.
-    """
-
-    def __init__(self, rest: RestState | None) -> None:
-        self.rest = rest
-        self._batches: list[LedTrace] = []
-
-    def add(self, batch: LedTrace) -> None:
-        """Add the next batch."""
-        self._batches = _bounded([*self._batches, replace(batch, rest=self.rest)])
-
-    def trace(self) -> LedTrace:
-        """All batches so far as one."""
-        return joined(self._batches)

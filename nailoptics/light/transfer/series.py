@@ -1,13 +1,13 @@
 """One trace read in many states: over a course of the blood, and with and without each group of its photons."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ... import checks
 from ...errors import InputError
+from ...scene import Scene
 from ...statistics import left_out, stderr_of_mean
 from .. import optics
 from .interpolation import ChebyshevBox
@@ -44,7 +44,7 @@ class ReadingSeries:
 
 
 def readings_over_states(
-    transfer: Transfer, blood_fraction: np.ndarray, *, so2: float | None = None, weight_by_responsivity: bool = False
+    transfer: Transfer, blood_fraction: np.ndarray, *, weight_by_responsivity: bool = False
 ) -> ReadingSeries:
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
@@ -62,77 +62,103 @@ def readings_over_states(
     count, blood = optics.zones(transfer.scene).count, transfer.scene.blood
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
-    course = _Course(transfer, states, so2, weight_by_responsivity)
+    course = _Course(transfer, states, weight_by_responsivity)
     # Absorption bends where venous blood begins to pool: between nodes on one side of that it is smooth.
-    pools = so2 is None and blood.venous_so2 is not None
-    sides, side = np.unique(states > (blood.rest_blood_fraction if pools else 1.0), axis=0, return_inverse=True)
+    pooling = 1.0 if blood.venous_so2 is None else blood.rest_blood_fraction
+    sides, side = np.unique(states > pooling, axis=0, return_inverse=True)
     for k in range(len(sides)):
         course.read(np.flatnonzero(side == k))
     fraction, stderr, _, _ = course.out
-    effective = np.empty(fraction.shape[:2])
     with np.errstate(invalid="ignore", divide="ignore"):
         # Of n equal photons the relative error is 1 / sqrt(n).
-        for pair in np.ndindex(*effective.shape):
-            effective[pair] = np.nan_to_num(np.square(fraction[pair] / stderr[pair]), nan=np.inf).min()
+        effective = np.nan_to_num(np.square(fraction / stderr), nan=np.inf).min(-1)
     # Where there is least blood, single long paths weigh most.
-    transfer.warn_if_thin(effective, transfer.moments_at(np.min(blood_fraction, 0), so2))
+    transfer.warn_if_thin(effective, transfer.moments_at(np.min(blood_fraction, 0)))
     return ReadingSeries(*course.out)
 
 
 class _Course:
     """States to read, (t, K), and `out`, what was read in them: the four arrays of a `ReadingSeries`."""
 
-    def __init__(self, transfer: Transfer, states: np.ndarray, so2: float | None, weight_by_responsivity: bool) -> None:
-        self.transfer, self.states, self.so2, self.weighted = transfer, states, so2, weight_by_responsivity
+    def __init__(self, transfer: Transfer, states: np.ndarray, weight_by_responsivity: bool) -> None:
+        self.transfer, self.states, self.weighted = transfer, states, weight_by_responsivity
         self.first = checks.fraction("blood_fraction", states)[0]
         self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
     def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-        """The four arrays in other states, from the photons."""
-        return _sums(self.transfer, states, self.first, self.so2, self.weighted, line=line)
+        """The four arrays in other states, from the photons.
 
-    def blocks(self, which: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Some of the states, as many at once as leave the memory alone: their numbers and themselves."""
-        for start in range(0, len(which), STATES_AT_ONCE):
-            part = which[start : start + STATES_AT_ONCE]
-            yield part, self.states[part].astype(float, copy=False)
+        line : two states on the line through which absorption lies, for states beyond what blood can be.
+        """
+        count = len(self.transfer.photodiodes)
+        out = np.zeros((4, len(self.transfer.traces), count, len(states)))
+        for i, (trace, led) in enumerate(zip(self.transfer.traces, self.transfer.scene.leds, strict=True)):
+            wavelength, share = optics.spectrum(led)
+            if self.weighted:
+                share = share * wavelength / led.wavelength_nm
+            mu_a = _absorption(self.transfer.scene, wavelength, np.vstack([self.first, states]), line) - trace.mu_a
+            sums, full = np.zeros((4, count, len(states))), trace.full
+            # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
+            rest, products = np.zeros((2, count, 1)), np.zeros((2, count, len(states)))
+            at_rest = trace.weight_at_rest if full is not None else None
+            order = np.argsort(trace.photodiode, kind="stable")
+            edges = np.searchsorted(trace.photodiode[order], np.arange(count + 1))
+            for j, start in [(p, at) for p in range(count) for at in range(edges[p], edges[p + 1], CHUNK)]:
+                chunk = order[start : min(start + CHUNK, edges[j + 1])]
+                weight = transmissions(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
+                weight, change = weight[:, 1:], weight[:, 1:] - weight[:, :1]
+                for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
+                    total[j] += values.sum(0)
+                if at_rest is not None:
+                    own = at_rest[chunk]
+                    rest[:, j, 0] += own.sum(), own @ own
+                    products[:, j] += own @ weight, own @ change
+            for k, unseen in ((0, 1.0), (2, 0.0)):
+                total, square = sums[k], sums[k + 1]
+                if full is not None:
+                    slope = slope_of(products[k // 2], rest[1], unseen)
+                    total = slope * full.weight[:, None] + (total - slope * rest[0])
+                    left = np.maximum(square - slope * products[k // 2], 0)
+                    square = slope**2 * full.square[:, None] + left
+                out[k, i] = total / trace.photons
+                out[k + 1, i] = stderr_of_mean(total, square, trace.photons)
+        return out
 
     def read(self, which: np.ndarray) -> None:
         """Read those states, by their numbers (n,), between which absorption is linear in the blood."""
-        ends = np.array([(block.min(0), block.max(0)) for _, block in self.blocks(which)])
-        low, high = ends[:, 0].min(0), ends[:, 1].max(0)
+        states = self.states[which].astype(float)
+        low, high = states.min(0), states.max(0)
         if not (high - low > 1e-12).any():
-            self.out[..., which] = self.sums(self.states[which[:1]].astype(float))
+            self.out[..., which] = self.sums(states[:1])
             return
         # Orthonormal directions along which states spread, in columns, the widest first: a touch moves all zones along
         # few of them.
-        centre = sum(block.sum(0) for _, block in self.blocks(which)) / len(which)
-        spread = sum((block - centre).T @ (block - centre) for _, block in self.blocks(which))
-        directions = np.linalg.eigh(spread)[1][:, ::-1]
-        along = [(block - centre) @ directions for _, block in self.blocks(which)]
-        nearest, farthest = (np.array([end(at, 0) for at in along]) for end in (np.min, np.max))
-        nearest, farthest = nearest.min(0), farthest.max(0)
+        centre = states.sum(0) / len(which)
+        directions = np.linalg.eigh((states - centre).T @ (states - centre))[1][:, ::-1]
+        along = (states - centre) @ directions
+        nearest, farthest = along.min(0), along.max(0)
         spans = farthest - nearest
-        counts = [_nodes_needed(self.transfer, *one, self.so2) for one in zip(directions.T, spans, strict=True)]
+        counts = [_nodes_needed(self.transfer, *one) for one in zip(directions.T, spans, strict=True)]
         if min(len(which), math.prod(counts)) > NODES_AT_ONCE:
             # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
-            upper = np.concatenate([at[:, 0] > nearest[0] + spans[0] / 2 for at in along])
+            upper = along[:, 0] > nearest[0] + spans[0] / 2
             self.read(which[~upper])
             self.read(which[upper])
         elif len(which) <= math.prod(counts):
-            self.out[..., which] = self.sums(self.states[which].astype(float))
+            self.out[..., which] = self.sums(states)
         else:
             box = ChebyshevBox(nearest, farthest, counts)
             # What is interpolated of an error is its square.
             nodes = self.sums(centre + box.nodes @ directions.T, (low, high))
             nodes[1::2] **= 2
-            for (part, _), at in zip(self.blocks(which), along, strict=True):
-                values = nodes @ box.weights(at).T
+            for start in range(0, len(which), STATES_AT_ONCE):
+                part = slice(start, start + STATES_AT_ONCE)
+                values = nodes @ box.weights(along[part]).T
                 values[1::2] = np.sqrt(np.maximum(values[1::2], 0))
-                self.out[..., part] = values
+                self.out[..., which[part]] = values
 
 
-def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: float | None) -> int:
+def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float) -> int:
     """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans.
 
     direction : (K,) float. Change of each zone's blood in one step; `span` is their number.
@@ -141,7 +167,7 @@ def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: f
     no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
         if len(trace.weight):
-            mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all, so2=so2)
+            mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all)
             slope = float(mu_a[1, 0, columns[0]] - mu_a[0, 0, columns[0]])
             path = np.abs(trace.path_mm[:: 1 + len(trace.weight) // CHUNK, columns] @ direction)
             depth = max(depth, slope * span * float(np.quantile(path, 0.999)))
@@ -153,66 +179,14 @@ def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float, so2: f
     return count
 
 
-def _sums(
-    transfer: Transfer,
-    states: np.ndarray,
-    first: np.ndarray,
-    so2: float | None,
-    weight_by_responsivity: bool,
-    *,
-    line: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
-    """Fraction, its error, change from a first state and its error, (4, led, photodiode, states) float.
-
-    line : two states on the line through which absorption lies, for states beyond what blood can be.
-    """
-    count = len(transfer.photodiodes)
-    out = np.zeros((4, len(transfer.traces), count, len(states)))
-    for i, (trace, led) in enumerate(zip(transfer.traces, transfer.scene.leds, strict=True)):
-        wavelength, share = optics.spectrum(led)
-        if weight_by_responsivity:
-            share = share * wavelength / led.wavelength_nm
-        mu_a = _absorption(transfer, wavelength, np.vstack([first, states]), so2, line) - trace.mu_a
-        sums, full = np.zeros((4, count, len(states))), trace.full
-        # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
-        rest, products = np.zeros((2, count, 1)), np.zeros((2, count, len(states)))
-        at_rest = trace.weight_at_rest if full is not None else None
-        order = np.argsort(trace.photodiode, kind="stable")
-        edges = np.searchsorted(trace.photodiode[order], np.arange(count + 1))
-        for j, start in [(p, at) for p in range(count) for at in range(edges[p], edges[p + 1], CHUNK)]:
-            chunk = order[start : min(start + CHUNK, edges[j + 1])]
-            weight = transmissions(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
-            weight, change = weight[:, 1:], weight[:, 1:] - weight[:, :1]
-            for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
-                total[j] += values.sum(0)
-            if at_rest is not None:
-                own = at_rest[chunk]
-                rest[:, j, 0] += own.sum(), own @ own
-                products[:, j] += own @ weight, own @ change
-        for k, unseen in ((0, 1.0), (2, 0.0)):
-            total, square = sums[k], sums[k + 1]
-            if full is not None:
-                slope = slope_of(products[k // 2], rest[1], unseen)
-                total = slope * full.weight[:, None] + (total - slope * rest[0])
-                left = np.maximum(square - slope * products[k // 2], 0)
-                square = slope**2 * full.square[:, None] + left
-            out[k, i] = total / trace.photons
-            out[k + 1, i] = stderr_of_mean(total, square, trace.photons)
-    return out
-
-
 def _absorption(
-    transfer: Transfer,
-    wavelength: np.ndarray,
-    states: np.ndarray,
-    so2: float | None,
-    line: tuple[np.ndarray, np.ndarray] | None,
+    scene: Scene, wavelength: np.ndarray, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None
 ) -> np.ndarray:
     """Absorption in a first state and in others, those on the line through two states if such are given."""
     if line is None:
-        return optics.absorption(transfer.scene, wavelength, blood_fraction=states, so2=so2)
-    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=np.vstack([states[:1], *line]), so2=so2)
-    (low, high), beds = line, list(optics.bed_columns(transfer.scene))
+        return optics.absorption(scene, wavelength, blood_fraction=states)
+    mu_a = optics.absorption(scene, wavelength, blood_fraction=np.vstack([states[:1], *line]))
+    (low, high), beds = line, list(optics.bed_columns(scene))
     part = (states[1:] - low) / np.where(high > low, high - low, 1.0)
     out = np.concatenate([mu_a[:1], np.repeat(mu_a[1:2], len(part), 0)])
     out[1:, :, beds] += part[:, None, :] * (mu_a[2] - mu_a[1])[:, beds]

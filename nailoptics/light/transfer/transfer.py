@@ -173,7 +173,10 @@ class Transfer:
         return np.array(correlation)
 
     def moments_at(
-        self, blood_fraction: ArrayLike | None, so2: ArrayLike | None, mu_a_per_mm: Mapping[str, float] | None = None
+        self,
+        blood_fraction: ArrayLike | None,
+        so2: ArrayLike | None = None,
+        mu_a_per_mm: Mapping[str, float] | None = None,
     ) -> list[Moments]:
         """What `at` reads, as sums over the photons of each LED."""
         return [

@@ -14,26 +14,9 @@ from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ...scene import Scene
 from .. import optics
 from ..transfer.records import FINGER_BATCH_PHOTONS, LedTrace
+from . import sampling
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
-from .sampling import (
-    ABSORBED,
-    LAMBERTIAN,
-    LOST,
-    TOP,
-    Acceptance,
-    PhotonEnds,
-    WalkedPhotons,
-    acceptance_of,
-    emission_table,
-    free_absorption_length,
-    fresnel,
-    henyey_greenstein,
-    lanes,
-    loop_state,
-    remaining,
-    rotate_direction,
-    roulette,
-)
+from .sampling import PhotonEnds, WalkedPhotons, remaining, rotate_direction
 from .splitting import Reach, Splitting
 from .tallies import BoardTally, Section, SensitivityTally
 
@@ -79,22 +62,18 @@ class FingerTracer:
         # The bed's path counts whole, and what of it lies beyond each edge of the zones.
         self.paths = len(optics.TISSUES) + len(self.zones.edges_mm)
 
-    def mu_a(self, led: int) -> np.ndarray:
-        """Absorption for which the weights hold, (r,) float. [mm^-1]"""
-        return optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
-
     def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         """Trace some photons of one LED."""
         if led not in self.reach:
             self.reach[led] = Reach(self.geometry, self.geometry.leds[led])
         splitting = Splitting(self.reach[led], photons)
-        acceptance = acceptance_of(self.scene.photodiodes)
+        acceptance = sampling.acceptance_of(self.scene.photodiodes)
         walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
         detected, photodiode, weight = splitting.records()
         return LedTrace(
             photons=photons,
-            mu_a=self.mu_a(led),
+            mu_a=optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0],
             seeds=(seed,),
             photodiode=photodiode.astype(np.uint16),
             weight=weight,
@@ -114,7 +93,7 @@ class FingerTracer:
         face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
         to : section, board, splitting: what tallies the photons on their way; acceptance.
         """
-        rng, count = lanes(photons, seed)
+        rng, count = sampling.lanes(photons, seed)
         first = dr.arange(mi.UInt32, dr.width(count))
         if which is not None:
             first, lane = mi.UInt32(which.astype(np.uint32)), rng
@@ -122,7 +101,7 @@ class FingerTracer:
             states = lane.state, mi.UInt64(lane.inc)
             rng.state, rng.inc = (dr.gather(mi.UInt64, a, first % dr.width(a)) for a in states)
             count = dr.full(mi.UInt32, 1, len(which))
-        emission = LAMBERTIAN if face else emission_table(self.scene.leds[led])
+        emission = sampling.LAMBERTIAN if face else sampling.emission_table(self.scene.leds[led])
         emitter = Emitter(face or self.geometry.leds[led], emission, self.regions[led].epoxy)
         ends = PhotonEnds(photons, paths=self.paths, media=len(self.regions[led].absorbing))
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
@@ -131,11 +110,11 @@ class FingerTracer:
     def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
         the cosines of their angles to it, (photons,) float."""
-        (rng, _), index = lanes(photons, seed), dr.arange(mi.UInt32, photons)
+        (rng, _), index = sampling.lanes(photons, seed), dr.arange(mi.UInt32, photons)
         lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
         own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
-        own.state = loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _, cos = Emitter(face, LAMBERTIAN, mi.UInt32(0)).emit_at_angle(own)
+        own.state = sampling.loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
+        p, _, cos = Emitter(face, sampling.LAMBERTIAN, mi.UInt32(0)).emit(own, index)
         return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float)
 
     @staticmethod
@@ -166,7 +145,7 @@ class _Segment:
 class FingerWalk:
     """The walk of one source's light: what it reads, what tallies it, and what happens to a photon, step by step.
 
-    emitter : What `emit(rng, index)` gives each photon, its place and direction, and the `region` that it starts in.
+    emitter : What `emit(rng, index)` gives each photon, place, direction and cosine, and the `region` it starts in.
     section, board : Tally all photons on their way.
     splitting : Splits photons near the photodiodes, and takes their scores; without it each counts for itself.
     acceptance : How photodiodes weigh light by its angle.
@@ -183,7 +162,7 @@ class FingerWalk:
         section: Section | SensitivityTally | None = None,
         board: BoardTally | None = None,
         splitting: Splitting | None = None,
-        acceptance: Acceptance | None = None,
+        acceptance: sampling.Acceptance | None = None,
     ) -> None:
         self.interfaces, self.regions, self.zones, self.emitter, self.ends = interfaces, regions, zones, emitter, ends
         self.section, self.board, self.splitting, self.acceptance = section, board, splitting, acceptance
@@ -208,15 +187,16 @@ class FingerWalk:
             events += segment.scatterings
             region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
-            scattered = rotate_direction(photon.w, henyey_greenstein(medium.g, u), phi)
+            scattered = rotate_direction(photon.w, sampling.henyey_greenstein(medium.g, u), phi)
             # Whoever left keeps the way in which it did.
             scatters = casts & ~hit & (photon.outcome == 0)
             photon.w = mi.Vector3f(dr.select(scatters, scattered, photon.w))
             accepted = self.meet_interface(photon, hit, triangle, u, phi)
             absorbed = photon.tau > photon.absorption_optical_depth
-            photon.outcome = dr.select(absorbed, mi.UInt32(ABSORBED), photon.outcome)
+            photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
-            roulette(photon, segment.scatterings + 1, dr.select(photon.is_last(), photon.statistical_weight(), 0))
+            copies = dr.select(photon.is_last(), photon.statistical_weight(), 0)
+            sampling.roulette(photon, segment.scatterings + 1, copies)
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
@@ -237,8 +217,8 @@ class FingerWalk:
 
     def launch(self, rng: Any, lane: Any, index: Any) -> FingerPhoton:
         """A new photon on the emitter."""
-        rng.state = loop_state(lane, index)
-        p, w = self.emitter.emit(rng, index)
+        rng.state = sampling.loop_state(lane, index)
+        p, w, _ = self.emitter.emit(rng, index)
         levels = len(self.splitting.reach.copies) if self.splitting is not None else 0
         return FingerPhoton(
             index=index,
@@ -246,7 +226,7 @@ class FingerWalk:
             p=p,
             w=w,
             region=mi.UInt32(self.emitter.region),
-            absorption_optical_depth=free_absorption_length(rng.next_float32()),
+            absorption_optical_depth=sampling.free_absorption_length(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
             copies=[mi.UInt32(1) for _ in range(levels)],
             copies_left=[mi.UInt32(0) for _ in range(levels)],
@@ -264,7 +244,7 @@ class FingerWalk:
         ahead = self.interfaces.free(photon.p + photon.w * step, active)
         while active & (segment.step < free + ahead) & (segment.scatterings < FREE_EVENTS):
             self.advance(photon, segment, medium, True)
-            cos = henyey_greenstein(medium.g, photon.rng.next_float32())
+            cos = sampling.henyey_greenstein(medium.g, photon.rng.next_float32())
             photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
             segment.step = medium.free_path(photon.rng)
             free = mi.Float(ahead)
@@ -299,7 +279,7 @@ class FingerWalk:
         inside = [dr.select(tissue == k, segment.length, 0) for k in range(len(optics.TISSUES))]
         photon.path = [path + more for path, more in zip(photon.path, [*inside, *segment.beyond], strict=True)]
         # Whoever leaves for ever leaves from the air.
-        left = dr.select(photon.region == self.regions.air, mi.UInt32(TOP), mi.UInt32(LOST))
+        left = dr.select(photon.region == self.regions.air, mi.UInt32(sampling.TOP), mi.UInt32(sampling.LOST))
         photon.outcome = dr.select(gone, left, photon.outcome)
         return hit, intersection.prim_index
 
@@ -320,7 +300,7 @@ class FingerWalk:
             normal = dr.select(up, -normal, normal)
             cos_in = -dr.dot(photon.w, normal)
             n_in, n_out = dr.gather(F, regions.n, photon.region), dr.gather(F, regions.n, there)
-            reflectance, cos_out, eta = fresnel(cos_in, n_in=n_in, n_out=n_out)
+            reflectance, cos_out, eta = sampling.fresnel(cos_in, n_in=n_in, n_out=n_out)
             if self.board is not None:
                 arrives = (photon.region == regions.epoxy) & dr.gather(mi.Bool, regions.on_board, there)
                 self.board.add(photon, cos_in, arrives & (photon.tau <= photon.absorption_optical_depth))
@@ -339,7 +319,7 @@ class FingerWalk:
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
             # Whoever meets a face from a region that does not touch it has slipped through an edge.
-            photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(LOST))
+            photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(sampling.LOST))
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)
             if self.acceptance is not None:
@@ -398,7 +378,7 @@ def _go_on(photon: FingerPhoton, fork: list[Any], done: Any, k: int) -> None:
         photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, path = dr.copy(fork)
         photon.path = path
         # What absorption leaves a photon knows nothing of how far it came.
-        photon.absorption_optical_depth = photon.tau + free_absorption_length(photon.rng.next_float32())
+        photon.absorption_optical_depth = photon.tau + sampling.free_absorption_length(photon.rng.next_float32())
         photon.copies_left[k] -= 1
         photon.outcome = mi.UInt32(0)
 

@@ -184,13 +184,8 @@ class Emitter:
         self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
         self.emission = mi.Float(emission)
 
-    def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:
-        """Place and direction of a new photon, whichever of the batch it is."""
-        p, w, _ = self.emit_at_angle(rng)
-        return p, w
-
-    def emit_at_angle(self, rng: Any) -> tuple[Any, Any, Any]:
-        """Place and direction of a new photon, and the cosine of its angle to the face."""
+    def emit(self, rng: Any, index: Any) -> tuple[Any, Any, Any]:
+        """Place and direction of a new photon, whichever of the batch, and the cosine of its angle to the face."""
         pick, facet = rng.next_float32(), mi.UInt32(0)
         for i in range(dr.width(self.cumulative_share) - 1):
             facet += dr.select(pick >= dr.gather(mi.Float, self.cumulative_share, i), mi.UInt32(1), mi.UInt32(0))

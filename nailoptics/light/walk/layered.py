@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...scene import Led, Phantom, Scene
+from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
 from .arithmetic import maximum, minimum, safe_sqrt
@@ -33,36 +34,27 @@ class LayeredTracer:
             for (x, y), (dx, dy) in ((p.position_mm, p.size_mm) for p in scene.photodiodes)
         ]
 
-    def mu_a(self, led: int) -> np.ndarray:
-        """Absorption for which the weights hold, (layers,) float. [mm^-1]"""
-        return np.array([layer.mu_a_per_mm for layer in self.phantom.layers])
-
     def batch(self, led: int, *, photons: int, seed: int) -> LedTrace:
         """Trace some photons of one LED."""
         walked, start, shift = walk_layers(self.phantom, self.scene.leds[led], photons=photons, seed=seed)
         energy, absorbed = walked.energy([layer.name for layer in self.phantom.layers])
-        top = np.flatnonzero(walked.outcome == sampling.TOP)
-        photodiode, weight, path, photon = [], [], [], []
-        for i, aperture in enumerate(self.apertures):
+        top, detected = np.flatnonzero(walked.outcome == sampling.TOP), []
+        for aperture in self.apertures:
             share = arc_share(shift[top], start[top], aperture)
-            detected = np.flatnonzero(share)
-            photodiode.append(np.full(len(detected), i, np.uint16))
-            weight.append(share[detected] * walked.weight[top[detected]])
-            path.append(walked.path_mm[:, top[detected]].T)
-            photon.append(detected)
-        pairs = pair_sums(photon, weight)
-        for i, end in enumerate((sampling.TOP, sampling.BOTTOM) if self.escaping else (), len(self.apertures)):
+            photon = top[share > 0]
+            detected.append((photon, share[share > 0] * walked.weight[photon]))
+        pairs = pair_sums(detected)
+        for end in (sampling.TOP, sampling.BOTTOM) if self.escaping else ():
             left = np.flatnonzero(walked.outcome == end)
-            photodiode.append(np.full(len(left), i, np.uint16))
-            weight.append(walked.weight[left])
-            path.append(walked.path_mm[:, left].T)
+            detected.append((left, walked.weight[left]))
+        photon, weight = (np.concatenate(one) for one in zip((top[:0], walked.weight[:0]), *detected, strict=True))
         return LedTrace(
             photons=photons,
-            mu_a=self.mu_a(led),
+            mu_a=optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0],
             seeds=(seed,),
-            photodiode=np.concatenate([np.zeros(0, np.uint16), *photodiode]),
-            weight=np.concatenate([np.zeros(0), *weight]),
-            path_mm=np.ascontiguousarray(np.concatenate([np.zeros((0, len(self.phantom.layers)), np.float32), *path])),
+            photodiode=np.repeat(np.arange(len(detected), dtype=np.uint16), [len(one) for one, _ in detected]),
+            weight=weight,
+            path_mm=np.ascontiguousarray(walked.path_mm[:, photon].T),
             energy=energy,
             absorbed=absorbed,
             events=walked.events,
@@ -70,16 +62,16 @@ class LayeredTracer:
         )
 
 
-def pair_sums(photon: Sequence[np.ndarray], weight: Sequence[np.ndarray]) -> dict[str, tuple[float, float]]:
+def pair_sums(detected: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, tuple[float, float]]:
     """Sums over photons of the product of their weights in two photodiodes, and of its square, by "i j".
 
-    photon, weight : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
+    detected : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
     """
     sums = {}
-    for (i, one), (j, other) in combinations(enumerate(photon), 2):
+    for (i, (one, weight)), (j, (other, weight_too)) in combinations(enumerate(detected), 2):
         both, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
         if len(both):
-            product = weight[i][here] * weight[j][there]
+            product = weight[here] * weight_too[there]
             sums[f"{i} {j}"] = float(product.sum()), float((product**2).sum())
     return sums
 

@@ -15,16 +15,14 @@ import numpy as np
 
 from ... import geometry as finger_geometry
 from ...geometry import DistanceGrid, Geometry
-from ...io import CorruptError
 from ...scene import Board, Led, Light, Scene, digest
 from ...statistics import seed_of
 from .. import optics
 from ..identity import light_scene
-from ..tracing.store import LightStore, made_by
-from ..transfer.records import check_arrays
+from ..tracing.store import LightStore, made_by, stored_or_made
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
-from .sampling import TOP, Photon, PhotonEnds, lanes
+from .sampling import TOP, PhotonEnds, lanes
 
 # Photons walked at once.
 BATCH = 1 << 18
@@ -88,14 +86,10 @@ class NailReflectance:
         self.zones = optics.zones(scene)
 
     @cached_property
-    def geometry(self) -> Geometry:
-        """The finger's shape."""
-        return _built(finger_geometry.shaping(self.scene))[0]
-
-    @cached_property
-    def interfaces(self) -> Interfaces:
-        """What the rays meet."""
-        return Interfaces(*_built(finger_geometry.shaping(self.scene)))
+    def finger(self) -> tuple[Geometry, Interfaces]:
+        """The finger's shape, and what the rays meet."""
+        geometry, distances = _built(finger_geometry.shaping(self.scene))
+        return geometry, Interfaces(geometry, distances)
 
     def reflect(
         self,
@@ -117,72 +111,49 @@ class NailReflectance:
         parameters["least_mu_a_per_mm"] = [least_mu_a_per_mm.tolist()]
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
-        name, absorbers = f"{groups}-{photons}", len(least_mu_a_per_mm)
 
-        def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReflectedLight:
-            shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("patch", "group", "weight", "cosine", "gloss"), (-1,))
-            check_arrays(arrays, shapes | {"path_mm": (-1, absorbers), "rays": (len(patches),), "mu_a": (absorbers,)})
-            stored = ReflectedLight(**arrays)
-            if (stored.patch >= len(patches)).any() or (stored.group >= groups).any() or (stored.rays < 1).any():
-                raise CorruptError("it names a patch or group that there is not")
-            return stored
+        def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+            table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
+            cycle = len(table) * groups
+            regions = self._regions(wavelength_nm, least_mu_a_per_mm)
+            beam = _Beam(patches, table, float(self.finger[0].bounds_mm[1, 2]) + ABOVE_MM, regions.air)
+            batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
+            for number in range(-(-photons // batch)):
+                count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
+                parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
+                total += count
+            index, weight, path, cosine = (np.concatenate(one) for one in zip(*parts, strict=True))
+            return {}, {
+                "rays": np.bincount(table, minlength=len(patches)) * (total // len(table)),
+                "patch": table[index % len(table)].astype(np.uint16),
+                "group": (index // len(table) % groups).astype(np.uint8),
+                "weight": weight.astype(np.float32),
+                "path_mm": path,
+                "mu_a": least_mu_a_per_mm,
+                "cosine": cosine,
+                "gloss": np.asarray(path.max(1) == 0),
+            }
 
-        for light in lights:
-            if stored := light.read(name, build):
-                return stored
-        table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
-        cycle = len(table) * groups
-        regions = self._regions(wavelength_nm, least_mu_a_per_mm)
-        beam = _Beam(patches, table, float(self.geometry.bounds_mm[1, 2]) + ABOVE_MM, regions.air)
-        batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
-        for number in range(-(-photons // batch)):
-            count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
-            parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
-            total += count
-        index, weight, path, cosine = (np.concatenate(one) for one in zip(*parts, strict=True))
-        new = ReflectedLight(
-            rays=np.bincount(table, minlength=len(patches)) * (total // len(table)),
-            patch=table[index % len(table)].astype(np.uint16),
-            group=(index // len(table) % groups).astype(np.uint8),
-            weight=weight.astype(np.float32),
-            path_mm=path,
-            mu_a=least_mu_a_per_mm,
-            cosine=cosine,
-            gloss=np.asarray(path.max(1) == 0),
-        )
-        if lights:
-            lights[0].write(name, {}, vars(new))
-        return new
+        return stored_or_made(lights, f"{groups}-{photons}", make, lambda _, arrays: ReflectedLight(**arrays))[0]
 
     def _regions(self, wavelength_nm: float, least_mu_a_per_mm: np.ndarray) -> Regions:
-        media = optics.finger_media(self.scene, self.geometry.regions, wavelength_nm)
+        geometry, _ = self.finger
+        media = optics.finger_media(self.scene, geometry.regions, wavelength_nm)
         absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
         least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
-        mu_a = np.array([least.get(name, 0.0) for name in self.geometry.regions])
-        return Regions(self.geometry, replace(media, mu_a=mu_a))
+        mu_a = np.array([least.get(name, 0.0) for name in geometry.regions])
+        return Regions(geometry, replace(media, mu_a=mu_a))
 
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
         """Index, weight, paths and cosine of the rays that came back."""
         paths = len(optics.TISSUES) + len(self.zones.edges_mm)
-        ends = _Exits(count, paths=paths, media=len(regions.absorbing))
-        walk = FingerWalk(self.interfaces, regions, ZoneEdges(self.zones), beam, ends)
+        ends = PhotonEnds(count, paths=paths, media=len(regions.absorbing))
+        walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
         rng, each = lanes(count, seed)
         walked = ends.evaluated(walk.run(rng, each, dr.arange(mi.UInt32, dr.width(each))))
         back = np.flatnonzero(walked.outcome == TOP)
         path = FingerTracer.by_zone(walked.path_mm[:, back]).astype(np.float16)
-        return back, walked.weight[back], path, np.array(ends.cosine)[back]
-
-
-class _Exits(PhotonEnds):
-    """Photon ends that keep the way in which each left, too."""
-
-    def __init__(self, photons: int, *, paths: int, media: int) -> None:
-        super().__init__(photons, paths=paths, media=media)
-        self.cosine = dr.zeros(mi.Float, photons)
-
-    def record_path(self, photon: Photon, *more: Any) -> None:
-        super().record_path(photon, *more)
-        dr.scatter(self.cosine, photon.w.z, photon.index)
+        return back, walked.weight[back], path, walked.cosine[back]
 
 
 class _Beam:
@@ -193,11 +164,11 @@ class _Beam:
         self.rectangle = table_of_rows(np.hstack([corner, [patch.size_mm for patch in patches]])[table])
         self.count, self.height, self.region = dr.opaque(mi.UInt32, len(table)), dr.opaque(mi.Float, height_mm), air
 
-    def emit(self, rng: Any, index: Any) -> tuple[Any, Any]:
-        """Place and direction of a new photon, whichever of the batch it is."""
+    def emit(self, rng: Any, index: Any) -> tuple[Any, Any, Any]:
+        """Place and direction of a new photon, whichever of the batch it is, and the cosine of its angle."""
         box = dr.gather(mi.Vector4f, self.rectangle, index % self.count)
         x, y = dr.fma(rng.next_float32(), box.z, box.x), dr.fma(rng.next_float32(), box.w, box.y)
-        return mi.Point3f(x, y, self.height), mi.Vector3f(0, 0, -1)
+        return mi.Point3f(x, y, self.height), mi.Vector3f(0, 0, -1), mi.Float(1)
 
 
 def as_seen(scene: Scene) -> Scene:

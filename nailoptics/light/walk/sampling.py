@@ -76,6 +76,7 @@ class WalkedPhotons:
     weight : (n,) float. Weight at the end, at the traced absorption; 0 for those that were absorbed in a medium.
     absorbed : (media, n) float. What absorption in each medium took of it.
     path_mm : (t, n) float32. Path in each medium. [mm]
+    cosine : (n,) float32. Cosine of its last direction to z.
     events : Scatterings in all.
     """
 
@@ -83,6 +84,7 @@ class WalkedPhotons:
     weight: np.ndarray
     absorbed: np.ndarray
     path_mm: np.ndarray
+    cosine: np.ndarray
     events: int
 
     def energy(self, media: Sequence[str], opaque: Mapping[int, str] = MappingProxyType({})) -> tuple[Sums, Sums]:
@@ -115,7 +117,7 @@ class PhotonEnds:
     def __init__(self, photons: int, *, paths: int, media: int) -> None:
         self.photons, self.absorbed = dr.opaque(mi.UInt32, photons), dr.zeros(mi.Float64, media * photons)
         self.outcome, self.weight = dr.zeros(mi.UInt32, photons), dr.zeros(mi.Float, photons)
-        self.path = [dr.zeros(mi.Float, photons) for _ in range(paths)]
+        self.cosine, *self.path = (dr.zeros(mi.Float, photons) for _ in range(1 + paths))
 
     def record(self, photon: Photon, medium: Any, tallied: Any) -> None:
         """Write how a photon ended, and with what weight; tally, if its medium is, what absorption took there."""
@@ -140,16 +142,18 @@ class PhotonEnds:
         """Write which way a photon came, and what else its walk adds to its paths."""
         for target, value in zip(self.path, [*photon.path, *more], strict=True):
             dr.scatter(target, value, photon.index)
+        dr.scatter(self.cosine, photon.w.z, photon.index)
 
     def evaluated(self, events: Any) -> WalkedPhotons:
         """What was written, once the kernel has run; events : scatterings of each lane."""
-        dr.eval(events, self.outcome, self.weight, self.absorbed, self.path)
+        dr.eval(events, self.outcome, self.weight, self.absorbed, self.path, self.cosine)
         outcome = np.array(self.outcome)
         return WalkedPhotons(
             outcome=outcome,
             weight=np.array(self.weight).astype(float),
             absorbed=np.array(self.absorbed).reshape(-1, len(outcome)),
             path_mm=np.stack([np.array(path) for path in self.path]),
+            cosine=np.array(self.cosine),
             events=int(np.array(events).sum(dtype=np.int64)),
         )
 

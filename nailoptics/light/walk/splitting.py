@@ -87,8 +87,7 @@ def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
     plans = [np.asarray(face.quads).reshape(-1, 3)[:, :2] for face in geometry.photodiodes]
     low = np.min([plan.min(0) for plan in plans], axis=0) - REACH_MM
     high = np.max([plan.max(0) for plan in plans], axis=0) + REACH_MM
-    middles = [a + CELL_MM * (np.arange(np.ceil((b - a) / CELL_MM)) + 0.5) for a, b in zip(low, high, strict=True)]
-    cells = np.stack(np.meshgrid(*middles, indexing="ij"), -1)
+    cells = _middles(low, high, CELL_MM)
     near = np.zeros(cells.shape[:2], bool)
     for plan in plans:
         beyond = np.maximum(np.maximum(plan.min(0) - cells, cells - plan.max(0)), 0)
@@ -108,10 +107,8 @@ def strides_made(geometry: Geometry, led: Face) -> tuple[np.ndarray, np.ndarray]
     centres = np.array([_centre(geometry.photodiodes[i]) for i in far])
     reach = (away[far] - STRIDE_MM)[:, None]
     low, high = (centres - reach).min(0), (centres + reach).max(0)
-    count = np.ceil((high - low) / STRIDE_CELL_MM).astype(int)
-    middles = [a + STRIDE_CELL_MM * (np.arange(n) + 0.5) for a, n in zip(low, count, strict=True)]
-    cells = np.stack(np.meshgrid(*middles, indexing="ij"), -1).astype(np.float32)
-    made = np.zeros(count)
+    cells = _middles(low, high, STRIDE_CELL_MM).astype(np.float32)
+    made = np.zeros(cells.shape[:-1])
     for i, centre in zip(far, centres.astype(np.float32), strict=True):
         nearer = away[i] - np.sqrt(np.square(cells - centre).sum(-1))
         made = np.maximum(made, np.minimum(np.floor(nearer / STRIDE_MM), most[i]))
@@ -121,6 +118,12 @@ def strides_made(geometry: Geometry, led: Face) -> tuple[np.ndarray, np.ndarray]
 def distances(geometry: Geometry, led: Face) -> np.ndarray:
     """From an LED to the middle of each photodiode, (photodiodes,) float. [mm]"""
     return np.array([np.linalg.norm(_centre(face) - _centre(led)) for face in geometry.photodiodes])
+
+
+def _middles(low: np.ndarray, high: np.ndarray, cell_mm: float) -> np.ndarray:
+    """Middles of the cells of a size from corner to corner (d,), one axis for each coordinate, (..., d) float. [mm]"""
+    axes = (a + cell_mm * (np.arange(np.ceil((b - a) / cell_mm)) + 0.5) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1)
 
 
 def _centre(face: Face) -> np.ndarray:

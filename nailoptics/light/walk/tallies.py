@@ -1,6 +1,6 @@
 """Tallies of a walk: what it keeps of photons on their way, and where they arrive on the board."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -39,55 +39,77 @@ ARRIVALS = 4
 
 
 class BoardTally:
-    """Place, weight and paths of every arrival at the underside, in slots of their photon.
+    """Place, angle, weight and paths of every arrival at the underside, in slots of their photon."""
 
-    angles : whether the angles at which they meet it are kept, too.
-    """
-
-    def __init__(self, geometry: Geometry, *, photons: int, paths: int, angles: bool = False) -> None:
+    def __init__(self, geometry: Geometry, *, photons: int, paths: int) -> None:
         self.nail_mm, self.board_mm = (
             dr.opaque(mi.Float, r) for r in (geometry.nail_radius_mm, geometry.board_radius_mm)
         )
-        self.columns = [dr.zeros(mi.Float, photons * ARRIVALS) for _ in range(3 + paths)]
-        self.cosines = dr.zeros(mi.Float, photons * ARRIVALS) if angles else None
+        self.columns = [dr.zeros(mi.Float, photons * ARRIVALS) for _ in range(4 + paths)]
 
     def add(self, photon: FingerPhoton, cos: Any, active: Any) -> None:
         """Keep a photon that arrives once more, at an angle of this cosine."""
         slot, inside = photon.index * ARRIVALS + photon.arrivals, active & (photon.arrivals < ARRIVALS)
         u = self.board_mm * atan2(photon.p.x, photon.p.z + self.nail_mm)
-        values = (u, photon.p.y, photon.weight * remaining(photon.tau), *photon.path)
+        values = (u, photon.p.y, photon.weight * remaining(photon.tau), cos, *photon.path)
         for column, value in zip(self.columns, values, strict=True):
             dr.scatter(column, value, slot, inside)
-        if self.cosines is not None:
-            dr.scatter(self.cosines, cos, slot, inside)
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Photon (n,), place (n, 2) [mm], weight (n,), paths (t, n) [mm] and cosine (n,), in the order of the photons;
-        all cosines are 1 where angles are not kept."""
+        """Photon (n,), place (n, 2) [mm], weight (n,), paths (t, n) [mm] and cosine (n,), in the photons' order."""
         dr.eval(self.columns)
         slot = np.flatnonzero(np.array(self.columns[2]))
-        u, v, weight, *paths = (np.array(column)[slot] for column in self.columns)
-        cos = np.ones(len(slot)) if self.cosines is None else np.array(self.cosines)[slot].astype(float)
-        return slot // ARRIVALS, np.stack([u, v], -1).astype(float), weight.astype(float), np.stack(paths), cos
+        u, v, weight, cos, *paths = (np.array(column)[slot] for column in self.columns)
+        place = np.stack([u, v], -1).astype(float)
+        return slot // ARRIVALS, place, weight.astype(float), np.stack(paths), cos.astype(float)
 
 
-class Section:
-    """The light's path density on the longitudinal section, summed over the finger's width."""
+class PathTally:
+    """Sums of paths on a grid of cells, each times what its photon counts for, in several groups of photons.
 
-    def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
-        self.y_mm, self.z_mm, self.spacing_mm = y_mm, z_mm, float(y_mm[1] - y_mm[0])
-        self.values = dr.zeros(mi.Float64, len(y_mm) * len(z_mm))
-        low = [float(axis[0] - self.spacing_mm / 2) for axis in (y_mm, z_mm)]
-        self.grid = CellGrid(low, [self.spacing_mm] * 2, [len(y_mm), len(z_mm)])
+    place : coordinates of a point on the grid.
+    detected : weight and group, (photons,) each. What each photon of the walk counts for, and in which group; without
+        it all are one group and count by their weight at each place, whose sums per volume are the fluence.
+    """
+
+    def __init__(
+        self,
+        edges_mm: Sequence[np.ndarray],
+        place: Callable[[Any], Sequence[Any]],
+        detected: tuple[np.ndarray, np.ndarray] | None = None,
+        groups: int = 1,
+    ) -> None:
+        self.shape, self.place, self.detected = (groups, *(len(e) - 1 for e in edges_mm)), place, None
+        if detected:
+            self.detected = mi.Float(detected[0].astype(np.float32)), mi.UInt32(detected[1].astype(np.uint32))
+        self.values = dr.zeros(mi.Float64, int(np.prod(self.shape)))
+        self.per_group = dr.opaque(mi.UInt32, int(np.prod(self.shape[1:])))
+        self.grid = CellGrid([e[0] for e in edges_mm], [e[1] - e[0] for e in edges_mm], self.shape[1:])
 
     def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
         """Add a photon's path, of a middle p and a weight there. [mm]"""
-        cell, inside = self.grid.cell((p.y, p.z), active)
+        cell, inside = self.grid.cell(self.place(p), active)
+        if self.detected:
+            weight = dr.gather(mi.Float, self.detected[0], photon.index, active)
+            cell += dr.gather(mi.UInt32, self.detected[1], photon.index, active) * self.per_group
         dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
+
+    def sums(self) -> np.ndarray:
+        """Sums in each group and cell, (groups, ...) float. [mm]"""
+        return np.array(self.values).reshape(self.shape)
+
+
+class Section(PathTally):
+    """The light's path density on the longitudinal section, summed over the finger's width."""
+
+    def __init__(self, y_mm: np.ndarray, z_mm: np.ndarray) -> None:
+        self.spacing_mm = float(y_mm[1] - y_mm[0])
+        edges = [np.append(axis, axis[-1] + self.spacing_mm) - self.spacing_mm / 2 for axis in (y_mm, z_mm)]
+        super().__init__(edges, lambda p: (p.y, p.z))
 
     def density(self, photons: int) -> np.ndarray:
         """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
-        return np.array(self.values).reshape(len(self.y_mm), len(self.z_mm)) / (photons * self.spacing_mm**2)
+        return np.asarray(self.sums()[0] / (photons * self.spacing_mm**2))
 
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
@@ -137,36 +159,16 @@ class VoxelGrid:
         return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
 
 
-class SensitivityTally:
-    """Sums of paths on cells, each times what its photon counts for, in several groups of photons.
-
-    detected : weight and group, (photons,) each. What each photon of the walk counts for, and in which group; without
-        it all are one group and count by their weight at each place, whose sums per volume are the fluence.
-    """
+class SensitivityTally(PathTally):
+    """Sums of paths on the cells under a nail."""
 
     def __init__(
         self, cells: VoxelGrid, detected: tuple[np.ndarray, np.ndarray] | None = None, groups: int = 1
     ) -> None:
-        self.cells, self.groups, self.detected = cells, groups, None
-        if detected:
-            self.detected = mi.Float(detected[0].astype(np.float32)), mi.UInt32(detected[1].astype(np.uint32))
-        self.values = dr.zeros(mi.Float64, groups * int(np.prod(cells.shape)))
-        self.per_group = dr.opaque(mi.UInt32, int(np.prod(cells.shape)))
-        self.radii = [dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm)]
-        edges = (cells.u_mm, cells.v_mm, cells.depth_mm)
-        self.grid = CellGrid([e[0] for e in edges], [e[1] - e[0] for e in edges], cells.shape)
+        nail, board = (dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm))
 
-    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
-        """Add a photon's path, of a middle p and a weight there. [mm]"""
-        nail, board = self.radii
-        height = p.z + nail
-        place = (board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height))
-        cell, inside = self.grid.cell(place, active)
-        if self.detected:
-            weight = dr.gather(mi.Float, self.detected[0], photon.index, active)
-            cell += dr.gather(mi.UInt32, self.detected[1], photon.index, active) * self.per_group
-        dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
+        def place(p: Any) -> tuple[Any, Any, Any]:
+            height = p.z + nail
+            return board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height)
 
-    def sums(self) -> np.ndarray:
-        """Sums in each group and cell, (groups, u, v, depth) float. [mm]"""
-        return np.array(self.values).reshape(self.groups, *self.cells.shape)
+        super().__init__((cells.u_mm, cells.v_mm, cells.depth_mm), place, detected, groups)

@@ -51,15 +51,11 @@ class FlatStack(NailReflectance):
         )
         # No distance is known anywhere: every step casts a ray.
         unknown = [np.zeros((1, 1, 1), kind) for kind in (np.float32, np.uint8, np.int8)]
-        self.flat = shape, DistanceGrid(*unknown, np.zeros((1, 1, 1, 2), np.int8), np.zeros(3), 1.0, 1.0)
+        self.flat = shape, DistanceGrid(*unknown, np.zeros((1, 1, 1, 2), np.int8), np.zeros(3), 1.0)
 
     @property
-    def geometry(self):
-        return self.flat[0]
-
-    @property
-    def interfaces(self):
-        return Interfaces(*self.flat)
+    def finger(self):
+        return self.flat[0], Interfaces(*self.flat)
 
 
 def by_adding_doubling(wavelength_nm: float, n: float) -> float:
