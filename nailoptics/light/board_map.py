@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .walk.finger import FingerTracer
     from .walk.tallies import VoxelGrid
 
-T = TypeVar("T")
-
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
 
@@ -51,14 +49,11 @@ class Arrivals:
     weight: np.ndarray
     path_mm: np.ndarray
 
-    def stored(self, *, placed: bool = True) -> dict[str, np.ndarray]:
-        """The same as arrays of numbers in single precision, in which they were traced.
-
-        placed : whether the photons arrived anywhere.
-        """
-        place = {"place_mm": self.place_mm.astype(np.float32)} if placed else {}
-        weight = self.weight.astype(np.float32)
-        return {"photon": self.photon.astype(np.uint32), "weight": weight, "path_mm": self.path_mm} | place
+    def stored(self, part: str = "") -> dict[str, np.ndarray]:
+        """The same as arrays of numbers in single precision, in which they were traced; `part` begins their names."""
+        arrays = {"photon": self.photon.astype(np.uint32), "place_mm": self.place_mm.astype(np.float32)}
+        arrays |= {"weight": self.weight.astype(np.float32), "path_mm": self.path_mm}
+        return {part + name: array for name, array in arrays.items()}
 
     def reweighted(self, by: np.ndarray) -> "Arrivals":
         """The same with every weight times another, (n,) float."""
@@ -84,11 +79,10 @@ class Arrivals:
         return replace(self.select(self.photon % step == first), photons=len(range(first, self.photons, step)))
 
     @classmethod
-    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray]) -> "Arrivals":
+    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray], part: str = "") -> "Arrivals":
         """What such arrays were made of, bit for bit."""
-        photon = arrays["photon"].astype(np.int64)
-        place = arrays["place_mm"].astype(float) if "place_mm" in arrays else np.full((len(photon), 2), np.nan)
-        return cls(photons, photon, place, arrays["weight"].astype(float), arrays["path_mm"])
+        photon, place, weight, path = (arrays[part + name] for name in ("photon", "place_mm", "weight", "path_mm"))
+        return cls(photons, photon.astype(np.int64), place.astype(float), weight.astype(float), path)
 
 
 class BoardTracer:
@@ -129,14 +123,9 @@ class BoardTracer:
         return FingerTracer(self.scene, spacing_mm=self.spacing_mm, with_faces=("kapton",))
 
     def _stored(
-        self,
-        led: int,
-        name: str,
-        trace: Callable[[], dict[str, np.ndarray]],
-        build: Callable[[dict[str, np.ndarray]], T],
-        **more: Any,
-    ) -> T:
-        """What is built of arrays of the store, or of new ones.
+        self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any
+    ) -> dict[str, np.ndarray]:
+        """Arrays of the store, or new ones.
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
@@ -146,7 +135,7 @@ class BoardTracer:
             traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
             made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()}
             lights = [self.store.light(made)]
-        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: build(arrays))[0]
+        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
@@ -156,8 +145,7 @@ class BoardTracer:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
             return arrived.reweighted(self._accepted(0, cos)).stored()
 
-        build = partial(Arrivals.from_stored, photons)
-        return self._stored(led, f"arrivals{seed}-{photons}", trace, build)
+        return Arrivals.from_stored(photons, self._stored(led, f"arrivals{seed}-{photons}", trace))
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED,
@@ -175,15 +163,10 @@ class BoardTracer:
             if scene.layout.photodiodes[photodiode].photodiode.angular_response is not None:
                 sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
                 arrived, left = (one.reweighted(sent[one.photon]) for one in (arrived, left))
-            away = {f"left_{name}": array for name, array in left.stored(placed=False).items()}
-            return arrived.stored() | away
+            return arrived.stored() | left.stored("left_")
 
-        def build(arrays: dict[str, np.ndarray]) -> tuple[Arrivals, Arrivals]:
-            left = {name.removeprefix("left_"): array for name, array in arrays.items() if name.startswith("left_")}
-            arrived = Arrivals.from_stored(photons, arrays)
-            return arrived, Arrivals.from_stored(photons, left)
-
-        return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
+        arrays = self._stored(led, f"back{photodiode}_{seed}-{photons}", trace)
+        return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, arrays, "left_")
 
     def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
@@ -236,7 +219,7 @@ class BoardTracer:
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
         trace = partial(self._detected, led, point, photons=photons, seed=seed, cells=cells)
         name = f"detected{seed}-{photons}"
-        arrays = self._stored(led, name, trace, dict, blood=blood, cells=list(cells.shape))
+        arrays = self._stored(led, name, trace, blood=blood, cells=list(cells.shape))
         return arrays["means"], arrays["sensitivity"]
 
     def _detected(

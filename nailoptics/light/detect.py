@@ -277,10 +277,10 @@ def _light_by_volpath(
             f"blood: volpath reads three blood states, enough for two zones, and the scene has "
             f'{optics.zones(scene).count}; take light.engine = "photons", or two zones.'
         )
-    options = replace(options, relative_error=max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR))
+    target = max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
+    options = replace(options, relative_error=target, photons=None)
     log.warning(
-        "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them",
-        options.relative_error,
+        "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target
     )
     begin, cpu = time.perf_counter(), time.process_time()
     corners = volpath.corner_states(states)
@@ -341,13 +341,8 @@ def _rest_by_volpath(
     scene: Scene, options: TraceOptions, progress: ProgressCallback | None
 ) -> tuple[RestReadings, NotReachedError | None]:
     """The readings of a scene at rest, traced by volpath."""
-    rest = None
-    if scene.phantom is None:
-        target = options.relative_error or VOLPATH_RELATIVE_ERROR
-        if options.relative_error is None and options.max_seconds is None:
-            log.warning("volpath traces a finger to a relative error, not a number of photons; it takes %g", target)
-        options = replace(options, relative_error=target)
-        rest = np.full((1, optics.zones(scene).count), scene.blood.rest_blood_fraction)
+    zones, blood = optics.zones(scene).count, scene.blood.rest_blood_fraction
+    rest = None if scene.phantom is not None else np.full((1, zones), blood)
     traced = volpath.read_leds(scene, options, progress, rest)
     rows = []
     for led, one in zip(scene.leds, traced, strict=True):

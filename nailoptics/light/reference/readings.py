@@ -200,11 +200,9 @@ def finger_states(
     options: TraceOptions,
     progress: ProgressCallback | None = None,
 ) -> StateReadings:
-    """Readings of all photodiodes in up to three blood states, until each has the relative error or time is up.
+    """Readings of all photodiodes in up to three blood states, until each has the error or paths, or time is up.
 
     The colours of a path are the states of one photodiode, or three photodiodes in one state.
-
-    options : with a relative error, which every reading must reach.
 
     Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
@@ -216,7 +214,6 @@ def finger_states(
     together = 1 if states > 1 else COLOURS
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     groups = [_Group(partial(paths, photodiodes=part), [names[i] for i in part]) for part in parts]
-    options = replace(options, photons=None)
     # One change of Mitsuba's variant for all batches.
     with mitsuba_scene.stock_mitsuba(backend):
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
