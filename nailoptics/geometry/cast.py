@@ -1,6 +1,5 @@
 """Parallel rays through a geometry: every crossing of every ray, exact at edges."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -11,7 +10,7 @@ Integers = NDArray[np.int64]
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
-PAIRS = 2_000_000  # at once, to keep the work arrays small
+RAYS_AT_ONCE = 20_000  # keep the work arrays small
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,11 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
     over = np.nonzero(((at >= 0) & (at < bins)).all(axis=1))[0]
     edges = [_Edge.of(vertices, triangles[:, i], triangles[:, (i + 1) % 3]) for i in range(3)]
     crossings = []
-    for triangle, place in _pairs(bin_of(least), bin_of(most), at[over], bins):
-        ray = over[place]
-        triangle, ray, area, forward = _inside(edges, triangle, rays, ray)
+    first, last = bin_of(least), bin_of(most)
+    for start in range(0, max(len(over), 1), RAYS_AT_ONCE):
+        some = over[start : start + RAYS_AT_ONCE]
+        triangle, place = _pairs(first, last, at[some], bins)
+        triangle, ray, area, forward = _inside(edges, triangle, rays, some[place])
         # The area over edge i belongs to the corner opposite to it.
         x, y, z = area / area.sum(axis=0)
         height = vertices[:, 2][triangles[triangle]]
@@ -62,8 +63,8 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
     return Crossings(ray[order], z[order], triangle[order], forward[order])
 
 
-def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> Iterator[tuple[Indices, Integers]]:
-    """All pairs of a triangle and of a ray in one of its bins, in parts; triangles rise.
+def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[Indices, Integers]:
+    """All pairs of a triangle and of a ray in one of its bins; triangles rise.
 
     first, last : (n, 2) int. The first and the last bin along x and y that each triangle reaches into.
     at : (k, 2) int. The bin of each ray.
@@ -79,13 +80,8 @@ def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> Iterator
     begin, end = start[column + first[triangle, 1]], start[column + last[triangle, 1] + 1]
     some = np.nonzero(end > begin)[0]
     triangle, begin, count = triangle[some], begin[some], (end - begin)[some]
-    work = np.cumsum(count)
-    cuts = [0, *np.searchsorted(work, np.arange(PAIRS, work[-1] if len(work) else 0, PAIRS)), len(work)]
-    for low, high in zip(cuts[:-1], cuts[1:], strict=True):
-        n, ends = count[low:high], work[low:high]
-        done = work[low - 1] if low else 0
-        place = np.repeat(begin[low:high] - (ends - n - done), n) + np.arange(n.sum())
-        yield np.repeat(triangle[low:high], n), order[place]
+    place = np.repeat(begin - (np.cumsum(count) - count), count) + np.arange(count.sum())
+    return np.repeat(triangle, count), order[place]
 
 
 @dataclass(frozen=True)
