@@ -27,17 +27,10 @@ MAX_RECORDS = 8_000_000
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise CorruptError unless each array is there, finite and of its shape; -1 is one length that all share."""
-    lengths = set()
+    """Raise CorruptError unless each array is there, finite and of its shape."""
     for name, shape in shapes.items():
-        array = arrays[name]
-        if len(shape) != array.ndim or any(b not in (-1, a) for a, b in zip(array.shape, shape, strict=True)):
-            raise CorruptError(f"{name} has shape {array.shape}")
-        lengths |= {a for a, b in zip(array.shape, shape, strict=True) if b == -1}
-        if not np.isfinite(array).all():
-            raise CorruptError(f"{name} is not finite")
-    if len(lengths) > 1:
-        raise CorruptError("its arrays differ in length")
+        if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
+            raise CorruptError(f"{name} is not finite, or of shape {arrays[name].shape} in place of {shape}")
 
 
 @dataclass(frozen=True)
@@ -84,8 +77,9 @@ class LedTrace:
 
     def check(self, *, photodiodes: int, absorbers: int) -> None:
         """Raise CorruptError unless what a file held can be such a trace."""
-        columns: dict[str, tuple[int, ...]] = {"mu_a": (absorbers,), "path_mm": (-1, absorbers)}
-        columns |= dict.fromkeys(("photodiode", "weight", "draw"), (-1,))
+        count = len(self.weight)
+        columns: dict[str, tuple[int, ...]] = {"mu_a": (absorbers,), "path_mm": (count, absorbers)}
+        columns |= dict.fromkeys(("photodiode", "weight", "draw"), (count,))
         check_arrays(vars(self), columns)
         if self.full is not None:
             check_arrays({"full": self.full.as_array}, {"full": (photodiodes, 3 + 3 * absorbers)})
