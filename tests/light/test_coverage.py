@@ -191,7 +191,6 @@ def test_intervals_of_a_trace_that_stopped_at_a_tolerance(jit_backend, monkeypat
 class Urn:
     """Stands for an engine whose truth is known: each photon is detected with one probability, at a skewed weight."""
 
-    photodiodes = ("a",)
     scene = slab(2.0, mu_a_per_mm=0.0)
     batch_photons = 1024
     probability = 0.05

@@ -13,7 +13,7 @@ from ... import geometry as finger_geometry
 from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
 from ...scene import Scene
 from .. import optics
-from ..transfer.records import FINGER_BATCH_PHOTONS, LedTrace
+from ..transfer.records import LedTrace
 from . import sampling
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import PhotonEnds, WalkedPhotons, remaining, rotate_direction
@@ -41,8 +41,6 @@ def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
 
 class FingerTracer:
     """The photons engine for a finger scene: walks the photons of its LEDs until each has ended."""
-
-    batch_photons = FINGER_BATCH_PHOTONS
 
     def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, with_faces: Collection[str] = ()) -> None:
         """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]

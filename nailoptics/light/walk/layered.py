@@ -28,7 +28,6 @@ class LayeredTracer:
         assert scene.phantom is not None
         self.escaping = escaping
         self.scene, self.phantom = scene, scene.phantom
-        self.photodiodes = tuple(photodiode.name for photodiode in scene.photodiodes)
         self.apertures = [
             (x - dx / 2, x + dx / 2, y - dy / 2, y + dy / 2)
             for (x, y), (dx, dy) in ((p.position_mm, p.size_mm) for p in scene.photodiodes)
