@@ -2,9 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,24 +71,18 @@ class StateReadings:
 class _Group:
     """Readings that share their paths.
 
-    make : the paths, once the first batch is due.
     photodiodes : names of those that it reads, or of the one that it reads in several states; none where it reads
         parts of the LED's power.
     sizes, rows : paths of each batch, and what it read, (channels,) float.
     size, planned : paths of the next batch, and of all that are planned.
     """
 
-    make: Callable[[], Paths]
+    traced: Paths
     photodiodes: Sequence[str]
     sizes: list[int] = field(default_factory=list)
     rows: list[NDArray[np.float64]] = field(default_factory=list)
     size: int = 0
     planned: int = 0
-
-    @cached_property
-    def traced(self) -> Paths:
-        """The paths."""
-        return self.make()
 
     @property
     def paths(self) -> int:
@@ -213,9 +207,9 @@ def finger_states(
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
     together = 1 if states > 1 else COLOURS
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
-    groups = [_Group(partial(paths, photodiodes=part), [names[i] for i in part]) for part in parts]
     # One change of Mitsuba's variant for all batches.
     with mitsuba_scene.stock_mitsuba(backend):
+        groups = [_Group(paths(photodiodes=part), [names[i] for i in part]) for part in parts]
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
     return _readings(groups, reason, interrupted, states=states)
 
@@ -226,9 +220,9 @@ def phantom_readings(
     """Read one LED over a phantom, and where its light went."""
     backend = choose(options.backend, volpath=True)
     paths = partial(mitsuba_scene.phantom_paths, scene, led=led, backend=backend)
-    groups = [_Group(partial(paths, [Window(p.position_mm, p.size_mm)]), [p.name]) for p in scene.photodiodes]
-    leaving = _Group(partial(paths, LEAVING), [])
     with mitsuba_scene.stock_mitsuba(backend):
+        groups = [_Group(paths([Window(p.position_mm, p.size_mm)]), [p.name]) for p in scene.photodiodes]
+        leaving = _Group(paths(LEAVING), [])
         ended = _sample([*groups, leaving], scene.leds[led].name, options, seed_of(options.seed, led), progress)
     rows = np.array(leaving.rows)
     mean, stderr = pooled(leaving.sizes, np.column_stack([rows, 1 - rows.sum(1), np.zeros(len(rows))]))
