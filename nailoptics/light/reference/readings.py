@@ -21,7 +21,7 @@ from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_t
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
 from . import mitsuba_scene
-from .mitsuba_scene import LEAVING, PIXELS, BedAbsorption, Paths, Window
+from .mitsuba_scene import LEAVING, BedAbsorption, Paths, Window
 
 # Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
 # stopping whenever they do favours low ones. So none stops before so many, and few rounds decide what is still needed.
@@ -90,9 +90,9 @@ class _Group:
         return sum(self.sizes)
 
     def plan(self, more: int) -> None:
-        """Plan a round of more paths."""
-        self.planned += more
-        self.size = min(PIXELS * math.ceil(more / (ROUND_BATCHES * PIXELS)), MAX_BATCH_PATHS)
+        """Plan a round of more paths; the film may hold a few more, so that all its pixels have the same number."""
+        self.planned += max(more, ROUND_BATCHES)
+        self.size = min(math.ceil(more / ROUND_BATCHES), MAX_BATCH_PATHS)
 
     def batch(self, seed: int) -> None:
         """Trace one batch."""
