@@ -204,6 +204,7 @@ class FingerWalk:
                 self.ends.record(photon, *self.tallied(region))
                 if self.splitting is None:
                     self.ends.record_path(photon)
+                    dr.scatter(self.ends.cosine, photon.w.z, photon.index)
                 else:
                     dr.scatter(self.splitting.score, photon.score, photon.index)
                 photon = self.launch(photon.rng, lane, photon.index + lanes_in_all)

@@ -76,7 +76,7 @@ class WalkedPhotons:
     weight : (n,) float. Weight at the end, at the traced absorption; 0 for those that were absorbed in a medium.
     absorbed : (media, n) float. What absorption in each medium took of it.
     path_mm : (t, n) float32. Path in each medium. [mm]
-    cosine : (n,) float32. Cosine of its last direction to z.
+    cosine : (n,) float32. Cosine of its last direction to z; 0 where the walk does not write it.
     events : Scatterings in all.
     """
 
@@ -142,7 +142,6 @@ class PhotonEnds:
         """Write which way a photon came, and what else its walk adds to its paths."""
         for target, value in zip(self.path, [*photon.path, *more], strict=True):
             dr.scatter(target, value, photon.index)
-        dr.scatter(self.cosine, photon.w.z, photon.index)
 
     def evaluated(self, events: Any) -> WalkedPhotons:
         """What was written, once the kernel has run; events : scatterings of each lane."""
