@@ -14,7 +14,6 @@ from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries
 from ..options import Requested, TraceOptions
 from ..scene import Board, Scene
-from ..scene.body import Motion
 from ..statistics import seed_of
 from ..variables import Variables, variable
 
@@ -24,7 +23,9 @@ KNOTS_PER_S = 20.0
 # and little beside the 400 um of epoxy, or the 2 mm in which one blood zone passes into the next. [um]
 LIFT_UM, SLIDE_UM = 40.0, 250.0
 # Streams of the body's seed, beside those of its pressures.
-_LED_DRIFT, _READING_DRIFT, _LIFT, _SLIDE = 21, 22, 23, 24
+_LED_DRIFT, _READING_DRIFT = 21, 22
+# The same of each motion, and what it moves.
+_MOTIONS = {"lift": (23, "distance from the nail"), "slide": (24, "place along the nail")}
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,9 @@ class MovedLight:
     light: DetectedLight
 
 
-@dataclass(frozen=True)
-class WornLight:
-    """The light under a sensor in its place, and where the body moves it."""
-
-    light: DetectedLight
-    moved: tuple[MovedLight, ...]
-
-
 def worn_light(
     scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
-) -> WornLight:
+) -> tuple[DetectedLight, tuple[MovedLight, ...]]:
     """The light under the scene's sensor in its place, and lifted and slid where its body moves it.
 
     states : (t, zones) float. The blood states that will be read. A limit in seconds holds for all traces together.
@@ -60,24 +53,24 @@ def worn_light(
     limit = accuracy(scene, TraceOptions(**requested)).max_seconds
     if moves and limit is not None:
         requested = requested | Requested(max_seconds=limit / (1 + len(moves)))
-    boards = (scene.board, *(board for _, _, board in moves))
     given = {"states": states, "progress": progress, **requested}
-    traced = [as_far_as_reached(open_light, scene.model_copy(update={"board": board}), **given) for board in boards]
-    moved = tuple(MovedLight(name, um, light) for (name, um, _), (light, _) in zip(moves, traced[1:], strict=True))
-    worn = WornLight(traced[0][0], moved)
-    for _, unmet in traced:
-        if unmet:
-            raise NotReachedError(str(unmet), result=worn)
-    return worn
+    light, unmet = as_far_as_reached(open_light, scene, **given)
+    moved = []
+    for motion, distance_um, board in moves:
+        there, also = as_far_as_reached(open_light, scene.model_copy(update={"board": board}), **given)
+        moved.append(MovedLight(motion, distance_um, there))
+        unmet = unmet or also
+    if unmet:
+        raise NotReachedError(str(unmet), result=(light, tuple(moved)))
+    return light, tuple(moved)
 
 
 def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:
     """The boards to be traced beside the scene's own: motion, distance [um] and board."""
-    motion, board = _motion(scene), scene.board
-    moved = []
-    if motion.lift_um > 0:
+    moves, board, moved = _rms_um(scene), scene.board, []
+    if "lift" in moves:
         moved.append(("lift", LIFT_UM, board.model_copy(update={"adhesive_um": board.adhesive_um + LIFT_UM})))
-    if motion.slide_um > 0:
+    if "slide" in moves:
         moved.append(("slide", *_slid(scene)))
     return moved
 
@@ -114,24 +107,17 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
         return xr.Dataset()
     data: Variables = {}
     leds, photodiodes = len(scene.leds), len(scene.layout.photodiode_names)
-    if body.drift is not None:
-        walk = _random_walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * body.drift.led_per_rt_min
+    if drift := body.drift:
+        walk = _random_walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * drift.led_per_rt_min
         data |= variable("led_drift", ("led", "time"), np.exp(walk), "drift of the LED, factor on its readings")
-        walk = (
-            _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT))
-            * body.drift.reading_per_rt_min
-        )
-        walk = walk.reshape(leds, photodiodes, -1)
-        text = "drift of a reading by itself, factor on it"
+        walk = _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * drift.reading_per_rt_min
+        text, walk = "drift of a reading by itself, factor on it", walk.reshape(leds, photodiodes, -1)
         data |= variable("reading_drift", ("led", "photodiode", "time"), np.exp(walk), text)
-    motion = _motion(scene)
-    for name, rms_um, stream, text in (
-        ("lift", motion.lift_um, _LIFT, "the sensor's distance from the nail less its mean"),
-        ("slide", motion.slide_um, _SLIDE, "the sensor's place along the nail less its mean"),
-    ):
-        if rms_um > 0:
-            course = rms_um * _ornstein_uhlenbeck(since_s, motion.correlation_s, seed_of(body.seed, stream))
-            data |= variable(f"sensor_{name}_um", "time", course, text, units="um")
+    for name, rms_um in _rms_um(scene).items():
+        assert body.motion is not None
+        stream, text = _MOTIONS[name]
+        course = rms_um * _ornstein_uhlenbeck(since_s, body.motion.correlation_s, seed_of(body.seed, stream))
+        data |= variable(f"sensor_{name}_um", "time", course, f"the sensor's {text} less its mean", units="um")
     return xr.Dataset(data)
 
 
@@ -150,7 +136,7 @@ def motion_artefact(
     exponent = np.zeros((1, 1, 1))
     data: Variables = {}
     traced = {one.motion: one for one in moved}
-    for name in ("lift", "slide"):
+    for name in _MOTIONS:
         if f"sensor_{name}_um" not in worn:
             continue
         if name not in traced:
@@ -169,9 +155,11 @@ def motion_artefact(
     return np.exp(exponent), data
 
 
-def _motion(scene: Scene) -> Motion:
-    still = Motion(lift_um=0.0, slide_um=0.0)
-    return still if scene.body is None or scene.body.motion is None else scene.body.motion
+def _rms_um(scene: Scene) -> dict[str, float]:
+    """How far the body lifts and slides the sensor, where it does. [um]"""
+    motion = scene.body and scene.body.motion
+    every = {"lift": motion.lift_um, "slide": motion.slide_um} if motion else {}
+    return {name: rms_um for name, rms_um in every.items() if rms_um > 0}
 
 
 def _random_walks(count: int, since_s: Array, seed: int) -> Array:

@@ -1,5 +1,6 @@
 """Detected light to volts: responsivity, photocurrent, transimpedance gain, noise and the converter's range."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -68,6 +69,15 @@ def photodiode_responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: Array
     return np.asarray(np.interp(not_negative("wavelength_nm", wavelength_nm), at_nm, value, left=0.0, right=0.0))
 
 
+def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Photodiode], float]) -> Array:
+    """A number of a photodiode, or of each of several, () or (photodiodes,) float."""
+    if isinstance(photodiodes, Photodiode):
+        return np.asarray(value(photodiodes))
+    # Thousands of places have one and the same photodiode.
+    by_id = {key: value(one) for key, one in {id(one): one for one in photodiodes}.items()}
+    return np.array([by_id[id(one)] for one in photodiodes])
+
+
 def lsb_v(amplifier: Electronics) -> float:
     """The converter's step. [V]"""
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
@@ -82,9 +92,9 @@ def noise_budget(
     current_a: ArrayLike,
     amplifier: Electronics,
     *,
-    dark_current_na: float = 0.1,
-    shunt_ohm: float = 1e9,
-    capacitance_pf: float = 0.0,
+    dark_current_na: ArrayLike = 0.1,
+    shunt_ohm: ArrayLike = 1e9,
+    capacitance_pf: ArrayLike = 0.0,
 ) -> NoiseBudget:
     """The noise of the stage's output at a photocurrent, cause by cause.
 
@@ -97,29 +107,32 @@ def noise_budget(
     """
     current = not_negative("current_a", current_a)
     dark = not_negative("dark_current_na", dark_current_na) * 1e-9
-    if not shunt_ohm > 0:
-        raise InputError(f"shunt_ohm = {shunt_ohm:g} must be above 0; correct it")
+    shunt, capacitance = np.asarray(shunt_ohm, float), np.asarray(capacitance_pf, float)
+    if not np.all(shunt > 0):
+        raise InputError(f"shunt_ohm = {shunt.min():g} must be above 0; correct it")
     bandwidth, gain2 = amplifier.bandwidth_hz, amplifier.feedback_ohm**2
     thermal_j = 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
-    charge_noise = 2 * np.pi * (amplifier.capacitance_pf + capacitance_pf) * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
+    charge_noise = 2 * np.pi * (amplifier.capacitance_pf + capacitance) * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
     same = np.ones_like(current)
     return NoiseBudget(
         shot_v2=2 * ELEMENTARY_CHARGE_C * (current + dark) * bandwidth * gain2,
         feedback_v2=same * thermal_j * bandwidth * amplifier.feedback_ohm,
-        shunt_v2=same * thermal_j / shunt_ohm * bandwidth * gain2,
+        shunt_v2=same * thermal_j / shunt * bandwidth * gain2,
         amplifier_v2=same * charge_noise**2 * bandwidth**3 / 3 * gain2,
         adc_v2=same * lsb_v(amplifier) ** 2 / 12,
     )
 
 
-def stage_noise(current_a: ArrayLike, photodiode: Photodiode, amplifier: Electronics) -> NoiseBudget:
+def stage_noise(
+    current_a: ArrayLike, photodiode: Photodiode | Sequence[Photodiode], amplifier: Electronics
+) -> NoiseBudget:
     """The noise of a photodiode's stage at a photocurrent, without its dark current. [A]"""
     return noise_budget(
         current_a,
         amplifier,
-        dark_current_na=1e9 * photodiode.dark_current_a(amplifier.temperature_k),
-        shunt_ohm=1e6 * photodiode.shunt_mohm,
-        capacitance_pf=photodiode.capacitance_pf,
+        dark_current_na=_of_each(photodiode, lambda one: 1e9 * one.dark_current_a(amplifier.temperature_k)),
+        shunt_ohm=_of_each(photodiode, lambda one: 1e6 * one.shunt_mohm),
+        capacitance_pf=_of_each(photodiode, lambda one: one.capacitance_pf),
     )
 
 
@@ -133,7 +146,7 @@ def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArra
 def read(
     detected_fraction: ArrayLike,
     led: Led,
-    photodiode: Photodiode,
+    photodiode: Photodiode | Sequence[Photodiode],
     amplifier: Electronics,
     *,
     ambient_a: ArrayLike = 0.0,
@@ -141,21 +154,24 @@ def read(
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
     detected_fraction : array. Part of the LED's light that the photodiode detects.
+    photodiode : or several, along the last axis.
     amplifier : The stage and its converter, a scene's `[electronics]`.
     ambient_a : array that broadcasts with it. Photocurrent by light from outside. [A]
 
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
     power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
-    current = power_w * photodiode_responsivity_a_per_w(photodiode, led.wavelength_nm)
+    current = power_w * _of_each(photodiode, lambda one: float(photodiode_responsivity_a_per_w(one, led.wavelength_nm)))
     current = current + not_negative("ambient_a", ambient_a)
-    amplified = np.asarray((current + photodiode.dark_current_a(amplifier.temperature_k)) * amplifier.feedback_ohm)
+    dark_a = _of_each(photodiode, lambda one: one.dark_current_a(amplifier.temperature_k))
+    amplified = np.asarray((current + dark_a) * amplifier.feedback_ohm)
     volts, saturated = converted(amplified, amplifier)
     noise_v2 = np.asarray(sum(stage_noise(current, photodiode, amplifier)))
     return Output(amplified_v=amplified, volts=volts, noise_v2=noise_v2, saturated=saturated)
 
 
-def volts_per_fraction(led: Led, photodiode: Photodiode, amplifier: Electronics) -> float:
-    """What all of an LED's light on one photodiode would give, by which changes and errors scale. [V]"""
-    responsivity = float(photodiode_responsivity_a_per_w(photodiode, led.wavelength_nm))
-    return led.flux_mw * 1e-3 * responsivity * amplifier.feedback_ohm
+def volts_per_fraction(led: Led, photodiode: Photodiode | Sequence[Photodiode], amplifier: Electronics) -> Array:
+    """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
+    () or (photodiodes,) float. [V]"""
+    per_w = _of_each(photodiode, lambda one: float(photodiode_responsivity_a_per_w(one, led.wavelength_nm)))
+    return np.asarray(led.flux_mw * 1e-3 * per_w * amplifier.feedback_ohm)

@@ -17,7 +17,6 @@ from scipy.special import ndtr
 
 from ..hemodynamics.for_scene import steady_blood_at, touch_areas_mm2, touch_pressures_pa
 from ..scene import Electronics, Led, Photodiode, Scene
-from ..scene.parts import ELECTRICAL
 from ..statistics import jackknife
 from . import electronics
 from .physiological_noise import PhysiologicalNoise, physiological_noise
@@ -113,7 +112,7 @@ class Response:
 def response(
     values: Array,
     led: Led,
-    photodiode: Photodiode,
+    photodiode: Photodiode | Sequence[Photodiode],
     amplifier: Electronics,
     point: OperatingPoint,
     *,
@@ -124,6 +123,7 @@ def response(
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
+    photodiode : or several, (..., photodiodes, 4).
     number : of the LED in its scene.
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
@@ -132,7 +132,7 @@ def response(
     detected = np.maximum(values[..., 0], 0.0)
     read = electronics.read(detected, led, photodiode, amplifier, ambient_a=ambient_a)
     per_fraction = electronics.volts_per_fraction(led, photodiode, amplifier)
-    zone, light_v = values[..., 2:] * per_fraction, detected * per_fraction
+    zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
     unsaturated = np.where(read.saturated, 0.0, 1.0)
@@ -154,42 +154,13 @@ def response(
     )
 
 
-def responses(
-    values: Array,
-    led: Led,
-    photodiodes: Sequence[Photodiode],
-    amplifier: Electronics,
-    point: OperatingPoint,
-    *,
-    ambient_a: float | Array = 0.0,
-    **how: Any,
-) -> Response:
-    """The `response` of photodiodes that may be of several kinds, (..., photodiodes, 4) float."""
-    # Thousands of places have one and the same photodiode.
-    kind_of = {
-        key: tuple(getattr(one, name) for name in ELECTRICAL)
-        for key, one in {id(one): one for one in photodiodes}.items()
-    }
-    kinds = [kind_of[id(one)] for one in photodiodes]
-    members = [[i for i, kind in enumerate(kinds) if kind == one] for one in dict.fromkeys(kinds)]
-    if len(members) == 1:
-        return response(values, led, photodiodes[0], amplifier, point, ambient_a=ambient_a, **how)
-    ambient = np.broadcast_to(ambient_a, np.broadcast_shapes(np.shape(ambient_a), values.shape[:-1]))
-    each = [
-        response(values[..., at, :], led, photodiodes[at[0]], amplifier, point, ambient_a=ambient[..., at], **how)
-        for at in members
+def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint, **how: Any) -> list[Response]:
+    """The `response` of a scene's own photodiodes to each of its LEDs, (..., photodiodes, 4) float each."""
+    photodiodes = [element.photodiode for element in scene.layout.photodiodes]
+    return [
+        response(values, led, photodiodes, scene.electronics, point, number=number, **how)
+        for number, (led, values) in enumerate(zip(scene.leds, by_led, strict=True))
     ]
-    order = np.argsort(np.concatenate(members))
-
-    def together(name: str, axis: int) -> Any:
-        parts = [getattr(one, name) for one in each]
-        return parts[0] if np.ndim(parts[0]) == 0 else np.take(np.concatenate(parts, axis), order, axis)
-
-    matrices = {name: together(name, -2) for name in ("slope_v_per_pa", "zone_v")}
-    if point.body is not None:
-        matrices["body_v"] = together("body_v", -2)
-    names = ("volts", "noise_v2", "shunted_fraction", "independent_v2", "unsaturated")
-    return Response(**{name: together(name, -1) for name in names}, **matrices)
 
 
 def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:

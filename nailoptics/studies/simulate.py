@@ -69,9 +69,8 @@ def simulate(
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
-    worn, unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)
-    light: DetectedLight = worn.light
-    result = simulate_from(scene, light, course=course, seed=options.seed, moved=worn.moved)
+    (light, moved), unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)
+    result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())
     if picture:

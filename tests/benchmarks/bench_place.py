@@ -34,7 +34,7 @@ def main() -> None:
         found, unmet = error.result, str(error)
     wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
     print(f"whole placement        {wall:8.1f} s, {cpu:.0f} s of processor time; {unmet}")
-    print(f"  {found.sizes['spot']} LED places tried, {found.attrs['photons'] / 1e6:.0f} M photons")
+    print(f"  {found.sizes['led_site']} LED places tried, {found.attrs['photons'] / 1e6:.0f} M photons")
     for row in result.rows(found):
         error = row["force_resolution_n_stderr"]
         print(f"  {row['rank']:2d} {row['layout']:22s} {1e3 * row['force_resolution_n']:.3f} +- {1e3 * error:.3f} mN")
@@ -57,8 +57,8 @@ def further(scene: nail.Scene, found: xr.Dataset) -> float:
     spent, objective = [], Objective(rules, [condition.point for condition in conditions])
     for i in range(CANDIDATES):
         begin = time.perf_counter()
-        moved = [(u, v + 0.01 * i) for u, v in places]
-        layout = candidates.with_parts(base, [r.center_mm for r in best.layout.leds], moved, name="one")
+        moved, leds = [(u, v + 0.01 * i) for u, v in places], [r.center_mm for r in best.layout.leds]
+        layout = candidates.candidate_scene(base, nail.scene.Candidate(name="one", leds_mm=leds, photodiodes_mm=moved))
         score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])

@@ -286,19 +286,10 @@ def _check(scene: Scene) -> None:
 
 def explored_board(scene: Scene) -> Scene:
     """The scene on the board that the page shows: `place`'s outline, wall and parts where the scene has them."""
-    board, layout, (du, dv) = scene.board, scene.layout, scene.board.center_mm
-    if layout.barriers:
-        gap_mm = min(-layout.barriers[0].overlap_mm(led) for led in layout.leds)
-        board = board.model_copy(update={"barrier_gap_mm": gap_mm})
-    base = boards.base_board(scene.model_copy(update={"board": board}))
-    cu, cv = base.board.center_mm
-
-    def moved(part: Any) -> Any:
-        u, v = part.position_mm
-        return part.model_copy(update={"position_mm": (u + du - cu, v + dv - cv)})
-
-    parts = {"leds": tuple(map(moved, base.leds)), "photodiodes": tuple(map(moved, base.photodiodes))}
-    base = base.model_copy(update=parts)
+    if walls := scene.layout.barriers:
+        gap_mm = min(-walls[0].overlap_mm(led) for led in scene.layout.leds)
+        scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier_gap_mm": gap_mm})})
+    base = boards.base_board(scene)
     candidates.check(base, "explore")
     return base
 

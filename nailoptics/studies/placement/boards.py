@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 from ...errors import InputError
-from ...scene import Board, Finger, FingerCase, Led, Photodiode, Placement, Scene
+from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.layout import SIDES, lay_elements
@@ -51,12 +51,13 @@ def worn_on(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scen
     finger = scene.finger if case.digit is None else Finger(digit=case.digit, **optics)
     if light_only:
         return scene.model_copy(update={"finger": finger})
-    blood = {"rest_blood_fraction": case.rest_blood_fraction, "so2": case.so2}
-    blood = {name: value for name, value in blood.items() if value is not None}
-    absorbing = {"melanin_fraction": case.melanin_fraction, "dermis": case.dermis}
-    absorbing = {name: value for name, value in absorbing.items() if value is not None}
-    finger = finger.model_copy(update=absorbing)
-    return scene.model_copy(update={"finger": finger, "blood": scene.blood.model_copy(update=blood)})
+
+    def given(*names: str) -> dict[str, object]:
+        return {name: value for name in names if (value := getattr(case, name)) is not None}
+
+    finger = finger.model_copy(update=given("melanin_fraction", "dermis"))
+    blood = scene.blood.model_copy(update=given("rest_blood_fraction", "so2"))
+    return scene.model_copy(update={"finger": finger, "blood": blood})
 
 
 def base_board(scene: Scene) -> Scene:
@@ -64,10 +65,9 @@ def base_board(scene: Scene) -> Scene:
 
     The outline is that of [placement], else of [board], else the smallest of the fingers' nails.
     """
-    placement, board = rules(scene), scene.board
-    outline = scene.placement.outline_mm if scene.placement else None
-    if outline is not None:
-        center, size = _on_the_nail(outline, _smallest_nail_mm(scene))
+    board, gap_mm = scene.board, scene.board.barrier_gap_mm
+    if scene.placement and scene.placement.outline_mm is not None:
+        center, size = _on_the_nail(scene.placement.outline_mm, _smallest_nail_mm(scene))
     elif board.size_mm is None and board.outline_mm is not None:
         # What of the board's own file lies on the nail.
         center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
@@ -75,10 +75,7 @@ def base_board(scene: Scene) -> Scene:
         center, size = board.center_mm, board.size_mm
     else:
         center, size = (0.0, 0.0), _smallest_nail_mm(scene)
-    update = _around(board, center, size)
-    if board.barrier and board.barrier_gap_mm is None:
-        update["barrier_gap_mm"] = placement.bond_wire_mm
-    return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None})
+    return _with_edges(scene, center, size, rules(scene).bond_wire_mm if board.barrier and gap_mm is None else gap_mm)
 
 
 def _smallest_nail_mm(scene: Scene) -> Point:
@@ -104,33 +101,32 @@ def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point
     return ((a + b) / 2, (c + d) / 2), (b - a, d - c)
 
 
-def _around(board: Board, center_mm: Point, size_mm: Point) -> dict[str, object]:
-    """What puts a board's origin in the middle of its edges, its file's outline staying where it is."""
-    update: dict[str, object] = {"center_mm": center_mm, "size_mm": size_mm}
-    if board.outline_mm is None:
-        return update
-    du, dv = board.center_mm[0] - center_mm[0], board.center_mm[1] - center_mm[1]
-    corners, *holes = (tuple((x + du, y + dv) for x, y in line) for line in (board.outline_mm, *board.outline_holes_mm))
-    return update | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
+def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | None) -> Scene:
+    """The scene with its board's edges and the wall's gap spelled out; parts and the outline of the board's file stay
+    where they are on the nail."""
+    board, (u, v), (du, dv) = scene.board, center_mm, scene.board.center_mm
+
+    def moved(places: Sequence[Point]) -> tuple[Point, ...]:
+        return tuple((x + (du - u), y + (dv - v)) for x, y in places)
+
+    update: dict[str, object] = {"center_mm": center_mm, "size_mm": size_mm, "barrier_gap_mm": gap_mm}
+    if board.outline_mm is not None:
+        update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
+    parts = {
+        kind: tuple(one.model_copy(update={"position_mm": moved([one.position_mm])[0]}) for one in getattr(scene, kind))
+        for kind in ("leds", "photodiodes")
+    }
+    return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None} | parts)
 
 
 def with_explicit_walls(scene: Scene, name: str) -> Scene:
     """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
     layout = scene.layout
-    (u, v), (du, dv) = layout.outline.center_mm, scene.board.center_mm
-    update = _around(scene.board, (u, v), layout.outline.size_mm)
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
-    for wall in layout.barriers:
-        update["barrier_gap_mm"] = min(-wall.overlap_mm(led) for led in layout.leds)
-
-    def moved(part: Led | Photodiode) -> Led | Photodiode:
-        x, y = part.position_mm
-        return part.model_copy(update={"position_mm": (x + (du - u), y + (dv - v))})
-
-    board = scene.board.model_copy(update=update)
-    parts = {"leds": tuple(map(moved, scene.leds)), "photodiodes": tuple(map(moved, scene.photodiodes))}
-    return scene.model_copy(update={"board": board, "placement": None} | parts)
+    gaps_mm = [min(-wall.overlap_mm(led) for led in layout.leds) for wall in layout.barriers]
+    gap_mm = gaps_mm[0] if gaps_mm else scene.board.barrier_gap_mm
+    return _with_edges(scene, layout.outline.center_mm, layout.outline.size_mm, gap_mm)
 
 
 def bare_board(scene: Scene, *, side: str | None = None) -> Scene:

@@ -39,22 +39,12 @@ def candidate_scene(base: Scene, one: Candidate) -> Scene:
 
     Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
     """
-    if not one.leds:
-        leds_deg, photodiodes_deg = (
-            getattr(one, f"{kind}_deg") or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
-            for kind in ("leds", "photodiodes")
-        )
-        order = _named_as(base, one) if one.led_refs else list(range(len(one.leds_mm)))
-        return with_parts(
-            base,
-            [one.leds_mm[i] for i in order],
-            one.photodiodes_mm,
-            name=one.name,
-            leds_deg=[leds_deg[i] for i in order] if leds_deg else (),
-            photodiodes_deg=photodiodes_deg,
-            led_refs=[one.led_refs[i][0] for i in order] if one.led_refs else (),
-            photodiode_refs=one.photodiode_refs,
-        )
+    leds, photodiodes = _parts_of(base, one) if one.leds else _placed_parts(base, one)
+    return _laid_out(base, one.name, leds, photodiodes)
+
+
+def _parts_of(base: Scene, one: Candidate) -> tuple[list[Led], list[Photodiode]]:
+    """The parts of a candidate that says what they are, its LEDs in the scene's order."""
     names, by_name = [led.name for led in base.leds], {led.name: led for led in one.leds}
     if set(by_name) != set(names):
         raise InputError(
@@ -62,7 +52,31 @@ def candidate_scene(base: Scene, one: Candidate) -> Scene:
             'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
         )
     leds = [_at(base, by_name[name], by_name[name].position_mm) for name in names]
-    return _laid_out(base, one.name, leds, [_at(base, part, part.position_mm) for part in one.photodiodes])
+    return leds, [_at(base, part, part.position_mm) for part in one.photodiodes]
+
+
+def _placed_parts(base: Scene, one: Candidate) -> tuple[list[Led], list[Photodiode]]:
+    """The scene's LEDs at a candidate's places, and photodiodes like the scene's first, turned from how those lie.
+
+    Where references of a file are known, photodiodes are named so, else PD1 and so on.
+    """
+    if not one.led_refs and len(one.leds_mm) != len(base.leds):
+        raise InputError(f'layout "{one.name}" places {len(one.leds_mm)} LEDs, but the scene has {len(base.leds)}.')
+    leds_deg, photodiodes_deg = (
+        getattr(one, f"{kind}_deg")
+        or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
+        or [0.0] * len(getattr(one, f"{kind}_mm"))
+        for kind in ("leds", "photodiodes")
+    )
+    leds, photodiodes, like = [], [], base.photodiodes[0].model_copy(update=SINGLE)
+    for led, i in zip(base.leds, _named_as(base, one) if one.led_refs else range(len(base.leds)), strict=True):
+        reference, angle = one.led_refs[i][0] if one.led_refs else led.reference, led.rotation_deg + leds_deg[i]
+        leds.append(_at(base, led, one.leds_mm[i], rotation_deg=angle % 360, reference=reference))
+    for i, (place, turned) in enumerate(zip(one.photodiodes_mm, photodiodes_deg, strict=True)):
+        ref = one.photodiode_refs[i] if one.photodiode_refs else None
+        angle = (like.rotation_deg + turned) % 360
+        photodiodes.append(_at(base, like, place, name=ref or f"PD{i + 1}", reference=ref, rotation_deg=angle))
+    return leds, photodiodes
 
 
 def _at(base: Scene, part: PartT, place_mm: Point, **changes: Any) -> PartT:
@@ -97,41 +111,6 @@ def _named_as(base: Scene, one: Candidate) -> list[int]:
     if len(numbers) < len(one.led_refs):
         raise InputError(f'layout "{one.name}" places {len(one.led_refs)} LEDs, but the scene has {len(base.leds)}.')
     return numbers
-
-
-def with_parts(
-    base: Scene,
-    leds_mm: Places,
-    photodiodes_mm: Places,
-    *,
-    name: str,
-    leds_deg: Sequence[float] = (),
-    photodiodes_deg: Sequence[float] = (),
-    led_refs: Sequence[str | None] = (),
-    photodiode_refs: Sequence[str] = (),
-) -> Scene:
-    """The board with its LEDs and photodiodes at places on the nail; photodiodes are all like the scene's first.
-
-    leds_deg, photodiodes_deg : how far each of them is turned from how the scene's lies; not at all if not given. [deg]
-    led_refs, photodiode_refs : references of a file, where they are known; the photodiodes are named so, else PD1 and
-        so on.
-
-    Raises: InputError where the layout is impossible.
-    """
-    if len(leds_mm) != len(base.leds):
-        raise InputError(f'layout "{name}" places {len(leds_mm)} LEDs, but the scene has {len(base.leds)}.')
-    led_refs = led_refs or [led.reference for led in base.leds]
-    leds = [
-        _at(base, led, place, rotation_deg=(led.rotation_deg + turned) % 360, reference=ref)
-        for led, place, turned, ref in zip(base.leds, leds_mm, leds_deg or [0.0] * len(leds_mm), led_refs, strict=True)
-    ]
-    like, names = base.photodiodes[0].model_copy(update=SINGLE), [f"PD{i + 1}" for i in range(len(photodiodes_mm))]
-    photodiodes = []
-    for i, (place, one) in enumerate(zip(photodiodes_mm, photodiode_refs or names, strict=True)):
-        angle = (like.rotation_deg + (photodiodes_deg[i] if photodiodes_deg else 0.0)) % 360
-        ref = one if photodiode_refs else None
-        photodiodes.append(_at(base, like, place, name=one, reference=ref, rotation_deg=angle))
-    return _laid_out(base, name, leds, photodiodes)
 
 
 def searched(

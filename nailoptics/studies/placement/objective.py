@@ -2,7 +2,7 @@
 score from traced light, of which there is more where the best is undecided."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,21 +58,11 @@ class Spo2Objective:
     log_ratio_per_percent: float
     frames: float
 
-    def error_percent(self, responses: Sequence[Sequence[Response]]) -> Array:
-        """Standard error of SpO2 by all photodiodes together, on the worst finger, (1 + blocks,) float. [percent]
-
-        responses : by finger and LED, (1 + blocks, photodiodes). Photodiodes whose converter is at its limit tell
-            nothing.
-        """
-        worst = []
-        for k, by_led in enumerate(responses):
-            variance = np.sum([self.relative_variance(k, i, read) for i, read in enumerate(by_led)], axis=0)
-            with np.errstate(divide="ignore"):
-                worst.append(1 / np.sqrt(self.information_per_percent2(k, variance).sum(-1)))
-        return np.max(worst, axis=0)
-
     def relative_variance(self, finger: int, led: int, read: Response) -> Array:
-        """Variance of the height of an LED's pulse in one reading over its square; of LEDs that tell no oxygen 0."""
+        """Variance of the height of an LED's pulse in one reading over its square; of LEDs that tell no oxygen 0.
+
+        It is infinite where the converter is at its limit.
+        """
         if led not in self.leds:
             return np.zeros(np.shape(read.volts))
         # In volts over noise: the light itself cancels.
@@ -139,57 +129,81 @@ class Objective:
         """What photodiodes tell by all LEDs' columns, each (fingers, ..., c): adds up over photodiodes."""
         total = np.sum(by_led, axis=0)
         if self.oxygen is not None:
-            spo2 = [self.oxygen.information_per_percent2(k, variance) for k, variance in enumerate(total[..., -1])]
-            total = np.concatenate([total[..., :-1], np.stack(spo2)[..., None]], -1)
+            for finger, one in enumerate(total):
+                one[..., -1] = self.oxygen.information_per_percent2(finger, one[..., -1])
         return np.asarray(total)
 
-    def score(self, total: Array) -> Array:
-        """What layouts are ranked by, of sums over photodiodes (fingers, ..., n) -> (...)."""
-        information = self._information(total)
-        values: dict[str, Array] = {}
-        weights = self.rules.weights
-        if self.rules.over_fingers in weights:
-            values[self.rules.over_fingers] = self.force_n(information)
-        if "share" in weights:
-            values["share"] = self.share(information)
-        if "oxygen" in weights:
+    def total(self, responses: Sequence[Sequence[Response]]) -> Array:
+        """What all photodiodes tell under all LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
+        by_led = [
+            np.stack([self.columns(finger, led, each[led]) for finger, each in enumerate(responses)])
+            for led in range(len(responses[0]))
+        ]
+        return np.asarray(self.together(by_led).sum(-2))
+
+    def value(self, name: str, total: Array) -> Array:
+        """One of what layouts are ranked by over all fingers, of sums over photodiodes (fingers, ..., n) -> (...).
+
+        name : worst, mean : force resolution [N]; share : resolution of the proximal share of the force, on the worst
+            finger; oxygen : standard error of SpO2 on the worst finger [percent].
+        """
+        if name == "oxygen":
             with np.errstate(divide="ignore"):
-                values["oxygen"] = np.max(1 / np.sqrt(total[..., -1]), axis=0)
-        return weighted(values, weights)
+                return np.asarray(np.max(1 / np.sqrt(total[..., -1]), axis=0))
+        resolution = share_resolution if name == "share" else force_resolution_n
+        information = total if self.oxygen is None else total[..., :-1]
+        each = [resolution(*both) for both in zip(information, self.points, strict=True)]
+        return over_fingers(np.stack(each), name)
 
-    def force_of(self, total: Array) -> Array:
-        """Force resolution of such sums. [N]"""
-        return self.force_n(self._information(total))
+    def score(self, total: Array) -> Array:
+        """What layouts are ranked by: the mean of the values by their weights, of logarithms, as their units differ."""
+        weights = self.rules.weights
+        if len(weights) == 1:
+            return self.value(next(iter(weights)), total)
+        with np.errstate(divide="ignore"):
+            logs = [weight * np.log(self.value(name, total)) for name, weight in weights.items()]
+        return np.asarray(np.exp(np.sum(logs, axis=0)))
 
-    def _information(self, total: Array) -> Array:
-        return total if self.oxygen is None else total[..., :-1]
-
-    def force_n(self, information: Array) -> Array:
-        """Force resolution over the fingers from sums of information, (fingers, ..., n) -> (...). [N]"""
-        each = [force_resolution_n(*both) for both in zip(information, self.points, strict=True)]
-        return over_fingers(np.stack(each), self.rules.over_fingers)
-
-    def share(self, information: Array) -> Array:
-        """Resolution of the proximal share of the force on the worst finger, likewise."""
-        return np.max([share_resolution(*both) for both in zip(information, self.points, strict=True)], axis=0)
+    def force_n(self, total: Array) -> Array:
+        """Force resolution over the fingers, likewise. [N]"""
+        return self.value(self.rules.over_fingers, total)
 
 
-def weighted(values: Mapping[str, Array], weights: Mapping[str, float]) -> Array:
-    """The mean of several values by weights, of logarithms, as their units differ."""
-    if len(weights) == 1:
-        return values[next(iter(weights))]
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.exp(np.sum([weight * np.log(values[name]) for name, weight in weights.items()], axis=0)))
+@dataclass(frozen=True)
+class ForceResolution:
+    """How finely a layout resolves force, by all photons and without each block of them, whatever the force's split.
+
+    fingers_n : (1 + blocks, fingers) float. On each finger. [N]
+    floors_n : (fingers,) float. False force by the body, the same with every layout, to which the rest adds in squares;
+        it has no error. [N]
+    over : whether all fingers together are the worst of them, or their mean.
+    """
+
+    fingers_n: Array
+    floors_n: Array
+    over: str
+
+    @property
+    def all_n(self) -> Array:
+        """Over the fingers, (1 + blocks,) float. [N]"""
+        return over_fingers(self.fingers_n.T, self.over)
+
+    @property
+    def floor_n(self) -> float:
+        """The noise floor over the fingers: no layout resolves less. [N]"""
+        return float(over_fingers(self.floors_n, self.over))
+
+    @property
+    def interval_n(self) -> tuple[float, float]:
+        """95 % interval over the fingers. [N]"""
+        return resolution_interval_n(self.all_n, self.floor_n)
 
 
 @dataclass(frozen=True)
 class LayoutScore:
-    """How finely a layout resolves force: by all photons and without each block of them.
+    """What a layout resolves: by all photons and without each block of them.
 
-    resolution_n : (1 + blocks, fingers) float. Whatever the split of the force, through the body's noise. [N]
-    score_n : (1 + blocks,) float. Over the fingers. [N]
-    electronics_resolution_n, electronics_score_n : the same, were the body still. [N]
-    noise_floor_n : float. False force by the body, the same with every layout, over the fingers: no score is less. [N]
+    force, electronics : through the body's noise, and were the body still.
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     share : (1 + blocks,) float. Resolution of the proximal share of the force, on the worst finger.
@@ -199,35 +213,19 @@ class LayoutScore:
     by_force : whether that is the force alone.
     """
 
-    resolution_n: np.ndarray
-    score_n: np.ndarray
-    electronics_resolution_n: np.ndarray
-    electronics_score_n: np.ndarray
-    noise_floor_n: float
-    information_per_pa2: np.ndarray
+    force: ForceResolution
+    electronics: ForceResolution
+    information_per_pa2: Array
     responses: list[list[Response]]
-    share: np.ndarray
-    spo2_percent: np.ndarray | None
-    ranked: np.ndarray
+    share: Array
+    spo2_percent: Array | None
+    ranked: Array
     by_force: bool
 
     @property
     def ranked_interval(self) -> tuple[float, float]:
         """95 % interval of what layouts are ranked by."""
-        if self.by_force:
-            return self.interval_n
-        best, spread = float(self.ranked[0]), t95(len(self.ranked) - 1) * self.relative_error
-        return best * math.exp(-spread), best * math.exp(spread)
-
-    @property
-    def interval_n(self) -> tuple[float, float]:
-        """95 % interval of the score. [N]"""
-        return resolution_interval_n(self.score_n, self.noise_floor_n)
-
-    @property
-    def electronics_interval_n(self) -> tuple[float, float]:
-        """95 % interval of the score, were the body still. [N]"""
-        return resolution_interval_n(self.electronics_score_n)
+        return self.force.interval_n if self.by_force else resolution_interval_n(self.ranked)
 
     @property
     def relative_error(self) -> float:
@@ -235,7 +233,7 @@ class LayoutScore:
         return float(jackknife(np.log(self.ranked)))
 
 
-def resolution_stderr_n(resolution_n: np.ndarray, noise_floor_n: float | np.ndarray = 0.0) -> np.ndarray:
+def resolution_stderr_n(resolution_n: Array, noise_floor_n: float | Array = 0.0) -> Array:
     """Standard error of resolutions by all photons and without each block of them, (1 + blocks, ...) float. [N]
 
     noise_floor_n : what of them is the body's own and has no error. [N]
@@ -247,7 +245,7 @@ def resolution_stderr_n(resolution_n: np.ndarray, noise_floor_n: float | np.ndar
     return np.asarray(above[0] ** 2 / resolution_n[0] * jackknife(np.log(above)))
 
 
-def resolution_interval_n(resolution_n: np.ndarray, noise_floor_n: float = 0.0) -> tuple[float, float]:
+def resolution_interval_n(resolution_n: Array, noise_floor_n: float = 0.0) -> tuple[float, float]:
     """95 % interval of one resolution, symmetric in the logarithm of what it is above the body's own part. [N]"""
     above = _above(resolution_n, noise_floor_n)
     spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
@@ -255,7 +253,7 @@ def resolution_interval_n(resolution_n: np.ndarray, noise_floor_n: float = 0.0) 
     return low, high
 
 
-def _above(resolution_n: np.ndarray, noise_floor_n: float | np.ndarray) -> np.ndarray:
+def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:
     """The part of resolutions that adds in squares to the noise floor; all of them where that is not known. [N]"""
     return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(noise_floor_n) ** 2, np.finfo(float).tiny)))
 
@@ -263,29 +261,23 @@ def _above(resolution_n: np.ndarray, noise_floor_n: float | np.ndarray) -> np.nd
 def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> LayoutScore:
     """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
     responses = cache.read(layout.scene, layout.board)
-    information = [total_information(by_led) for by_led in responses]
+    total, points, over = objective.total(responses), objective.points, objective.rules.over_fingers
+    information = total if objective.oxygen is None else total[..., :-1]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
-    points = [condition.point for condition in cache.conditions]
-    floors_n = np.array([[physiological_noise_force_n(point)] for point in points])
-    resolution, electronics = (
-        np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)]) for one in (information, still)
+    through, alone = (
+        np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)], 1)
+        for one in (information, still)
     )
-    over, weights = objective.rules.over_fingers, objective.rules.weights
-    score_n, share = over_fingers(resolution, over), objective.share(np.stack(information))
-    spo2 = None if objective.oxygen is None else objective.oxygen.error_percent(responses)
-    values = {over: score_n, "share": share} | ({} if spo2 is None else {"oxygen": spo2})
+    floors_n = np.array([physiological_noise_force_n(point) for point in points])
     return LayoutScore(
-        resolution_n=resolution.T,
-        score_n=score_n,
-        electronics_resolution_n=electronics.T,
-        electronics_score_n=over_fingers(electronics, over),
-        noise_floor_n=float(over_fingers(floors_n, over)[0]),
+        force=ForceResolution(through, floors_n, over),
+        electronics=ForceResolution(alone, np.zeros(len(points)), over),
         information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
         responses=responses,
-        share=share,
-        spo2_percent=spo2,
-        ranked=weighted(values, weights),
-        by_force=set(weights) == {over},
+        share=objective.value("share", total),
+        spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),
+        ranked=objective.score(total),
+        by_force=set(objective.rules.weights) == {over},
     )
 
 
@@ -307,10 +299,8 @@ def score_layouts(
 
     Raises: NotReachedError where time ends before one layout is traced.
     """
-    traced = {layout.name: 0 for layout in layouts}
-    first = JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
-    every, more = len(layouts), (set(traced), first)
-    complete = _extend(layouts, cache, *more, traced, report_progress)
+    count, first = len(layouts), JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
+    complete = _extend(layouts, cache, first, report_progress)
     layouts = [layout for layout in layouts if cache.photons_of(layout.board)]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
@@ -318,39 +308,32 @@ def score_layouts(
     while True:
         scores = [score_layout(layout, cache, objective) for layout in layouts]
         highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
-        tied = {
-            layout.name: score.relative_error
+        tied = [
+            (layout, score.relative_error)
             for layout, score in zip(layouts, scores, strict=True)
             if score.ranked_interval[0] <= highest
-        }
-        worst = max(tied.values())
+        ]
+        worst = max(error for _, error in tied)
         report_progress("judge", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
         left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
         if report_progress.interrupted:
-            return layouts, scores, f"interrupted: {len(layouts)} of {every} layouts traced, {left}."
-        if not complete or len(layouts) < every:
-            return layouts, scores, f"max_seconds ended with {len(layouts)} of {every} layouts traced, {left}."
+            return layouts, scores, f"interrupted: {len(layouts)} of {count} layouts traced, {left}."
+        if not complete or len(layouts) < count:
+            return layouts, scores, f"max_seconds ended with {len(layouts)} of {count} layouts traced, {left}."
         if photons or len(tied) == 1 or worst <= relative_error:
             return layouts, scores, None
-        undecided = {name for name, error in tied.items() if error > relative_error}
-        more = undecided, trigger.needed(max(traced[name] for name in undecided), worst)
-        complete = _extend(layouts, cache, *more, traced, report_progress)
+        undecided = [layout for layout, error in tied if error > relative_error]
+        more = trigger.needed(max(cache.photons_of(layout.board) for layout in undecided), worst)
+        complete = _extend(undecided, cache, more, report_progress)
 
 
 def _extend(
-    layouts: Sequence[CandidateLayout],
-    cache: PhotonMapCache,
-    names: set[str],
-    photons: int,
-    traced: dict[str, int],
-    report_progress: StageProgress,
+    layouts: Sequence[CandidateLayout], cache: PhotonMapCache, photons: int, report_progress: StageProgress
 ) -> bool:
-    """Trace the boards of the named layouts further and count it in `traced`; False where time ran out before."""
-    for key, board in {digest(layout.board): layout.board for layout in layouts if layout.name in names}.items():
+    """Trace the boards of layouts further; False where time ran out before."""
+    for board in {digest(layout.board): layout.board for layout in layouts}.values():
         if cache.stop():
             return False
         cache.extend(board, photons)
-        for layout in layouts:
-            traced[layout.name] += photons if digest(layout.board) == key else 0
         report_progress.repeat()
     return True

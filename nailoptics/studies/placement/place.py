@@ -58,8 +58,10 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
-    conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
-    objective = _objective(base, rules, conditions)
+    cases = boards.fingers(scene)
+    conditions = [finger_condition(base, case, rules) for case in cases]
+    oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
+    objective = Objective(rules, [condition.point for condition in conditions], oxygen)
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
     light = made | {"store": store}
@@ -154,13 +156,6 @@ def _judged_enough(cache: PhotonMapCache, searched: bool, report_progress: Stage
     return over and (cache.has_traced or not (searched or report_progress.interrupted))
 
 
-def _objective(base: Scene, rules: Placement, conditions: Sequence[FingerCondition]) -> Objective:
-    """What layouts are ranked by; raises InputError where that is oxygen and the scene has no two LEDs or no pulse."""
-    cases = [condition.case for condition in conditions]
-    oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
-    return Objective(rules, [condition.point for condition in conditions], oxygen)
-
-
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:
     """A finger of the placement with the touch at which it judges."""
     scene = boards.worn_on(base, case)
@@ -169,11 +164,8 @@ def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerC
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists."""
-    layouts = []
-    for one in rules.candidates:
-        scene = candidates.candidate_scene(base, one)
-        layouts.append(candidates.candidate(one.name, scene, "given"))
-    return layouts
+    scenes = [(one.name, candidates.candidate_scene(base, one)) for one in rules.candidates]
+    return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 
 
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:

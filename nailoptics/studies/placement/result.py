@@ -14,10 +14,10 @@ from ...scene.importers.positions import PlacedPart
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
-from ...variables import Variables, variable
+from ...variables import Variables, estimated, variable
 from .boards import rules, straightened
 from .candidates import CandidateLayout
-from .objective import LayoutScore, resolution_stderr_n
+from .objective import ForceResolution, LayoutScore, resolution_stderr_n
 from .photon_maps import FingerCondition
 from .search import SearchedSite
 
@@ -48,8 +48,6 @@ def as_dataset(
     """
     best = layouts[0].scene
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
-    if any(condition.point.body is not None for condition in conditions):
-        data |= _still(scores, conditions)
     coordinates = {
         "layout": [layout.name for layout in layouts],
         "finger": [condition.case.name for condition in conditions],
@@ -72,38 +70,34 @@ def as_dataset(
 def _ranking(
     layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]
 ) -> Variables:
-    """Each layout with what it resolves, over the fingers and on each."""
-    one, both = ("layout",), ("layout", "finger")
+    """Each layout with what it resolves, over the fingers and on each; were the body still, too, if there is one."""
+    both, points = ("layout", "finger"), [condition.point for condition in conditions]
     pressures = (*both, "pressure")
-
-    def of_all_photons(field: str) -> np.ndarray:
-        return np.array([getattr(score, field)[0] for score in scores])
-
-    low, high = np.array([score.interval_n for score in scores]).T
-    value = of_all_photons("score_n")
-    error = [resolution_stderr_n(score.score_n, score.noise_floor_n) for score in scores]
     text = "force resolution of one sample, rms, whatever the split of the force, over the fingers"
-    data = variable("force_resolution_n", one, value, text, units="N", stderr=error)
-    data |= variable("force_resolution_low_n", one, low, "lower end of its 95 % interval", units="N")
-    data |= variable("force_resolution_high_n", one, high, "upper end of its 95 % interval", units="N")
+    data = _resolution("force_resolution", [score.force for score in scores], text)
+    data |= _finger_resolution(
+        "finger_resolution_n", [score.force for score in scores], "force resolution on each finger"
+    )
+    if any(point.body is not None for point in points):
+        still, text = [score.electronics for score in scores], "by the noise of the electronics alone"
+        data |= _resolution("electronics_resolution", still, f"force resolution of one sample {text}, over the fingers")
+        name = "finger_electronics_resolution_n"
+        data |= _finger_resolution(name, still, f"force resolution {text} on each finger")
+        text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
+        data |= variable("physiological_noise_force_n", "finger", scores[0].force.floors_n, text, units="N")
     tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
-    data |= variable("tied", one, tied, "whether its interval overlaps that of the best")
-    value, errors = of_all_photons("share"), [jackknife(score.share) for score in scores]
+    data |= variable("tied", "layout", tied, "whether its interval overlaps that of the best")
     text = "resolution of the part of the force that presses proximally, one sample, rms, worst finger"
-    data |= variable("share_resolution", one, value, text, stderr=errors)
-    if all(score.spo2_percent is not None for score in scores):
-        value, text = of_all_photons("spo2_percent"), "standard error of SpO2 over 8 s, electronics alone, worst finger"
-        errors = [jackknife(score.spo2_percent) for score in scores if score.spo2_percent is not None]
-        data |= variable("spo2_error_percent", one, value, text, units="percent", stderr=errors)
-    origin, scenes = [layout.origin for layout in layouts], [to_toml(layout.scene) for layout in layouts]
-    data["origin"] = (one, np.array(origin), {"long_name": "given, searched or the paper's"})
-    data["scene"] = (one, np.array(scenes), {"long_name": "the layout as a scene"})
-    value, text = of_all_photons("resolution_n"), "force resolution on each finger"
-    floors_n = np.array([information.physiological_noise_force_n(condition.point) for condition in conditions])
-    errors = [resolution_stderr_n(score.resolution_n, floors_n) for score in scores]
-    data |= variable("finger_resolution_n", both, value, text, units="N", stderr=errors)
-    per_pa2, text = of_all_photons("information_per_pa2"), "force resolution if the split of the force is known"
-    fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], one.point) for k, one in enumerate(conditions)]
+    data |= estimated("share_resolution", "layout", np.stack([score.share for score in scores], 1), text)
+    if spo2 := [score.spo2_percent for score in scores if score.spo2_percent is not None]:
+        text = "standard error of SpO2 over 8 s, electronics alone, worst finger"
+        data |= estimated("spo2_error_percent", "layout", np.stack(spo2, 1), text, units="percent")
+    text = "given, searched or the paper's"
+    data |= variable("origin", "layout", [layout.origin for layout in layouts], text)
+    data |= variable("scene", "layout", [to_toml(layout.scene) for layout in layouts], "the layout as a scene")
+    per_pa2 = np.array([score.information_per_pa2[0] for score in scores])
+    fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], point) for k, point in enumerate(points)]
+    text = "force resolution if the split of the force is known"
     data |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
     value, text = information.pressure_resolution_pa(per_pa2), "resolution of each pressure"
     data |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
@@ -115,54 +109,51 @@ def _ranking(
     return data | variable("condition_number", both, numbers, text)
 
 
-def _still(scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]) -> Variables:
-    """What each layout would resolve were the body still, and what the body alone takes for a force."""
-    value = np.array([score.electronics_score_n[0] for score in scores])
-    errors = [resolution_stderr_n(score.electronics_score_n) for score in scores]
-    text = "force resolution of one sample by the noise of the electronics alone, over the fingers"
-    data = variable("electronics_resolution_n", "layout", value, text, units="N", stderr=errors)
-    low, high = np.array([score.electronics_interval_n for score in scores]).T
-    data |= variable("electronics_resolution_low_n", "layout", low, "lower end of its 95 % interval", units="N")
-    data |= variable("electronics_resolution_high_n", "layout", high, "upper end of its 95 % interval", units="N")
-    each = [score.electronics_resolution_n[0] for score in scores]
-    text, over = "force resolution by the noise of the electronics alone on each finger", ("layout", "finger")
-    by_finger = [resolution_stderr_n(score.electronics_resolution_n) for score in scores]
-    data |= variable("finger_electronics_resolution_n", over, each, text, units="N", stderr=by_finger)
-    floors_n = [information.physiological_noise_force_n(condition.point) for condition in conditions]
-    text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
-    return data | variable("physiological_noise_force_n", "finger", floors_n, text, units="N")
+def _resolution(name: str, each: Sequence[ForceResolution], text: str) -> Variables:
+    """Force resolutions of all layouts over the fingers, with their intervals."""
+    value, (low, high) = [one.all_n[0] for one in each], np.array([one.interval_n for one in each]).T
+    errors = [resolution_stderr_n(one.all_n, one.floor_n) for one in each]
+    data = variable(f"{name}_n", "layout", value, text, units="N", stderr=errors)
+    data |= variable(f"{name}_low_n", "layout", low, "lower end of its 95 % interval", units="N")
+    return data | variable(f"{name}_high_n", "layout", high, "upper end of its 95 % interval", units="N")
+
+
+def _finger_resolution(name: str, each: Sequence[ForceResolution], text: str) -> Variables:
+    errors = [resolution_stderr_n(one.fingers_n, one.floors_n) for one in each]
+    value = [one.fingers_n[0] for one in each]
+    return variable(name, ("layout", "finger"), value, text, units="N", stderr=errors)
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
     """Volts, headroom, signal to noise and shunted light of the photodiode that is worst off on any finger."""
     # The first of each is that by all photons.
-    reads = [[read for by_led in score.responses for read in by_led] for score in scores]
-    full_v = np.array([layout.scene.electronics.adc_range_v for layout in layouts])
-    least, most = ([pick([r.volts[0] for r in each]) for each in reads] for pick in (np.min, np.max))
-    snr = [np.min([r.volts[0] / r.noise_v[0] for r in each]) for each in reads]
-    shunted = [np.max([r.shunted_fraction[0] for r in each]) for each in reads]
+    volts, noise_v, shunted = (
+        [np.array([getattr(read, name)[0] for by_led in score.responses for read in by_led]) for score in scores]
+        for name in ("volts", "noise_v", "shunted_fraction")
+    )
+    most = np.array([each.max() for each in volts])
+    headroom = np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most
+    least, snr = [each.min() for each in volts], [(v / n).min() for v, n in zip(volts, noise_v, strict=True)]
     data = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
     data |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
-    data |= variable("adc_headroom", "layout", full_v / most, "full scale over the largest reading; 1 is saturated")
+    data |= variable("adc_headroom", "layout", headroom, "full scale over the largest reading; 1 is saturated")
     data |= variable("least_snr", "layout", snr, "least reading over its noise in one sample")
     text = "largest part of a photodiode's light that was never in the bed"
-    return data | variable("shunted_fraction", "layout", shunted, text)
+    return data | variable("shunted_fraction", "layout", [each.max() for each in shunted], text)
 
 
 def _sites(searched: Sequence[SearchedSite]) -> Variables:
     """The sites of the LEDs that the search tried."""
     # The best layout may be a given one with fewer LEDs, such as the paper's.
-    leds = len(searched[0].site.places_mm) if searched else 0
-    places = np.array([one.site.places_mm for one in searched]).reshape(len(searched), leds, 2)
-    sides = np.array([one.site.row.side or "" for one in searched], str)
+    leds = len(searched[0].places_mm) if searched else 0
+    places = np.array([one.places_mm for one in searched]).reshape(len(searched), leds, 2)
+    sides = np.array([one.row.side or "" for one in searched], str)
     reached = np.array([one.resolution_n for one in searched], float)
     text = "force resolution that the search there"
-    data = variable(
-        "led_site_mm", ("led_site", "searched_led", "axis"), places, "LED places tried together", units="mm"
-    )
+    dims, words = ("led_site", "searched_led", "axis"), "LED places tried together"
+    data = variable("led_site_mm", dims, places, words, units="mm")
     data |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
-    about = {"long_name": "side of the photodiodes where the LEDs lie"}
-    return data | {"led_site_side": (("led_site",), sides, about)}
+    return data | variable("led_site_side", "led_site", sides, "side of the photodiodes where the LEDs lie")
 
 
 def _predicted(by_led: Sequence[Response]) -> Variables:
@@ -242,34 +233,28 @@ def outline(result: xr.Dataset) -> Outline:
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     """The ranking, best first; layouts whose intervals overlap that of the best share its rank."""
-    named = ["force_resolution_n", "force_resolution_n_stderr", "force_resolution_low_n", "force_resolution_high_n"]
-    named += ["least_volts", "most_volts", "adc_headroom", "least_snr", "shunted_fraction"]
-    out = []
-    for i, layout in enumerate(result.layout.values):
-        one = result.isel(layout=i)
-        tied = bool(one.tied)
-        row: dict[str, Any] = {"rank": 1 if tied else i + 1, "layout": str(layout), "origin": str(one.origin.item())}
-        row |= {name: float(one[name]) for name in named}
-        if "electronics_resolution_n" in one:
-            ahead = result.electronics_resolution_n < one.electronics_resolution_n
-            row["electronics_rank"] = 1 + int(ahead.sum())
-            ends = ("n", "n_stderr", "low_n", "high_n")
-            row |= {f"electronics_resolution_{end}": float(one[f"electronics_resolution_{end}"]) for end in ends}
-        # The body's own part is known and would hide how little the photons tell.
-        by_light = "electronics_resolution_n" if "electronics_rank" in row else "force_resolution_n"
-        row["roughly_known"] = bool(row[f"{by_light}_stderr"] > ROUGH * row[by_light])
-        row |= {name: float(one[name]) for name in ("share_resolution", "share_resolution_stderr")}
-        if "spo2_error_percent" in one:
-            row |= {name: float(one[name]) for name in ("spo2_error_percent", "spo2_error_percent_stderr")}
-        if "resolution_spread" in one:
-            for end in ("", "_stderr"):
-                row[f"force_resolution_spread_n{end}"] = float(one.force_resolution_n * one[f"resolution_spread{end}"])
-        row["tied"] = tied and int(result.tied.sum()) > 1
-        row |= {name: float(one[name].max()) for name in ("condition_number", "fixed_ratio_resolution_n")}
-        for name in result.pressure.values:
-            row[f"{name}_pressure_pa"] = float(one.pressure_resolution_pa.sel(pressure=name).max())
-        out.append(row)
-    return out
+
+    def of(*names: str) -> dict[str, np.ndarray]:
+        """The worst of each on any finger."""
+        return {name: result[name].max({"finger"} & {*result[name].dims}).values for name in names if name in result}
+
+    tied, force_n, ends = result.tied.values, result.force_resolution_n, ("n", "n_stderr", "low_n", "high_n")
+    table = {"rank": np.where(tied, 1, 1 + np.arange(len(tied))), "layout": result.layout.values}
+    table |= {"origin": result.origin.values} | of(*(f"force_resolution_{end}" for end in ends))
+    table |= of("least_volts", "most_volts", "adc_headroom", "least_snr", "shunted_fraction")
+    # The body's own part is known and would hide how little the photons tell.
+    by_light = next(name for name in ("electronics_resolution_n", "force_resolution_n") if name in result)
+    if by_light != "force_resolution_n":
+        table["electronics_rank"] = 1 + (result[by_light].values < result[by_light].values[:, None]).sum(1)
+        table |= of(*(f"electronics_resolution_{end}" for end in ends))
+    table["roughly_known"] = (result[f"{by_light}_stderr"] > ROUGH * result[by_light]).values
+    table |= of("share_resolution", "share_resolution_stderr", "spo2_error_percent", "spo2_error_percent_stderr")
+    for end in ("", "_stderr") if "resolution_spread" in result else ():
+        table[f"force_resolution_spread_n{end}"] = (force_n * result[f"resolution_spread{end}"]).values
+    table |= {"tied": tied & (tied.sum() > 1)} | of("condition_number", "fixed_ratio_resolution_n")
+    pressures_pa = result.pressure_resolution_pa.max("finger")
+    table |= {f"{name}_pressure_pa": pressures_pa.sel(pressure=name).values for name in PRESSURES}
+    return [dict(zip(table, row, strict=True)) for row in zip(*(one.tolist() for one in table.values()), strict=True)]
 
 
 def gain(result: xr.Dataset) -> tuple[float, float] | None:

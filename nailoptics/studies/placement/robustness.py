@@ -1,13 +1,14 @@
 """How far the best layout stays the best: with fewer and more photodiodes, and over the priors of the finger."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
+from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...sensor.information import (
@@ -17,7 +18,8 @@ from ...sensor.information import (
     force_resolution_n,
     operating_point,
     over_fingers,
-    responses,
+    response,
+    scene_responses,
     total_information,
 )
 from ...statistics import Z95, jackknife, left_out
@@ -25,9 +27,9 @@ from ...variables import variable
 from ..prior_uncertainty import PriorSensitivity, only_absorbs, over_priors, prior_variables
 from . import boards
 from .candidates import CandidateLayout
-from .coordinate_exchange import coordinate_exchange
-from .objective import Objective
+from .objective import Objective, resolution_stderr_n
 from .photon_maps import PhotonMapCache, Stopped, batch_seed
+from .search import coordinate_exchange
 from .sites import Sites
 
 COUNTS = (2, 3, 4, 6, 8, 12, 16)
@@ -50,66 +52,60 @@ def resolution_vs_count(
     Returns: Dataset over chosen_for, the body's noise (if there is a body) and the electronics alone, and over
     photodiode_count; counts that have no room are NaN.
     """
-    rules, board = objective.rules, layout.board.layout
+    rules, board, force = objective.rules, layout.board.layout, replace(objective, oxygen=None)
     # A given layout may lie on a board of its own.
     own = layout.origin != "searched" and boards.with_explicit_walls(layout.scene, layout.name)
     sites = Sites(boards.searchable_board(own, rules) if own else base, rules)
     places = sites.photodiode_places(board.barriers, board.leds)
-    areas, photodiodes, free = [*places.areas, *places.stay], sites.kinds(places), len(places.areas)
+    areas, free = places.areas, places.free
 
-    def read(finger: int, number: int, one: PhotonMap) -> tuple[Response, Response]:
-        blocks, led, amplifier = one.over(areas), layout.board.leds[number], layout.scene.electronics
-        how = (led, photodiodes, amplifier, objective.points[finger])
-        chosen_by = responses(blocks[::2].mean(0), *how, number=number)
-        return chosen_by, responses(left_out(blocks[1::2]), *how, number=number, replicates=True)
+    def read(values: Callable[[np.ndarray], np.ndarray], **how: Any) -> list[list[Response]]:
+        """What a photodiode at each place reads, by finger and LED; values : of blocks of photons."""
+        amplifier, leds = layout.scene.electronics, enumerate(layout.board.leds)
+        by_led = [(i, led, [values(by_led[i].over(areas)) for by_led in cache.maps(layout.board)]) for i, led in leds]
+        return [
+            [response(each[k], led, places.photodiodes, amplifier, point, number=i, **how) for i, led, each in by_led]
+            for k, point in enumerate(objective.points)
+        ]
 
-    both = [[read(k, i, one) for i, one in enumerate(each)] for k, each in enumerate(cache.maps(layout.board))]
-
-    def information(half: int, alone: bool) -> np.ndarray:
+    def information(reads: list[list[Response]], alone: bool) -> np.ndarray:
         """Of a photodiode at each place, then of those that stay, under all LEDs, (fingers, ..., m + s, n) float."""
-        each = [[fisher_information(pair[half], electronics_alone=alone) for pair in by_led] for by_led in both]
+        each = [[fisher_information(one, electronics_alone=alone) for one in by_led] for by_led in reads]
         return np.stack([np.sum(by_led, axis=0) for by_led in each])
 
     has_body = any(point.body is not None for point in objective.points)
     noises = ("body", "electronics") if has_body else ("electronics",)
     counts = sorted({*COUNTS, len(layout.scene.layout.photodiodes)})
-    centers = np.array([area.center_mm for area in areas])
-    value, error = np.full((2, 2, len(noises), len(counts)), np.nan)
+    chosen_by = read(lambda blocks: blocks[::2].mean(0))
+    judged_by = read(lambda blocks: left_out(blocks[1::2]), replicates=True)
+    judging = [information(judged_by, alone) for alone in (False, True)]
+    replicates = np.full((judging[0].shape[1], 2, len(noises), len(counts)), np.nan)
     centers_mm = np.full((len(noises), len(counts), counts[-1], 2), np.nan)
-    judging = [information(1, alone) for alone in (False, True)]
     for i, purpose in enumerate(noises):
-        choosing = information(0, purpose == "electronics")
+        choosing = information(chosen_by, purpose == "electronics")
         for j, count in enumerate(counts):
-            if not 0 <= count - len(places.stay) <= free:
+            if not 0 <= count - places.staying <= free:
                 continue
             best, score = coordinate_exchange(
                 choosing[:, :free],
                 places.centers_mm,
-                count=count - len(places.stay),
+                count=count - places.staying,
                 spacing_mm=places.spacing_mm,
-                score=objective.force_n,
+                score=force.force_n,
                 given=choosing[:, free:].sum(1),
             )
-            if not np.isfinite(score):
-                continue
-            chosen = [*best, *range(free, len(areas))]
-            centers_mm[i, j, :count] = centers[chosen]
-            for k, judged in enumerate(judging):
-                replicates = objective.force_n(judged[..., chosen, :].sum(-2))
-                value[k, i, j], error[k, i, j] = replicates[0], replicates[0] * jackknife(np.log(replicates))
-    return _count_dataset(noises, counts, value, error, centers_mm)
-
-
-def _count_dataset(
-    noises: Sequence[str], counts: Sequence[int], value: np.ndarray, error: np.ndarray, centers_mm: np.ndarray
-) -> xr.Dataset:
-    """Forces by all noise and by that of the electronics, (2, noises, counts) float, and the chosen places."""
-    over = ("chosen_for", "photodiode_count")
-    text = "force resolution of so many photodiodes through the body's noise"
-    data = variable("count_resolution_n", over, value[0], text, units="N", stderr=error[0]) if len(noises) > 1 else {}
+            if np.isfinite(score):
+                chosen = [*best, *range(free, len(areas))]
+                centers_mm[i, j, :count] = [areas[k].center_mm for k in chosen]
+                for k, judged in enumerate(judging):
+                    replicates[:, k, i, j] = force.force_n(judged[..., chosen, :].sum(-2))
+    over, value, errors = ("chosen_for", "photodiode_count"), replicates[0], resolution_stderr_n(replicates)
+    data = variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
     text = "force resolution of so many photodiodes by the noise of the electronics alone"
-    data |= variable("count_electronics_resolution_n", over, value[1], text, units="N", stderr=error[1])
-    data |= variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
+    data |= variable("count_electronics_resolution_n", over, value[1], text, units="N", stderr=errors[1])
+    if has_body:
+        text = "force resolution of so many photodiodes through the body's noise"
+        data |= variable("count_resolution_n", over, value[0], text, units="N", stderr=errors[0])
     return xr.Dataset(data, {"chosen_for": list(noises), "photodiode_count": counts})
 
 
@@ -154,21 +150,20 @@ def resolution_over_priors(
     )
 
 
+@dataclass
 class _Resolution:
-    """Force resolution of a layout on other fingers, by all blocks of photons and without each."""
+    """Force resolution of a layout on other fingers, by all blocks of photons and without each.
 
-    def __init__(
-        self,
-        layout: CandidateLayout,
-        rules: Placement,
-        judged: PhotonMapCache,
-        points: dict[Any, OperatingPoint],
-        stop: Callable[[], bool],
-    ) -> None:
-        """points : the touch on each finger, which no layout changes."""
-        self.layout, self.rules, self.judged, self.points, self.stop = layout, rules, judged, points, stop
-        # Scenes whose light goes the same way share a trace, whatever finger or change they are.
-        self.light: dict[tuple[str, int], Arrivals] = {}
+    points : the touch on each finger, which no layout changes.
+    light : scenes whose light goes the same way share a trace, whatever finger or change they are.
+    """
+
+    layout: CandidateLayout
+    rules: Placement
+    judged: PhotonMapCache
+    points: dict[Any, OperatingPoint]
+    stop: Callable[[], bool]
+    light: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
 
     def over_priors(self, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the score at the nodes of every prior, (priors, 3, 1 + blocks) float, and of the scene's own,
@@ -185,17 +180,15 @@ class _Resolution:
         """Force resolution on one finger, (1 + blocks,) float. [N]"""
         finger = scene.finger, scene.blood
         if finger not in self.points:
-            how = {"since_rest_s": self.rules.since_rest_s}
-            self.points[finger] = operating_point(scene, self.rules.force_n, **how)
-        point, layout, by_led = self.points[finger], self.layout.scene, []
-        areas, photodiodes = layout.layout.photodiode_areas, [one.photodiode for one in layout.layout.photodiodes]
-        for i, led in enumerate(layout.leds):
+            touch = operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
+            self.points[finger] = touch
+        point, areas, by_led = self.points[finger], self.layout.scene.layout.photodiode_areas, []
+        for i in range(len(scene.leds)):
             blood = blood_point(scene, i, traced=light_scene(scene), blood_fraction=point.blood_fraction)
             blocks = [self._arrivals(scene, case, i).thin(BLOCKS, k) for k in range(BLOCKS)]
-            values = left_out(np.stack([readings(one, blood.values(one), areas)[0] for one in blocks]))
-            how = {"number": i, "replicates": True}
-            by_led.append(responses(values, led, photodiodes, layout.electronics, point, **how))
-        return force_resolution_n(total_information(by_led), point)
+            by_led.append(left_out(np.stack([readings(one, blood.values(one), areas)[0] for one in blocks])))
+        read = scene_responses(self.layout.scene, by_led, point, replicates=True)
+        return force_resolution_n(total_information(read), point)
 
     def _arrivals(self, scene: Scene, case: FingerCase, led: int) -> Arrivals:
         """Light of an LED on the layout's photodiodes: what judged it, or where it goes otherwise, light of its own by

@@ -1,9 +1,14 @@
-"""The search for a layout: places of the LEDs row by row on a grid, then finer around the best, from traced light."""
+"""The search for a layout: places of the LEDs row by row on a grid, then finer around the best, from traced light; for
+each of them the best photodiodes by coordinate exchange.
+
+References: Meyer, Nachtsheim 1995, Technometrics 37, 60.
+"""
 
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations, islice, product
 
 import numpy as np
 
@@ -12,13 +17,12 @@ from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.layout import SIDES
 from ...scene.rectangles import Rectangle
-from ...sensor.information import responses
-from . import boards, candidates
+from ...sensor.information import response
+from . import candidates
 from .candidates import CandidateLayout
-from .coordinate_exchange import Arrangement, DesignTables
 from .objective import Objective
 from .photon_maps import PhotonMapCache
-from .sites import LedRow, LedSite, PhotodiodePlaces, Sites
+from .sites import LedRow, PhotodiodePlaces, Sites
 
 log = logging.getLogger(__name__)
 
@@ -38,44 +42,234 @@ SEARCH_SHARE = 0.55
 SHORTLIST = 5
 # Sites around which LED places are searched more finely, and into how many parts a step is halved.
 REFINED, FINEST = 2, 4
+# Rounds of exchange at most.
+ROUNDS = 6
+# So many combinations of LED places are evaluated each; of more, so many are starting points.
+STARTS = 24
+# Of more combinations than this a sample is drawn.
+MOST_LISTED = 4096
+# Relative improvement below which a search has converged.
+CONVERGED = 1e-6
+
+LedPlaces = tuple[Point, ...]
+
+
+def coordinate_exchange(
+    information: np.ndarray,
+    places: np.ndarray,
+    *,
+    count: int,
+    spacing_mm: tuple[float, float],
+    score: Callable[[np.ndarray], np.ndarray],
+    given: np.ndarray | float = 0.0,
+    allowed: np.ndarray | None = None,
+    starts: int = 1,
+) -> tuple[list[int], float]:
+    """The places whose information together scores least, and the score: one after the other, then exchanged singly
+    until nothing improves; inf where they have no room.
+
+    information : (fingers, m, n) float. Of a photodiode at each place, as `fisher_information`.
+    spacing_mm : two photodiodes lie at least so far from each other in u or in v.
+    score : of sums of information (fingers, ..., n) -> (...).
+    given : (fingers, n) float. Information of others that stay.
+    allowed : (m,) bool. Places that may be taken; all if not given.
+    starts : number of first places, the best by themselves that leave room for each other, from which it begins.
+    """
+    given = np.zeros((len(information), information.shape[-1])) + given
+    excluded = np.zeros(len(places), bool) if allowed is None else ~allowed
+
+    def scores(others: list[int]) -> np.ndarray:
+        """Of each place beside others that are taken."""
+        total = given + information[:, others].sum(1)
+        values = np.where(excluded, np.inf, score(total[:, None] + information))
+        for k in others:
+            away = np.abs(places - places[k])
+            values[np.all(away < np.array(spacing_mm) - 1e-9, axis=1)] = values[k] = np.inf
+        return values
+
+    if count == 0:
+        return [], float(score(given))
+    alone = scores([])
+    ranked = _separate(np.argsort(alone), places, spacing_mm) if count > 1 else iter(())
+    best: tuple[list[int], float] = ([], np.inf)
+    for first in [None, *(k for k in islice(ranked, starts - 1) if not excluded[k])]:
+        chosen, reached = ([], np.inf) if first is None else ([first], float(alone[first]))
+        while len(chosen) < count:
+            values = scores(chosen)
+            chosen, reached = [*chosen, int(np.argmin(values))], float(values.min())
+            if not np.isfinite(reached):
+                break
+        for _ in range(ROUNDS if np.isfinite(reached) else 0):
+            before = reached
+            for i in range(count):
+                values = scores(chosen[:i] + chosen[i + 1 :])
+                if float(values.min()) < reached * (1 - 1e-9):
+                    chosen[i], reached = int(np.argmin(values)), float(values.min())
+            if reached >= before * (1 - CONVERGED):
+                break
+        if reached < best[1]:
+            best = chosen, reached
+    return best
+
+
+def _separate(ranked: np.ndarray, places: np.ndarray, spacing_mm: tuple[float, float]) -> Iterator[int]:
+    """Numbers of places in their order, each of a place that leaves room for those before it."""
+    while ranked.size:
+        yield int(ranked[0])
+        away = np.abs(places[ranked] - places[ranked[0]])
+        ranked = ranked[np.any(away >= spacing_mm, axis=1)]
 
 
 @dataclass(frozen=True)
 class SearchedSite:
-    """The best photodiodes for a site of the LEDs: where they lie, their score, less being better, the force that they
-    resolve, and the photons of each LED behind it. [mm], [N]"""
+    """Places of all LEDs in a row, in the scene's order, with the best photodiodes for them. [mm]
 
-    site: LedSite
+    score : of what they are ranked by, less is better. resolution_n : the force that they resolve. [N]
+    photons : of each LED behind it.
+    """
+
+    places_mm: LedPlaces
+    row: LedRow
     photodiodes: tuple[Rectangle, ...]
     score: float
     resolution_n: float
     photons: int
 
+    @property
+    def name(self) -> str:
+        """The site as a layout's name."""
+        where = "_".join(
+            f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for place in self.places_mm for x in (v + 0.0 for v in place)
+        )
+        several = "s" if len(self.places_mm) > 1 else ""
+        return f"led{several}_{where}" + (f"_{self.row.side}" if self.row.side else "")
+
 
 @dataclass
-class _Row:
-    """A row of LEDs with what was traced of it: by LED and place (fingers, photodiodes and those that stay, c)."""
+class RowDesign:
+    """LEDs at places of a row and photodiodes at theirs: what was traced, and the best of both by it.
 
+    columns : of each LED at each of its places, (fingers, m + s, c) float: m places of photodiodes, then the s that
+        stay.
+    photons : of each LED at each place. starts : as of `coordinate_exchange`.
+    """
+
+    sites: Sites
+    objective: Objective
     row: LedRow
     places: PhotodiodePlaces
-    columns: list[dict[Point, np.ndarray]]
+    columns: Sequence[dict[Point, np.ndarray]]
+    photons: int
+    starts: int = 1
+
+    @property
+    def count(self) -> int:
+        """Number of photodiodes to be placed."""
+        return self.sites.rules.photodiodes - self.places.staying
+
+    def information(self, leds: LedPlaces) -> np.ndarray:
+        """Of photodiodes under LEDs at these places, (fingers, m + s, n) float."""
+        return self.objective.together([by_place[at] for by_place, at in zip(self.columns, leds, strict=True)])
+
+    def best(self, leds: LedPlaces) -> SearchedSite | None:
+        """The best photodiodes for LEDs at given places; None where they have no room."""
+        information, free = self.information(leds), self.places.free
+        staying = information[:, free:].sum(1)
+        chosen, score = coordinate_exchange(
+            information[:, :free],
+            self.places.centers_mm,
+            count=self.count,
+            spacing_mm=self.places.spacing_mm,
+            score=self.objective.score,
+            given=staying,
+            allowed=None if self.row.side else self.sites.are_beside(self.places.areas[:free], leds),
+            starts=self.starts,
+        )
+        if not np.isfinite(score):
+            return None
+        force_n = float(self.objective.force_n(information[:, chosen].sum(1) + staying))
+        areas = tuple(self.places.areas[k] for k in chosen)
+        return SearchedSite(leds, self.row, areas, score, force_n, self.photons)
+
+    def _best_leds(self, site: SearchedSite) -> LedPlaces:
+        """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""
+        leds, reached, areas = site.places_mm, site.score, site.photodiodes
+        chosen = [*map(self.places.areas.index, areas), *range(self.places.free, len(self.places.areas))]
+        for i, by_place in enumerate(self.columns):
+            for place in by_place:
+                tried = (*leds[:i], place, *leds[i + 1 :])
+                if place == leds[i] or not self.sites.go_together(tried):
+                    continue
+                if self.row.side is None and not self.sites.are_beside(areas, tried).all():
+                    continue
+                value = float(self.objective.score(self.information(tried)[:, chosen].sum(1)))
+                if value < reached * (1 - 1e-9):
+                    leds, reached = tried, value
+        return leds
+
+    def _improved(self, leds: LedPlaces) -> Iterator[SearchedSite]:
+        """Arrangements from one start, photodiodes and LEDs exchanged in turns; the best last."""
+        reached = math.inf
+        while (one := self.best(leds)) and one.score < reached * (1 - CONVERGED):
+            yield one
+            leds, reached = self._best_leds(one), one.score
+            if leds == one.places_mm:
+                break
+
+    def search(self, known: Sequence[LedPlaces] = ()) -> list[SearchedSite]:
+        """Every arrangement of LEDs that was given its photodiodes: of few each; of many what some of them lead to, and
+        from the best of it on every step of one LED, or of two that change places, as long as that is better.
+
+        known : arrangements that were tried, best first; of few they are left out, of many the best is a start.
+        """
+        every = self._arrangements()
+        if len(every) <= STARTS or sum(len(one) > 1 for one in self.columns) <= 1:
+            return [one for leds in every if leds not in known and (one := self.best(leds))]
+        picked = [every[i] for i in np.linspace(0, len(every) - 1, STARTS).astype(int)]
+        results: dict[LedPlaces, SearchedSite] = {}
+        for leds in dict.fromkeys((*known[:1], *picked)):
+            results |= {one.places_mm: one for one in (self._improved(leds) if leds not in results else ())}
+        tried, reached = set(results), math.inf
+        while results and (best := min(results.values(), key=lambda one: one.score)).score < reached * (1 - CONVERGED):
+            reached = best.score
+            for leds in self._neighbours(best.places_mm):
+                if leds not in tried and (better := self.best(leds)):
+                    results[leds] = better
+                tried.add(leds)
+        return list(results.values())
+
+    def _neighbours(self, leds: LedPlaces) -> list[LedPlaces]:
+        """Arrangements in which one LED lies elsewhere, or two lie in each other's places."""
+        moved = [(*leds[:i], place, *leds[i + 1 :]) for i, by_place in enumerate(self.columns) for place in by_place]
+        for i, j in combinations(range(len(leds)), 2):
+            if leds[j] in self.columns[i] and leds[i] in self.columns[j]:
+                moved.append((*leds[:i], leds[j], *leds[i + 1 : j], leds[i], *leds[j + 1 :]))
+        return [one for one in dict.fromkeys(moved) if one != leds and self.sites.go_together(one)]
+
+    def _arrangements(self) -> list[LedPlaces]:
+        """Places that LEDs may have together: all, or of very many a sample that is always the same."""
+        pools = [list(one) for one in self.columns]
+        if math.prod(map(len, pools)) <= MOST_LISTED:
+            every = list(product(*pools))
+        else:
+            rng = np.random.default_rng(0)
+            picks = np.stack([rng.integers(len(pool), size=MOST_LISTED) for pool in pools], -1)
+            every = [tuple(pool[i] for pool, i in zip(pools, row, strict=True)) for row in picks]
+        return [leds for leds in dict.fromkeys(every) if self.sites.go_together(leds)]
 
 
 class Search:
     """A search as far as it is.
 
-    results : every site of the LEDs that was given photodiodes.
+    results : every site of the LEDs that was given photodiodes, by row and places.
     """
 
     def __init__(self, base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache) -> None:
-        """base : a board whose parts lie straight. Raises: InputError for what a search cannot place."""
-        boards.check_search(base, rules)
+        """base : a board whose parts lie straight, which `boards.check_search` has passed."""
         self.base, self.rules, self.objective, self.cache = base, rules, objective, cache
         self.sites = Sites(base, rules)
-        self.results: dict[LedSite, SearchedSite] = {}
-        self._rows: dict[LedRow, _Row] = {}
-        # Boards whose maps are held.
-        self._mapped: dict[tuple[LedRow, int, Point], Scene] = {}
+        self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
+        self._designs: dict[LedRow, RowDesign] = {}
 
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
         """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
@@ -84,149 +278,115 @@ class Search:
         waiting = self.sites.rows(step)
         while waiting and step >= self.rules.led_step_mm / FINEST:
             for i, (row, places) in enumerate(waiting.items()):
-                for done in self._trace(self._row(row, places), places, report_progress):
+                design = self._designs.setdefault(row, self._design(row, places, FIRST_PHOTONS))
+                for done in self._trace(design, places, report_progress):
                     part = (report_progress.seconds - start) / available
                     by_count = (i + done) / len(waiting) / 2
                     report_progress("search", part if math.isfinite(available) else by_count)
-                self._evaluate(self._rows[row])
+                if all(design.columns):
+                    known = [one.places_mm for one in self.ranked if one.row == row]
+                    self._store(design.search(known))
                 if report_progress.is_over(SEARCH_SHARE):
                     why = "was interrupted" if report_progress.interrupted else "ran out of time"
                     log.warning("the search for LED places %s after %d of them", why, len(self.results))
                     return list(self.results.values())
             step /= 2
             waiting = self._around_the_best(step)
-        for best in ranked(self.results.values())[:SHORTLIST]:
+        for best in self.ranked[:SHORTLIST]:
             if report_progress.is_over(SEARCH_SHARE):
                 break
-            self._choose_again(best.site)
+            # The photodiodes once more, by more photons.
+            places = [[place] for place in best.places_mm]
+            design = self._design(best.row, places, SEARCH_PHOTONS, starts=LAST_STARTS)
+            for _ in self._trace(design, places, report_progress):
+                pass
+            if all(design.columns) and (again := design.best(best.places_mm)):
+                self._store([again])
         return list(self.results.values())
 
-    def _row(self, row: LedRow, places: list[list[Point]]) -> _Row:
-        """A row, as far as it is traced."""
-        if row not in self._rows:
-            count = len(self.base.leds)
-            walls = self.sites.board_at(0, places[0][0], row).layout.barriers
-            fixed = [self.sites.die(i, self.sites.place_of(i)) for i in range(count) if self.sites.is_fixed[i]]
-            self._rows[row] = _Row(row, self.sites.photodiode_places(walls, fixed), [{} for _ in range(count)])
-        return self._rows[row]
+    @property
+    def ranked(self) -> list[SearchedSite]:
+        """The best first."""
+        return sorted(self.results.values(), key=lambda one: one.score)
 
-    def _trace(self, row: _Row, places: list[list[Point]], report_progress: StageProgress) -> Iterable[float]:
-        """Trace every LED at its new places, place by place, and yield the part that is done."""
-        if len(row.places.areas) + len(row.places.stay) < self.rules.photodiodes:
+    def _store(self, searched: Iterable[SearchedSite]) -> None:
+        self.results |= {(one.row, one.places_mm): one for one in searched}
+
+    def _design(self, row: LedRow, places: list[list[Point]], photons: int, *, starts: int = 1) -> RowDesign:
+        """A row of which nothing is traced."""
+        leds = range(len(self.base.leds))
+        walls = self.sites.board_at(0, places[0][0], row).layout.barriers
+        fixed = [self.sites.die(i, self.sites.place_of(i)) for i in leds if self.sites.is_fixed[i]]
+        beside = self.sites.photodiode_places(walls, fixed)
+        return RowDesign(self.sites, self.objective, row, beside, [{} for _ in leds], photons, starts)
+
+    def _trace(self, design: RowDesign, places: list[list[Point]], report_progress: StageProgress) -> Iterable[float]:
+        """Trace every LED at its new places, place by place, as long as there is time; yields the part that is done."""
+        if design.places.free < design.count:
             return
-        waiting = [[p for p in each if p not in had] for each, had in zip(places, row.columns, strict=True)]
-        longest = max(map(len, waiting))
+        waiting = [[p for p in each if p not in had] for each, had in zip(places, design.columns, strict=True)]
+        longest, boards = max(map(len, waiting)), []
         for k in range(longest):
             if report_progress.is_over(SEARCH_SHARE):
-                return
-            self._trace_at(row, [(i, each[k]) for i, each in enumerate(waiting) if k < len(each)], FIRST_PHOTONS)
+                break
+            for i, each in enumerate(waiting):
+                if k < len(each):
+                    boards.append(board := self.sites.board_at(i, each[k], design.row))
+                    # LEDs that shine alike share their light.
+                    if (had := self.cache.photons_of(board)) < design.photons:
+                        self.cache.extend(board, design.photons - had)
+                    if self.cache.photons_of(board) >= design.photons:
+                        design.columns[i][each[k]] = self._columns(i, board, design)
+                    self.cache.forget_tracer(board)
             yield (k + 1) / longest
+        for board in boards:
+            self.cache.forget(board)
 
-    def _trace_at(self, row: _Row, places: Sequence[tuple[int, Point]], photons: int) -> None:
-        """Trace LEDs by number, each at a place of a row, unless there is no time."""
-        for i, place, board in [(i, place, self.sites.board_at(i, place, row.row)) for i, place in places]:
-            if (had := self.cache.photons_of(board)) < photons:
-                self.cache.extend(board, photons - had)
-            if self.cache.photons_of(board) > had or had >= photons:
-                row.columns[i][place] = self._columns(i, board, row.places)
-            self.cache.forget_tracer(board)
-            self._mapped[row.row, i, place] = board
-
-    def _choose_again(self, site: LedSite) -> None:
-        """Choose a site's photodiodes once more, by more photons."""
-        row = _Row(site.row, self._rows[site.row].places, [{} for _ in self.base.leds])
-        self._trace_at(row, list(enumerate(site.places_mm)), SEARCH_PHOTONS)
-        if all(row.columns):
-            tables = self._tables(row, starts=LAST_STARTS)
-            best = tables.best_photodiodes(site.places_mm, self.rules.photodiodes - len(row.places.stay))
-            if best is not None:
-                self._store(row, tables, best, SEARCH_PHOTONS)
-
-    def _columns(self, led: int, board: Scene, places: PhotodiodePlaces) -> np.ndarray:
+    def _columns(self, led: int, board: Scene, design: RowDesign) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
-        areas = [*places.areas, *places.stay]
-        photodiodes, amplifier = self.sites.kinds(places), self.base.electronics
-        columns = []
-        for finger, ((light, *_), condition) in enumerate(
-            zip(self.cache.maps(board), self.cache.conditions, strict=True)
-        ):
-            values = light.over(areas).mean(0)
-            read = responses(values, self.base.leds[led], photodiodes, amplifier, condition.point, number=led)
+        columns, kinds, amplifier = [], design.places.photodiodes, self.base.electronics
+        for finger, ((light, *_), one) in enumerate(zip(self.cache.maps(board), self.cache.conditions, strict=True)):
+            values = light.over(design.places.areas).mean(0)
+            read = response(values, self.base.leds[led], kinds, amplifier, one.point, number=led)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
 
-    def _evaluate(self, row: _Row) -> None:
-        """Give every arrangement of a row's LEDs its photodiodes, as far as its light is traced, and free the maps that
-        nothing will be added to."""
-        if not all(row.columns):
-            return
-        tables = self._tables(row)
-        known = [one.site.places_mm for one in ranked(self.results.values()) if one.site.row == row.row]
-        for one in tables.search(self.rules.photodiodes - len(row.places.stay), known):
-            self._store(row, tables, one, FIRST_PHOTONS)
-        sites = [one.site for one in ranked(self.results.values())[:SHORTLIST]]
-        held = {(site.row, i, place) for site in sites for i, place in enumerate(site.places_mm)}
-        for key in self._mapped.keys() - held:
-            self.cache.forget(self._mapped.pop(key))
-
-    def _tables(self, row: _Row, *, starts: int = 1) -> DesignTables:
-        places, sites = row.places, self.sites
-
-        def allowed(leds: tuple[Point, ...]) -> np.ndarray:
-            if row.row.side is not None:
-                return np.ones(len(places.areas), bool)
-            dies = [sites.die(i, place) for i, place in enumerate(leds)]
-            return np.array([sites.is_beside(area, dies) for area in places.areas], bool)
-
-        how = (self.objective.together, self.objective.score, places.centers_mm, places.spacing_mm)
-        return DesignTables(row.columns, *how, sites.go_together, allowed, starts=starts)
-
-    def _store(self, row: _Row, tables: DesignTables, one: Arrangement, photons: int) -> None:
-        """Store the result of an arrangement of LEDs."""
-        site = LedSite(one.leds, row.row)
-        photodiodes = tuple(row.places.areas[k] for k in one.photodiodes)
-        force_n = float(self.objective.force_of(tables.total(one.leds, one.photodiodes)))
-        self.results[site] = SearchedSite(site, photodiodes, one.score, force_n, photons)
-
     def _around_the_best(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
         """Places beside those of the best sites: along their rows, beside another LED, and rows beside theirs."""
-        requested: dict[LedRow, list[dict[Point, None]]] = {}
+        sites, requested = self.sites, dict[LedRow, list[dict[Point, None]]]()
 
         def request(row: LedRow, led: int, place: Point) -> None:
-            fixed, rounded = self.sites.is_fixed[led], (round(place[0], 4), round(place[1], 4))
-            if fixed or self.sites.may_lie(led, rounded):
-                by_led = requested.setdefault(row, [{} for _ in self.base.leds])
-                by_led[led][place if fixed else rounded] = None
+            if not sites.is_fixed[led]:
+                place = (round(place[0], 4), round(place[1], 4))
+            if sites.is_fixed[led] or sites.may_lie(led, place):
+                requested.setdefault(row, [{} for _ in self.base.leds])[led][place] = None
 
-        for best in ranked(self.results.values())[:REFINED]:
-            site = best.site
-            for i, place in enumerate(site.places_mm):
-                request(site.row, i, place)
-                for other in self._beside(site, i, step_mm):
-                    request(site.row, i, other)
-            for row in self._rows_beside(site.row, step_mm):
-                for i, place in enumerate(site.places_mm):
+        for best in self.ranked[:REFINED]:
+            for i, place in enumerate(best.places_mm):
+                for other in (place, *self._beside(best, i, step_mm)):
+                    request(best.row, i, other)
+                for row in self._rows_beside(best.row, step_mm):
                     along = place[1 if row.side in ("left", "right") else 0]
-                    request(row, i, place if self.sites.is_fixed[i] else self.sites.in_row(i, row, along))
+                    request(row, i, place if sites.is_fixed[i] else sites.in_row(i, row, along))
         complete = {row: [list(one) for one in each] for row, each in requested.items() if all(each)}
-        return {row: each for row, each in complete.items() if self._has_new(row, each) and self.sites.leaves_room(row)}
+        return {row: each for row, each in complete.items() if self._has_new(row, each) and sites.leaves_room(row)}
 
     def _has_new(self, row: LedRow, places: list[list[Point]]) -> bool:
-        had = self._rows[row].columns if row in self._rows else [{} for _ in places]
+        had = self._designs[row].columns if row in self._designs else [{} for _ in places]
         return any(place not in one for one, each in zip(had, places, strict=True) for place in each)
 
-    def _beside(self, site: LedSite, led: int, step_mm: float) -> list[Point]:
+    def _beside(self, best: SearchedSite, led: int, step_mm: float) -> list[Point]:
         """Places of one LED a step along its row (on a board without walls: or across), or right beside another LED, at
         the clearance; in a row it stays in its own line."""
         if self.sites.is_fixed[led]:
             return []
-        place, die, places = site.places_mm[led], self.sites.die(led, (0.0, 0.0)), []
-        side = site.row.side
+        place, die, places = best.places_mm[led], self.sites.die(led, (0.0, 0.0)), []
+        side = best.row.side
         for axis in (0, 1) if side is None else (1 - SIDES[side][0],):
             half = (die.u_max, die.v_max)[axis] + self.rules.clearance_mm
             for sign in (-1, 1):
                 beside = [(place, place[axis] + sign * step_mm)]
-                for k, other in enumerate(site.places_mm):
+                for k, other in enumerate(best.places_mm):
                     if k != led:
                         r = self.sites.die(k, other)
                         edge = ((r.u_min, r.u_max), (r.v_min, r.v_max))[axis][sign > 0]
@@ -235,15 +395,9 @@ class Search:
         return places
 
     def _rows_beside(self, row: LedRow, step_mm: float) -> list[LedRow]:
-        if row.side is None or row.face_mm is None or all(self.sites.is_fixed):
+        if row.side is None or all(self.sites.is_fixed):
             return []
-        rows = [LedRow(row.side, round(row.face_mm + sign * step_mm, 4)) for sign in (-1, 1)]
-        return [one for one in rows if self.sites.is_before_fixed(one)]
-
-
-def ranked(results: Iterable[SearchedSite]) -> list[SearchedSite]:
-    """The best first."""
-    return sorted(results, key=lambda one: one.score)
+        return [LedRow(row.side, round(row.face_mm + sign * step_mm, 4)) for sign in (-1, 1)]
 
 
 def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) -> list[CandidateLayout]:
@@ -251,7 +405,6 @@ def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) ->
     are, and come after the others."""
     layouts = []
     for one in sorted(results, key=lambda one: (-one.photons, one.score))[:SHORTLIST]:
-        name = one.site.name
-        scene = candidates.searched(base, rules, one.site.places_mm, one.photodiodes, side=one.site.row.side, name=name)
-        layouts.append(candidates.candidate(name, scene, "searched"))
+        scene = candidates.searched(base, rules, one.places_mm, one.photodiodes, side=one.row.side, name=one.name)
+        layouts.append(candidates.candidate(one.name, scene, "searched"))
     return layouts

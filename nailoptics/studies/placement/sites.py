@@ -1,6 +1,6 @@
 """Where a search may put LEDs and photodiodes: rows of LEDs along a wall, and the places that the rules leave."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,43 +20,35 @@ ROUNDING_MM = 1e-9
 
 @dataclass(frozen=True)
 class LedRow:
-    """LEDs that share a wall: the side of the photodiodes on which they lie, and where the edge of the nearest of them
-    lies that faces the wall; both None on a board without walls. [mm]"""
+    """LEDs that share a wall: the side of the photodiodes on which they lie, None on a board without walls, and where
+    the edge of the nearest of them lies that faces the wall. [mm]"""
 
     side: str | None = None
-    face_mm: float | None = None
-
-
-@dataclass(frozen=True)
-class LedSite:
-    """Places of all LEDs, in the scene's order, and their row."""
-
-    places_mm: tuple[Point, ...]
-    row: LedRow
-
-    @property
-    def name(self) -> str:
-        """The site as a layout's name."""
-        where = "_".join(
-            f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for place in self.places_mm for x in (v + 0.0 for v in place)
-        )
-        several = "s" if len(self.places_mm) > 1 else ""
-        return f"led{several}_{where}" + (f"_{self.row.side}" if self.row.side else "")
+    face_mm: float = 0.0
 
 
 @dataclass(frozen=True)
 class PhotodiodePlaces:
-    """Where a photodiode may lie beside those that stay: areas (m,) of one each, their centres (m, 2), and the least
-    spacing of two of them, across or along. [mm]"""
+    """Where a photodiode may lie, and after these where those lie that stay.
+
+    areas : (free + s,) places, of one photodiode each. photodiodes : what each of them is.
+    spacing_mm : the least of two of the free ones, across or along. [mm]
+    """
 
     areas: tuple[Rectangle, ...]
-    stay: tuple[Rectangle, ...]
+    photodiodes: tuple[Photodiode, ...]
+    free: int
     spacing_mm: Point
+
+    @property
+    def staying(self) -> int:
+        """How many stay."""
+        return len(self.areas) - self.free
 
     @cached_property
     def centers_mm(self) -> np.ndarray:
-        """(m, 2) float. [mm]"""
-        return np.array([area.center_mm for area in self.areas]).reshape(-1, 2)
+        """Centres of the free places, (free, 2) float. [mm]"""
+        return np.array([area.center_mm for area in self.areas[: self.free]]).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -79,21 +71,23 @@ class Sites:
         return tuple(led.name in self.rules.fixed for led in self.base.leds)
 
     @cached_property
-    def stay(self) -> tuple[Rectangle, ...]:
-        """Photodiodes that stay and are read."""
+    def _fixed(self) -> tuple[list[Rectangle], list[Rectangle]]:
+        """Elements of photodiodes that stay: those that are read, and those that are not wired."""
         fixed = tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
-        return tuple(element.area for element in lay_elements(self.base.board, fixed)[0])
+        read, unwired = lay_elements(self.base.board, fixed)
+        return [element.area for element in read], unwired
 
     @cached_property
     def elements(self) -> tuple[Rectangle, ...]:
         """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
-        return _all_elements(self.base, boards.loose_photodiodes(self.base, self.rules)) if self.rules.wire else ()
+        loose = boards.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
+        wired = tuple(one.model_copy(update={"wired": None}) for one in loose)
+        return tuple(element.area for element in lay_elements(self.base.board, wired)[0])
 
     @cached_property
     def obstacles(self) -> tuple[Rectangle, ...]:
         """Everything of photodiodes that stays, read or not."""
-        fixed = tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
-        return (*_all_elements(self.base, fixed), *self.elements)
+        return (*self._fixed[0], *self._fixed[1], *self.elements)
 
     def die(self, led: int, place_mm: Point) -> Rectangle:
         """An LED's die at a place."""
@@ -163,25 +157,19 @@ class Sites:
             along = self.grid(step_mm)[axis]
         return along
 
-    def _rows_at(self, side: str, middles: np.ndarray) -> Iterator[LedRow]:
+    def _rows_at(self, side: str, middles: np.ndarray) -> list[LedRow]:
         """Rows of a side with the first free LED's middle at each place, and one at the edge of what is fixed."""
         fixed, way = self._fixed_face(side), SIDES[side][1]
         faces = [] if fixed is None else [way * fixed]
         if len(middles):
             first = self.die(self.is_fixed.index(False), (0.0, 0.0))
             faces += [float(x) + way * span_mm(first, side)[1] for x in middles]
-        yield from (row for row in (LedRow(side, face) for face in dict.fromkeys(faces)) if self.is_before_fixed(row))
+        return [LedRow(side, face) for face in dict.fromkeys(faces)]
 
     def _fixed_face(self, side: str) -> float | None:
         """Of the LEDs that stay, the edge that is nearest to photodiodes, as `span_mm`; None if none does."""
         dies = [self.die(i, self.place_of(i)) for i, fixed in enumerate(self.is_fixed) if fixed]
         return max((span_mm(die, side)[1] for die in dies), default=None)
-
-    def is_before_fixed(self, row: LedRow) -> bool:
-        """Whether no LED that stays lies nearer to the photodiodes than a row."""
-        if row.side is None or row.face_mm is None or (fixed := self._fixed_face(row.side)) is None:
-            return True
-        return SIDES[row.side][1] * row.face_mm - fixed >= -ROUNDING_MM
 
     def _with_room(self, rows: dict[LedRow, list[list[Point]]]) -> dict[LedRow, list[list[Point]]]:
         """The rows whose wall leaves room, with the places where each LED may lie; a fixed one lies where it is."""
@@ -197,17 +185,20 @@ class Sites:
 
     def in_row(self, led: int, row: LedRow, along_mm: float) -> Point:
         """An LED's place in a row with a wall: its edge at the row's face."""
-        assert row.side is not None and row.face_mm is not None
+        assert row.side is not None
         axis, way = SIDES[row.side]
         across = row.face_mm - way * span_mm(self.die(led, (0.0, 0.0)), row.side)[1]
         return (along_mm, across) if axis else (across, along_mm)
 
     def leaves_room(self, row: LedRow) -> bool:
-        """Whether a row's wall leaves photodiodes enough of the board, and lies before all that stay."""
-        if row.side is None or row.face_mm is None:
+        """Whether a row's wall leaves photodiodes enough of the board, and lies between all LEDs and photodiodes that
+        stay."""
+        if row.side is None:
             return True
         axis, way = SIDES[row.side]
-        face = way * row.face_mm
+        face, fixed = way * row.face_mm, self._fixed_face(row.side)
+        if fixed is not None and face < fixed - ROUNDING_MM:
+            return False
         room = span_mm(self.outline, row.side)[1] - face
         if room <= LEAST_ROOM * self.outline.size_mm[axis] and not self.obstacles:
             return False
@@ -222,7 +213,7 @@ class Sites:
     def board_at(self, led: int, place_mm: Point, row: LedRow) -> Scene:
         """The bare board with one of its LEDs at a place, and the wall of its row."""
         (du, dv), board, gap = self.base.board.center_mm, self.base.board, self._gap_mm
-        if row.side is not None and row.face_mm is not None:
+        if row.side is not None:
             gap += SIDES[row.side][1] * row.face_mm - span_mm(self.die(led, place_mm), row.side)[1]
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
@@ -241,16 +232,17 @@ class Sites:
             for wall in walls:
                 behind = span_mm(wall, wall.name)[1] + max(gap, WALL_ROOM_MM)
                 areas = [a for a in areas if span_mm(a, wall.name)[0] >= behind - ROUNDING_MM]
-        return PhotodiodePlaces(tuple(a for a in areas if walled or self.is_beside(a, leds)), self.stay, spacing)
-
-    def kinds(self, places: PhotodiodePlaces) -> list[Photodiode]:
-        """What a photodiode at each place would be, and what those are that stay."""
+        free = [a for a in areas if walled or self._is_beside(a, leds)]
         by_name = {name: one for one in self.base.photodiodes for name in one.element_names()}
-        placed = [by_name.get(area.name, self.base.photodiodes[0]) for area in places.areas]
-        return [*placed, *(by_name[area.name] for area in places.stay)]
+        kinds = [by_name.get(area.name, self.base.photodiodes[0]) for area in (*free, *self._fixed[0])]
+        return PhotodiodePlaces((*free, *self._fixed[0]), tuple(kinds), len(free), spacing)
 
-    def is_beside(self, area: Rectangle, leds: Sequence[Rectangle]) -> bool:
-        """Whether a photodiode leaves LEDs on a board without walls the room for their bond wires."""
+    def are_beside(self, areas: Sequence[Rectangle], leds_mm: Sequence[Point]) -> np.ndarray:
+        """Which photodiodes (m,) leave LEDs at these places the room for their bond wires, without walls, (m,) bool."""
+        dies = [self.die(i, place) for i, place in enumerate(leds_mm)]
+        return np.array([self._is_beside(area, dies) for area in areas], bool)
+
+    def _is_beside(self, area: Rectangle, leds: Sequence[Rectangle]) -> bool:
         return all(_gap_mm(area, led) >= self.rules.bond_wire_mm - ROUNDING_MM for led in leds)
 
     @cached_property
@@ -283,12 +275,6 @@ def has_room_for(area: Rectangle, rules: Placement) -> bool:
         return True
     half = (half_u + rules.edge_mm, half_v + rules.edge_mm)
     return has_room(center, half, rules.outline_mm, rules.outline_holes_mm)
-
-
-def _all_elements(base: Scene, photodiodes: Sequence[Photodiode]) -> tuple[Rectangle, ...]:
-    """Every element of photodiodes, wired or not."""
-    all_wired = tuple(one.model_copy(update={"wired": None}) for one in photodiodes)
-    return tuple(element.area for element in lay_elements(base.board, all_wired)[0])
 
 
 def _gap_mm(one: Rectangle, other: Rectangle) -> float:

@@ -14,12 +14,20 @@ import xarray as xr
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
-from ...scene import Photodiode, Scene
+from ...scene import Scene
 from ...sensor.ambient import SOURCES, photocurrents_a
-from ...sensor.information import OperatingPoint, Response, force_resolution_n, responses, total_information
+from ...sensor.information import (
+    OperatingPoint,
+    Response,
+    force_resolution_n,
+    response,
+    scene_responses,
+    total_information,
+)
 from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
-from ...variables import Variables, variable
+from ...variables import Variables, estimated, variable
 from . import boards
+from .objective import resolution_stderr_n
 from .photon_maps import FingerCondition, Stopped
 
 LEAST_BATCHES = 8
@@ -53,69 +61,58 @@ class _Verification:
     seed: int
     stop: Callable[[], bool]
 
-    def check(self) -> None:
-        """Raise `Stopped` where there is no time for one batch more."""
+    def next_seed(self, *key: int) -> int:
+        """The seed of the next batch; raises `Stopped` where there is no time for it."""
         if self.stop():
             raise Stopped
-
-    @cached_property
-    def photodiodes(self) -> list[Photodiode]:
-        """What each photodiode of the layout is."""
-        return [one.photodiode for one in self.scene.layout.photodiodes]
+        return seed_of(self.seed, *key)
 
     @cached_property
     def areas_mm2(self) -> np.ndarray:
         """Areas of the photodiodes. [mm^2]"""
         return np.array([area.area_mm2 for area in self.scene.layout.photodiode_areas])
 
-    def response(self, led: int, values: np.ndarray, ambient_a: Any = 0.0, *, replicates: bool = False) -> Response:
-        """What the photodiodes read of one LED, (..., photodiodes, 4) float; as the `response` of any."""
-        how = {"number": led, "ambient_a": ambient_a, "replicates": replicates}
-        return responses(values, self.scene.leds[led], self.photodiodes, self.scene.electronics, self.point, **how)
-
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
         return force_resolution_n(total_information(responses), self.point)
 
-    def fresh_trace(self, batches: int, photons: int, deadline: float) -> tuple[list[np.ndarray], Variables]:
-        """Values of each LED, (1 + batches, photodiodes, 4) float, by all batches and without each; and the variables
-        of the fresh trace."""
-        cells, count = self.tracer.cells(), 0
-        blocks: list[list[np.ndarray]] = [[] for _ in self.blood]
+    def fresh_trace(self, batches: int, photons: int, deadline: float) -> tuple[np.ndarray, Variables]:
+        """Values of each LED, (1 + batches, leds, photodiodes, 4) float, by all batches and without each; and the
+        variables of the fresh trace."""
+        cells = self.tracer.cells()
+        means: list[np.ndarray] = []
+        by_depth: list[np.ndarray] = []
         total, square = (np.zeros((len(self.blood), len(self.areas_mm2), *cells.shape)) for _ in range(2))
-        by_depth: list[list[np.ndarray]] = [[] for _ in self.blood]
         volume = cells.volume_mm3[0, 0]
-        while count < LEAST_BATCHES or (count < batches and time.perf_counter() < deadline):
+        while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
+            each = []
             for i, blood in enumerate(self.blood):
-                self.check()
-                seed = seed_of(self.seed, FORWARD, i, count)
-                means, sensitivity = self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells)
-                blocks[i].append(means)
-                total[i] += sensitivity
-                square[i] += sensitivity**2
-                by_depth[i].append((sensitivity * volume).sum((1, 2)))
-            count += 1
-        values = [left_out(np.stack(each)) for each in blocks]
+                seed = self.next_seed(FORWARD, i, len(means))
+                each.append(self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells))
+            sensitivity = np.stack([one for _, one in each])
+            means.append(np.stack([one for one, _ in each]))
+            by_depth.append((sensitivity * volume).sum((2, 3)))
+            total += sensitivity
+            square += sensitivity**2
+        values, weights = left_out(np.stack(means)), left_out(np.stack(by_depth))
         pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
-        fraction, errors = [v[0, :, 0] for v in values], [jackknife(v[..., 0]) for v in values]
         text = "part of an LED's light on each photodiode, by a fresh trace of the best layout"
-        data = variable("checked_fraction", pair, fraction, text, stderr=errors)
+        data = estimated("checked_fraction", pair, values[..., 0], text)
         text = "fall of a photodiode's reading by absorption at a place under the nail, per volume there"
-        mean, error = ((total / count).astype(np.float32), stderr_of_mean(total, square, count).astype(np.float32))
-        data |= variable("depth_sensitivity", (*pair, *cell), mean, text, units="mm-2", stderr=error)
+        mean, error = total / len(means), stderr_of_mean(total, square, len(means))
+        single = {"values": mean.astype(np.float32), "stderr": error.astype(np.float32)}
+        data |= variable("depth_sensitivity", (*pair, *cell), long_name=text, units="mm-2", **single)
         data |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
         data |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
         data |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
         text = "volume of a cell under the nail at its depth"
         data |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
         with np.errstate(invalid="ignore", divide="ignore"):
-            weights = [left_out(np.stack(each)) for each in by_depth]
-            middle = [each @ data["depth"][1] / each.sum(-1) for each in weights]
-        depth_mm, errors = [each[0] for each in middle], [jackknife(each) for each in middle]
+            middle_mm = weights @ data["depth"][1] / weights.sum(-1)
         text = "mean depth at which absorption makes a photodiode's reading fall"
-        return values, data | variable("mean_depth_mm", pair, depth_mm, text, units="mm", stderr=errors)
+        return values, data | estimated("mean_depth_mm", pair, middle_mm, text, units="mm")
 
-    def back(self, rounds: int, deadline: float, values: list[np.ndarray]) -> Variables:
+    def back(self, rounds: int, deadline: float, values: np.ndarray) -> Variables:
         """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
         layout, photodiodes = self.scene.layout, range(len(self.areas_mm2))
         new = partial(PhotonMap, layout.outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS)
@@ -124,24 +121,17 @@ class _Verification:
         on_die = np.zeros((2, len(self.blood), len(photodiodes)))
         outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
         uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
-        how: dict[str, Any] = {
-            "backend": self.tracer.backend.name,
-            "store": self.tracer.store,
-            "seed": self.tracer.seed,
-        }
-        bare = self.tracer.scene.model_copy(update={"board": uncovered})
-        self.check()
+        bare, usual = self.tracer.scene.model_copy(update={"board": uncovered}), self.tracer
+        how: dict[str, Any] = {"backend": usual.backend.name, "store": usual.store, "seed": usual.seed}
         tracer = BoardTracer(bare, spacing_mm=OPEN_DISTANCE_MM, **how)
         for j in photodiodes:
-            self.check()
-            _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=seed_of(self.seed, OPEN_BOARD, j))
+            _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=self.next_seed(OPEN_BOARD, j))
             outside[:, 1, :, j] = self._from_outside(left, j)
         done = 0
         while done == 0 or (done < rounds and time.perf_counter() < deadline):
             for j in photodiodes:
                 for i, blood in enumerate(self.blood):
-                    self.check()
-                    seed = seed_of(self.seed, BACK, i, j, done)
+                    seed = self.next_seed(BACK, i, j, done)
                     arrived, left = self.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
                     light = blood.values(arrived)
                     maps[i][j].add(arrived, light)
@@ -161,16 +151,14 @@ class _Verification:
 
     def _from_outside(self, left: Arrivals, photodiode: int) -> np.ndarray:
         """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
-        sums, scene = [], self.scene
-        how: dict[str, Any] = {"traced": self.tracer.scene, "traced_nm": scene.leds[0].wavelength_nm}
-        how |= {"photodiode": self.photodiodes[photodiode], "area_mm2": float(self.areas_mm2[photodiode])}
-        for source in SOURCES:
-            each = photocurrents_a(left, scene, source, **how)
-            # Most photons did not leave: each of them counts 0.
-            sums.append((each.sum(), (each**2).sum() - each.sum() ** 2 / left.photons))
-        return np.array(sums).T
+        element, nm = self.scene.layout.photodiodes[photodiode], self.scene.leds[0].wavelength_nm
+        how: dict[str, Any] = {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
+        how |= {"traced": self.tracer.scene, "traced_nm": nm}
+        each = np.stack([photocurrents_a(left, self.scene, source, **how) for source in SOURCES], 1)
+        # Most photons did not leave: each of them counts 0.
+        return np.stack([each.sum(0), (each**2).sum(0) - each.sum(0) ** 2 / left.photons])
 
-    def _ambient(self, values: list[np.ndarray], current: np.ndarray, error: np.ndarray) -> Variables:
+    def _ambient(self, values: np.ndarray, current: np.ndarray, error: np.ndarray) -> Variables:
         """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
         dims, sources = ("cover", "ambient", "best_photodiode"), np.array([source.name for source in SOURCES])
         data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), sources, {})}
@@ -178,7 +166,7 @@ class _Verification:
         data |= variable("ambient_a", dims, current, text, units="A", stderr=error)
         high = current + Z95 * error
         data |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
-        read = [self.response(i, each[0], high) for i, each in enumerate(values)]
+        read = scene_responses(self.scene, values[0], self.point, ambient_a=high)
         most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
         limit_v = self.scene.electronics.adc_range_v
         text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
@@ -195,6 +183,7 @@ class _Verification:
         text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
         data = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)
         fraction, resolution = [], []
+        photodiodes = [element.photodiode for element in self.scene.layout.photodiodes]
         for i, by_photodiode in enumerate(maps):
             each = np.stack([a * one.blocks_per_mm2() for a, one in zip(area, by_photodiode, strict=True)])
             # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
@@ -203,14 +192,14 @@ class _Verification:
             # Where hardly any light comes only the prior remains, the same by every group of photons.
             all_light = each[..., 0].sum(-1)
             is_lit = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
-            resolved = self.force_resolution_n([self.response(i, each, replicates=True)])
-            unread = self.force_resolution_n([self.response(i, np.zeros_like(each))])
+            how = self.scene.leds[i], photodiodes, self.scene.electronics, self.point
+            resolved = self.force_resolution_n([response(each, *how, number=i, replicates=True)])
+            unread = self.force_resolution_n([response(np.zeros_like(each), *how, number=i)])
             resolution.append(np.where(is_lit & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
         text = "part of the light of an LED at this place on each photodiode, by reciprocity"
-        value, errors = [f[0] for f in fraction], [jackknife(f) for f in fraction]
-        data |= variable("led_place_fraction", (*pair, *places), value, text, stderr=errors)
+        data |= estimated("led_place_fraction", (*pair, *places), np.stack(fraction, 1), text)
         text = "force resolution with this LED alone at this place and the photodiodes where they are"
-        value, errors = [r[0] for r in resolution], [r[0] * jackknife(np.log(r)) for r in resolution]
+        value, errors = [r[0] for r in resolution], [resolution_stderr_n(r) for r in resolution]
         data |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
         data |= _middles("led_u", maps[0][0].u_mm, "place of the LED, across the nail")
         return data | _middles("led_v", maps[0][0].v_mm, "place of the LED, along the nail")
@@ -253,9 +242,10 @@ def verify_layout(
         data |= verification.back(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
     except Stopped:
         return xr.Dataset()
-    read = [verification.response(i, each, replicates=True) for i, each in enumerate(values)]
-    resolution = verification.force_resolution_n(read)
-    error = resolution[0] * jackknife(np.log(resolution))
+    resolution = verification.force_resolution_n(
+        scene_responses(scene, np.moveaxis(values, 1, 0), point, replicates=True)
+    )
+    error = resolution_stderr_n(resolution)
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     if "reciprocal_fraction" in data:
         # Light of the first LED on all photodiodes, by light the other way over that of the fresh trace.

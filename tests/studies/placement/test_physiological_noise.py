@@ -229,15 +229,15 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return score_layout(layout, cache, Objective(Placement(), [point]))
 
-    true_n = float(judged(np.repeat(mean[None], 2, axis=0)).score_n[0])
+    true_n = float(judged(np.repeat(mean[None], 2, axis=0)).force.all_n[0])
     assert true_n < 1.1 * information.physiological_noise_force_n(point)
     rng = np.random.default_rng(4)
     # Blocks of one photon map that scatter by 30 %, so that their mean is known to 5 %.
     every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(300)]
-    held = np.mean([one.interval_n[0] <= true_n <= one.interval_n[1] for one in every])
+    held = np.mean([one.force.interval_n[0] <= true_n <= one.force.interval_n[1] for one in every])
     assert 0.90 <= held <= 0.98, held
-    scatter = np.std([float(one.score_n[0]) for one in every])
-    error = np.mean([one.relative_error * float(one.score_n[0]) for one in every])
+    scatter = np.std([float(one.force.all_n[0]) for one in every])
+    error = np.mean([one.relative_error * float(one.force.all_n[0]) for one in every])
     assert error == pytest.approx(scatter, rel=0.2)
 
 

@@ -17,7 +17,7 @@ from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.report.pages.placement import PLACEMENT, write_placement
-from nailoptics.scene import FingerCase, load_scene, parse_scene, to_toml
+from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
@@ -26,7 +26,6 @@ from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import (
     boards,
     candidates,
-    coordinate_exchange,
     photon_maps,
     place,
     result,
@@ -141,7 +140,7 @@ def test_a_planted_optimum_is_found():
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
     read = information.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
-    chosen, reached = coordinate_exchange.coordinate_exchange(
+    chosen, reached = search.coordinate_exchange(
         information.fisher_information(read)[None],
         places,
         count=2,
@@ -167,9 +166,8 @@ def test_places_keep_their_distances(scene):
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
-        candidates.with_parts(
-            base.model_copy(update={"leds": board.leds}), [(-2.0, -2.0)], [tuple(places[0])], name="first"
-        )
+        first = Candidate(name="first", leds_mm=((-2.0, -2.0),), photodiodes_mm=(tuple(places[0]),))
+        candidates.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
 
 
 def test_the_best_is_first_and_its_fresh_trace_agrees(found):
@@ -287,8 +285,8 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     conditions = (photon_maps.FingerCondition(FingerCase(name="planted"), planted),)
     cache = photon_map_cache(conditions, seed=3, stream=0, blocks=1)
     objective = Objective(rules, [planted])
-    tried = search.search(base, rules, objective, cache, StageProgress(None))
-    assert len(tried) >= 8 and min(one.site.places_mm[0][1] for one in tried) < -2.5
+    tried = search.Search(base, rules, objective, cache).run(StageProgress(None))
+    assert len(tried) >= 8 and min(one.places_mm[0][1] for one in tried) < -2.5
     best = search.shortlist(base, rules, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
@@ -305,7 +303,7 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
     point = information.operating_point(asked, 0.5)
     assert (point.body is not None) == body
     how = {"ambient_a": rng.uniform(0, 1e-8, 5), "replicates": True}
-    together = information.responses(values, led, kinds, scene.electronics, point, **how)
+    together = information.response(values, led, kinds, scene.electronics, point, **how)
     for i, kind in enumerate(kinds):
         alone = how | {"ambient_a": how["ambient_a"][[i]]}
         single = information.response(values[:, [i]], led, kind, scene.electronics, point, **alone)
@@ -314,7 +312,7 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
         assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
     assert (
         together.volts[0, 1]
-        != information.responses(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
+        != information.response(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
     )
 
 
@@ -335,7 +333,8 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     base = boards.base_board(scene)
     layouts = place.given(base, boards.rules(scene))
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
-    middle = candidates.with_parts(base, [(-3.0, 0.0)], [(-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0)], name="middle")
+    places = tuple((-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0))
+    middle = candidates.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
     layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
@@ -343,7 +342,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
         cache = photon_map_cache(conditions, seed=seed, stream=1, blocks=32)
         cache.extend(layouts[0].board, 1 << 20)
         judged.append([score_layout(layout, cache, worst) for layout in layouts])
-    score = np.log([[float(one.score_n[0]) for one in row] for row in judged])
+    score = np.log([[float(one.force.all_n[0]) for one in row] for row in judged])
     error = np.array([[one.relative_error for one in row] for row in judged])
     # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
     ratio = score.var(0, ddof=1) / (error**2).mean(0)
@@ -359,7 +358,8 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
         told = [
             np.sign(score[i, a] - score[i, b])
             for i, row in enumerate(judged)
-            if row[a].interval_n[0] > row[b].interval_n[1] or row[b].interval_n[0] > row[a].interval_n[1]
+            if row[a].force.interval_n[0] > row[b].force.interval_n[1]
+            or row[b].force.interval_n[0] > row[a].force.interval_n[1]
         ]
         assert len(set(told)) <= 1
     assert np.all(score[:, 1] > score[:, 0]) and np.abs(score[:, 0] - score[:, 2]).mean() < 0.2
@@ -378,8 +378,8 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
 
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
-    site = sites.LedSite(((0.0, 0.0), (1.0, 0.0), (2.0, 0.5)), sites.LedRow())
-    found = result._sites([search.SearchedSite(site, (), 1.0, 0.1, 1000)])
+    places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
+    found = result._sites([search.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
     whole = xr.Dataset(found, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0
@@ -401,7 +401,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
         begin = time.perf_counter()
         judged = score_layout(layouts[1], cache, worst)
         spent.append(time.perf_counter() - begin)
-    assert min(spent) < 0.05 and np.all(np.isfinite(judged.score_n))
+    assert min(spent) < 0.05 and np.all(np.isfinite(judged.force.all_n))
 
 
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.uncertainty_section import conclusions, spread_section
-from nailoptics.scene import Placement, Priors
+from nailoptics.scene import Candidate, Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards, candidates
 from nailoptics.studies.placement.objective import Objective, score_layout
@@ -35,8 +35,10 @@ def ranked(chosen_jit):
     base = boards.base_board(scene)
     places = {"near": ((0.5, -1.5), (0.5, 1.5)), "far": ((2.5, -3.5), (2.5, 3.5))}
     layouts = [
-        candidates.candidate(name, candidates.with_parts(base, [(-2.0, 0.0)], where, name=name), "given")
-        for name, where in places.items()
+        candidates.candidate(one.name, candidates.candidate_scene(base, one), "given")
+        for one in (
+            Candidate(name=name, leds_mm=((-2.0, 0.0),), photodiodes_mm=where) for name, where in places.items()
+        )
     ]
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     judged = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
@@ -73,7 +75,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
     told = float(found.resolution_at_node_n[0, 0, 0])
     # Of half a million photons behind a node its score is known about as well as this one's.
-    assert abs(np.log(told / score.score_n[0])) < 4 * np.sqrt(2) * score.relative_error
+    assert abs(np.log(told / score.force.all_n[0])) < 4 * np.sqrt(2) * score.relative_error
     assert score.relative_error < 0.1
 
 
@@ -113,4 +115,4 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     assert str(told.prior_how.values) == "retraced"
     nodes = told.resolution_at_node_n.values
     assert len(set(nodes)) > 1 and score.relative_error < 0.1
-    assert np.abs(np.log(nodes / score.score_n[0])).max() < 4 * np.sqrt(2) * score.relative_error
+    assert np.abs(np.log(nodes / score.force.all_n[0])).max() < 4 * np.sqrt(2) * score.relative_error

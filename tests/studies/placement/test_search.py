@@ -1,6 +1,7 @@
 """The search over LEDs and photodiodes together: against every layout there is, and within the rules it was given."""
 
 from itertools import combinations, product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.sensor import information
 from nailoptics.studies.placement import boards, search
-from nailoptics.studies.placement.coordinate_exchange import STARTS, DesignTables
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition
+from nailoptics.studies.placement.search import STARTS, RowDesign, SearchedSite
+from nailoptics.studies.placement.sites import LedRow
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT
@@ -71,7 +73,7 @@ class MadeLight:
         assert digest(board) in self.traced
 
 
-def searched(scene: Scene) -> tuple[search.Search, list[search.SearchedSite]]:
+def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
     rules = boards.rules(scene)
     cache = MadeLight([FingerCondition(FingerCase(name="one"), AT)])
     base = boards.searchable_board(boards.base_board(scene), rules)
@@ -98,28 +100,26 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         return information.fisher_information(read)[None]
 
     columns = [{at: told(led, at) for at in range(5)} for led in range(3)]
-    rules = Placement(rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
+    rules = Placement(photodiodes=3, rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
     objective = Objective(rules, [AT])
-    apart = (0.1, 1.0)
+    board = SimpleNamespace(rules=rules, go_together=lambda leds: len(set(leds)) == 3)
+    where = SimpleNamespace(areas=range(10), free=10, staying=0, centers_mm=places, spacing_mm=(0.1, 1.0))
+    design = RowDesign(board, objective, LedRow("left"), where, columns, 1, starts=10)
 
-    def go_together(leds: tuple[int, ...]) -> bool:
-        return len(set(leds)) == 3
+    def score(leds: tuple[int, ...], chosen: tuple[int, ...]) -> float:
+        return float(objective.score(design.information(leds)[:, list(chosen)].sum(1)))
 
-    everywhere = np.ones(10, bool)
-    tables = DesignTables(
-        columns, objective.together, objective.score, places, apart, go_together, lambda leds: everywhere, 10
-    )
-    arrangements = [leds for leds in product(range(5), repeat=3) if go_together(leds)]
+    arrangements = [leds for leds in product(range(5), repeat=3) if board.go_together(leds)]
     assert len(arrangements) > STARTS
     best = min(
-        float(objective.score(tables.total(leds, list(chosen))))
+        score(leds, chosen)
         for leds in arrangements
         for chosen in combinations(range(10), 3)
         if min(places[b, 1] - places[a, 1] for a, b in combinations(chosen, 2)) >= 1.0
     )
-    found = min(tables.search(3), key=lambda one: one.score)
+    found = min(design.search(), key=lambda one: one.score)
     assert found.score == pytest.approx(best, rel=1e-9)
-    assert found.score == pytest.approx(float(objective.score(tables.total(found.leds, list(found.photodiodes)))))
+    assert found.score == pytest.approx(score(found.places_mm, found.photodiodes))
 
 
 @pytest.mark.parametrize("barrier", [True, False])
@@ -130,7 +130,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
         "photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\nclearance_mm = 0.2", barrier=barrier
     )
     one, found = searched(scene)
-    best = search.ranked(found)[0]
+    best = one.ranked[0]
     every = []
     for row, pools in one.sites.rows(4.0).items():
         board = one.sites.board_at(0, pools[0][0], row)
@@ -140,13 +140,13 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
             if not one.sites.go_together(leds):
                 continue
             places = one.sites.photodiode_places(walls, dies)
-            tables = []
+            design = RowDesign(one.sites, one.objective, row, places, [{}, {}], 1)
             for i, place in enumerate(leds):
                 own = one.sites.board_at(i, place, row)
                 one.cache.extend(own, 1)
-                tables.append(one._columns(i, own, places))
-            told = one.objective.together(tables)[0]
-            for a, b in combinations(range(len(places.areas)), 2):
+                design.columns[i][place] = one._columns(i, own, design)
+            told = design.information(leds)[0]
+            for a, b in combinations(range(places.free), 2):
                 if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.spacing_mm) - 1e-9):
                     every.append(float(one.objective.score((told[a] + told[b])[None])))
     assert len(every) > 100
@@ -170,8 +170,8 @@ def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
     scene = two_leds("photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\n", photodiodes=more)
     one, found = searched(scene)
     assert len(scene.leds) == boards.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
-    assert found and all(len(set(site.site.places_mm)) == 4 for site in found)
-    assert all(one.sites.go_together(site.site.places_mm) for site in found)
+    assert found and all(len(set(site.places_mm)) == 4 for site in found)
+    assert all(one.sites.go_together(site.places_mm) for site in found)
 
 
 def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
@@ -196,15 +196,12 @@ def test_wiring_chooses_elements_where_they_are():
     text = PLACEMENT[: PLACEMENT.index("[[photodiodes]]")] + SECOND_LED.replace("-3.0, 2.0", "-3.0, 1.0") + array
     scene = parse_scene(text + '[placement]\nphotodiodes = 3\nwire = true\nfixed = ["ir", "red"]\n')
     one, found = searched(scene)
-    best = search.ranked(found)[0]
+    best = one.ranked[0]
     layout = search.shortlist(one.base, one.rules, found)[0].scene
     assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
     assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
-    row = one._rows[best.site.row]
-    tables = one._tables(row)
-    every = {
-        c: float(one.objective.score(tables.total(best.site.places_mm, list(c)))) for c in combinations(range(8), 3)
-    }
+    told = one._designs[best.row].information(best.places_mm)
+    every = {c: float(one.objective.score(told[:, list(c)].sum(1))) for c in combinations(range(8), 3)}
     assert layout.photodiodes[0].wired == min(every, key=lambda c: every[c])
 
 
