@@ -7,7 +7,7 @@ import pytest
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.identity import light_digest
-from nailoptics.scene import digest, load_scene, parse_scene, to_toml
+from nailoptics.scene import Placement, digest, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.kicad import read_board, write_board
 from nailoptics.scene.importers.outlines import Outline
 from nailoptics.scene.rectangles import Rectangle
@@ -191,6 +191,16 @@ def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):
     free = Sites(base, rules).photodiode_places([], boards.bare_board(base).layout.leds).centers_mm
     near = free[(abs(free[:, 0] - 3.0) < 0.5 + 0.5 + 0.3 - 1e-6) & (abs(free[:, 1] - 0.25) < 0.75 + 0.25 + 0.3 - 1e-6)]
     assert len(free) > 100 and len(near) == 0 and free[:, 0].max() == pytest.approx(4.5 - 0.3 - 0.5, abs=0.25)
+
+
+def test_fixed_parts_stay_where_they_are_where_the_outline_lies_aside(tmp_path):
+    """The middle of the file's outline lies half a millimetre behind its origin."""
+    scene = load_scene(write(tmp_path))
+    base = boards.base_board(scene)
+    assert base.board.center_mm == (0.0, -0.5)
+    assert base.layout.leds[0].center_mm == pytest.approx(scene.layout.leds[0].center_mm)
+    assert base.layout.photodiode_areas[0].center_mm == pytest.approx((1.0, -1.0))
+    assert Sites(base, Placement(fixed=("D1",))).place_of(0) == pytest.approx((-3.0, 1.0))
 
 
 def test_a_written_board_keeps_the_references_of_its_file(tmp_path):

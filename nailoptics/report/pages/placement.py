@@ -12,7 +12,7 @@ import xarray as xr
 from ...io import plain_cell, write_text
 from ...scene import Placement, Scene, parse_scene
 from ...sensor.ambient import SOURCES
-from ...sensor.physiological_noise import LIFT_PER_UM
+from ...sensor.information import LIFT_PER_UM
 from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from .. import maps

@@ -32,8 +32,7 @@ from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
 from ...sensor.ambient import SOURCES, photocurrents_a
-from ...sensor.information import PRIOR_PA, operating_point
-from ...sensor.physiological_noise import LIFT_PER_UM
+from ...sensor.information import LIFT_PER_UM, PRIOR_PA, operating_point
 from ...statistics import seed_of
 from ..placement import boards, candidates
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
@@ -264,13 +263,7 @@ def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) ->
 
 
 def _check(scene: Scene) -> None:
-    if scene.finger is None:
-        raise InputError("explore needs a [finger] scene; a phantom has no board to drag parts on.")
-    if len(scene.zone_edges_mm) > 1:
-        raise InputError(
-            f"blood: explore knows two blood zones, and the scene has {len(scene.zone_edges_mm) + 1}; leave zones out, "
-            "or give one edge."
-        )
+    boards.check_two_zones(scene, "explore")
     for i, led in enumerate(scene.leds):
         if led.pattern != "lambertian":
             raise InputError(

@@ -35,6 +35,16 @@ def rules(scene: Scene) -> Placement:
     return placement.model_copy(update={"outline_mm": corners, "outline_holes_mm": tuple(holes)})
 
 
+def check_two_zones(scene: Scene, command: str) -> None:
+    """Raise InputError for a scene without a board, or whose blood is in more than two zones."""
+    if scene.finger is None:
+        raise InputError(f"{command} needs a [finger] scene; a phantom has no board and no force.")
+    if (zones := len(scene.zone_edges_mm) + 1) > 2:
+        raise InputError(
+            f"blood: {command} knows two blood zones, and the scene has {zones}; leave zones out, or give one edge."
+        )
+
+
 def fingers(scene: Scene) -> tuple[FingerCase, ...]:
     """The fingers that a layout must serve."""
     assert scene.finger is not None

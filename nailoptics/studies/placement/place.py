@@ -52,7 +52,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     the best was distinguished from the others or the tolerance was met; interrupted, the layouts so far are judged
     roughly.
     """
-    _check_scene(scene)
+    boards.check_two_zones(scene, "place")
     options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
@@ -69,7 +69,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
-    layouts, searched = _candidates(base, rules, objective, searching, report_progress)
+    layouts, searched = _candidates(base, objective, searching, report_progress)
     judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
@@ -103,37 +103,21 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     return result
 
 
-def _check_scene(scene: Scene) -> None:
-    """Raise InputError for a scene that no layout can be judged on."""
-    if scene.finger is None:
-        raise InputError("place needs a [finger] scene; a phantom has no board and no force.")
-    if len(scene.zone_edges_mm) > 1:
-        raise InputError(
-            f"blood: place judges layouts by two blood zones, and the scene has {len(scene.zone_edges_mm) + 1}; "
-            "leave zones out, or give one edge."
-        )
-
-
 def _candidates(
-    base: Scene,
-    rules: Placement,
-    objective: Objective,
-    cache: PhotonMapCache,
-    report_progress: StageProgress,
+    base: Scene, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
 ) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
     """All layouts to judge, given, searched and the paper's, and every site of the LEDs that the search tried."""
+    rules = objective.rules
     boards.check_search(base, rules)
     # The paper's layout has one LED, which tells no oxygen.
     layouts = given(base, rules)
     paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
     straight = boards.searchable_board(base, rules)
-    searched = search.Search(straight, rules, objective, cache).run(report_progress) if rules.search else []
+    searched = search.Search(straight, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
+        room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
         log.warning(
-            "the search has no room for %d LEDs and %d photodiodes; make the board larger, placement.led_step_mm "
-            "smaller, or ask for fewer",
-            len(base.leds),
-            rules.photodiodes,
+            "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
         )
     # The search's best is judged even where time is over.
     layouts = search.shortlist(straight, rules, searched) + layouts + ([paper] if paper else [])

@@ -125,21 +125,20 @@ def resolution_over_priors(
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
     scene = layouts[0].board
-    points: dict[Any, OperatingPoint] = {}
     known = (*scene.priors.of_finger(), *scene.priors.of_body(scene.body))
     priors = sorted(known, key=lambda one: not only_absorbs(scene, one))
     untraced = [one for one in priors if not (only_absorbs(scene, one) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, one in enumerate(layouts) if i < TOP_RANKED or one.name == "paper"]
     results: list[tuple[np.ndarray, np.ndarray]] = []
-    for i in chosen:
-        resolution = _Resolution(layouts[i], rules, judged, points, stop)
-        try:
+    resolution = _Resolution(rules, judged, stop)
+    try:
+        for i in chosen:
             if stop():
-                raise Stopped
-            results.append(resolution.over_priors(evaluated))
-        except Stopped:
-            break
+                break
+            results.append(resolution.over_priors(layouts[i], evaluated))
+    except Stopped:
+        pass
     if not results:
         return xr.Dataset()
     chosen = chosen[: len(results)]
@@ -152,52 +151,52 @@ def resolution_over_priors(
 
 @dataclass
 class _Resolution:
-    """Force resolution of a layout on other fingers, by all blocks of photons and without each.
+    """Force resolution of layouts on other fingers, by all blocks of photons and without each.
 
     points : the touch on each finger, which no layout changes.
     light : scenes whose light goes the same way share a trace, whatever finger or change they are.
     """
 
-    layout: CandidateLayout
     rules: Placement
     judged: PhotonMapCache
-    points: dict[Any, OperatingPoint]
     stop: Callable[[], bool]
+    points: dict[Any, OperatingPoint] = field(default_factory=dict)
     light: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
 
-    def over_priors(self, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
+    def over_priors(self, layout: CandidateLayout, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the score at the nodes of every prior, (priors, 3, 1 + blocks) float, and of the scene's own,
         (1 + blocks,) float."""
+        self.light.clear()
         by_case = [
-            over_priors(boards.worn_on(self.layout.board, case), priors, partial(self._resolution_n, case=case))
+            over_priors(boards.worn_on(layout.board, case), priors, partial(self._resolution_n, layout, case))
             for case in self.judged.cases
         ]
         over = self.rules.over_fingers
         nodes, own = (np.stack([getattr(one, name) for one in by_case]) for name in ("nodes", "own"))
         return np.log(over_fingers(nodes, over)), np.log(over_fingers(own, over))
 
-    def _resolution_n(self, scene: Scene, case: FingerCase) -> np.ndarray:
+    def _resolution_n(self, layout: CandidateLayout, case: FingerCase, scene: Scene) -> np.ndarray:
         """Force resolution on one finger, (1 + blocks,) float. [N]"""
-        finger = scene.finger, scene.blood
+        finger = scene.finger, scene.blood, scene.body
         if finger not in self.points:
             touch = operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
             self.points[finger] = touch
-        point, areas, by_led = self.points[finger], self.layout.scene.layout.photodiode_areas, []
+        point, areas, by_led = self.points[finger], layout.scene.layout.photodiode_areas, []
         for i in range(len(scene.leds)):
             blood = blood_point(scene, i, traced=light_scene(scene), blood_fraction=point.blood_fraction)
-            blocks = [self._arrivals(scene, case, i).thin(BLOCKS, k) for k in range(BLOCKS)]
+            blocks = [self._arrivals(layout, scene, case, i).thin(BLOCKS, k) for k in range(BLOCKS)]
             by_led.append(left_out(np.stack([readings(one, blood.values(one), areas)[0] for one in blocks])))
-        read = scene_responses(self.layout.scene, by_led, point, replicates=True)
+        read = scene_responses(layout.scene, by_led, point, replicates=True)
         return force_resolution_n(total_information(read), point)
 
-    def _arrivals(self, scene: Scene, case: FingerCase, led: int) -> Arrivals:
+    def _arrivals(self, layout: CandidateLayout, scene: Scene, case: FingerCase, led: int) -> Arrivals:
         """Light of an LED on the layout's photodiodes: what judged it, or where it goes otherwise, light of its own by
         the same random numbers."""
         key, judged = (light_digest(scene), led), self.judged
         if key not in self.light:
-            most = OWN_BATCHES if self.layout.board.priors.own_traces else None
-            batches = judged.recorded(self.layout.board, case.digit, led)[:most]
-            own, usual = light_scene(scene), light_scene(boards.worn_on(self.layout.board, case, light_only=True))
+            most = OWN_BATCHES if layout.board.priors.own_traces else None
+            batches = judged.recorded(layout.board, case.digit, led)[:most]
+            own, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if own != usual:
                 how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}
                 tracer = BoardTracer(own, spacing_mm=judged.distance_mm, **how)

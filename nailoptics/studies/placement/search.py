@@ -264,10 +264,10 @@ class Search:
     results : every site of the LEDs that was given photodiodes, by row and places.
     """
 
-    def __init__(self, base: Scene, rules: Placement, objective: Objective, cache: PhotonMapCache) -> None:
+    def __init__(self, base: Scene, objective: Objective, cache: PhotonMapCache) -> None:
         """base : a board whose parts lie straight, which `boards.check_search` has passed."""
-        self.base, self.rules, self.objective, self.cache = base, rules, objective, cache
-        self.sites = Sites(base, rules)
+        self.base, self.rules, self.objective, self.cache = base, objective.rules, objective, cache
+        self.sites = Sites(base, self.rules)
         self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
         self._designs: dict[LedRow, RowDesign] = {}
 

@@ -13,7 +13,7 @@ from nailoptics.report.pages import placement
 from nailoptics.report.pages.placement import write_placement
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import information
-from nailoptics.sensor.physiological_noise import PhysiologicalNoise, physiological_noise
+from nailoptics.sensor.information import PhysiologicalNoise, physiological_noise
 from nailoptics.statistics import left_out
 from nailoptics.studies.placement import place, result
 from nailoptics.studies.placement.objective import LayoutScore, Objective, score_layout

@@ -285,7 +285,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     conditions = (photon_maps.FingerCondition(FingerCase(name="planted"), planted),)
     cache = photon_map_cache(conditions, seed=3, stream=0, blocks=1)
     objective = Objective(rules, [planted])
-    tried = search.Search(base, rules, objective, cache).run(StageProgress(None))
+    tried = search.Search(base, objective, cache).run(StageProgress(None))
     assert len(tried) >= 8 and min(one.places_mm[0][1] for one in tried) < -2.5
     best = search.shortlist(base, rules, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0

@@ -9,7 +9,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.uncertainty_section import conclusions, spread_section
-from nailoptics.scene import Candidate, Placement, Priors
+from nailoptics.scene import Body, Breathing, Candidate, Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards, candidates
 from nailoptics.studies.placement.objective import Objective, score_layout
@@ -116,3 +116,18 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     nodes = told.resolution_at_node_n.values
     assert len(set(nodes)) > 1 and score.relative_error < 0.1
     assert np.abs(np.log(nodes / score.force.all_n[0])).max() < 4 * np.sqrt(2) * score.relative_error
+
+
+def test_unknown_waves_of_the_body_spread_the_resolution(ranked):
+    """Expected: with breathing between the ends of its prior the false force by it goes with its amplitude."""
+    _, rules, layouts, judged, _ = ranked
+    board = layouts[0].board.model_copy(update={"body": Body(breathing=Breathing())})
+    waves = board.priors.of_body(board.body)
+    known = tuple(one.field for one in Priors().of_finger())
+    layout = replace(layouts[0], board=board.model_copy(update={"priors": Priors(known=known)}))
+    judged.record(layout.board, layout.scene.layout.photodiode_areas)
+    judged.extend(layout.board, 1 << 18)
+    found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
+    assert found.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]
+    nodes = found.resolution_at_node_n.values[0, :, 0]
+    assert np.all(np.diff(nodes) > 0) and nodes[2] > 1.5 * nodes[0]

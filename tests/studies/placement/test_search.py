@@ -77,7 +77,7 @@ def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
     rules = boards.rules(scene)
     cache = MadeLight([FingerCondition(FingerCase(name="one"), AT)])
     base = boards.searchable_board(boards.base_board(scene), rules)
-    one = search.Search(base, rules, Objective(rules, [AT]), cache)
+    one = search.Search(base, Objective(rules, [AT]), cache)
     return one, one.run(StageProgress(None))
 
 
