@@ -32,7 +32,7 @@ class Heartbeat(WaveTable):
     """Highest less lowest pressure of a beat in small arteries and arterioles. [Pa]"""
     # Fitted: in reflectance at one finger 0.57 % of the light pulse in the infrared and 0.26 % in the red, from top to
     # bottom at 95 to 98 % saturation (public recordings of aarusso/OxiWear).
-    arteriolar_blood_fraction: Annotated[float, Field(ge=0, le=0.2)] = 0.02
+    arteriolar_blood_fraction: Annotated[float, Field(ge=0, le=0.2)] = 0.016
     """Volume fraction of blood in small arteries and arterioles of the bed at rest, in addition to
     blood.rest_blood_fraction; 0 for capillaries alone, as in the paper."""
     # Fitted to the pulse over contact pressure of 136 to 140 people (CardioWorks 2025), largest at 50 mmHg, with P_H of

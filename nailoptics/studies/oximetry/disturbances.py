@@ -256,7 +256,7 @@ def path_warnings(scene: Scene, ratio: Array, path_length_ratio: Array, *, how: 
                 f'"{scene.leds[infrared].name}": put it as far from both, on the axis between two dies side by side'
             )
         else:
-            line += "it is as far from both LEDs: move it to 1.2 to 2 mm from them, or use the fit of this scene"
+            line += "it is as far from both LEDs: move it to 2.5 to 3.5 mm from them, or use the fit of this scene"
         lines.append(line)
     return lines
 
