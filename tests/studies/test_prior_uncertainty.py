@@ -163,7 +163,8 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     # A plate that scatters the most passes the least, where the photodiodes see enough light.
     nodes = found.level.nodes[1, :, 0, 0, :, 0]
     assert (nodes[2, 2:6] < nodes[1, 2:6]).all()
-    assert (found.level.total[0] >= without.level.total[0] - 1e-12).all()
+    value, error = found.level.total
+    assert (value + 2 * error >= without.level.total[0]).all() and (value - 2 * error > without.level.total[0]).any()
 
 
 def test_a_sign_holds_where_nearly_all_draws_have_it_beyond_noise():
