@@ -76,7 +76,9 @@ def simulate(
     if picture:
         result = result.merge(section(scene, light, options))
     if scene.priors.spread and light.transfer is not None:
-        result = result.merge(_spread(result, light.transfer, options, progress))
+        # A trace that was cut short is followed by none.
+        own = scene.priors.own_traces is not False and not unmet
+        result = result.merge(_spread(result, light.transfer, options, progress, own_traces=own))
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     if unmet:
         result.attrs["cut_off"] = str(unmet)
@@ -104,7 +106,12 @@ def simulate_from(
 
 
 def _spread(
-    result: xr.Dataset, transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None
+    result: xr.Dataset,
+    transfer: Transfer,
+    options: TraceOptions,
+    progress: ProgressCallback | None,
+    *,
+    own_traces: bool,
 ) -> xr.Dataset:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     scene, ends = transfer.scene, [0, hold_end(result)]
@@ -116,8 +123,7 @@ def _spread(
         part = one.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0
         return np.asarray(part * course.blood_fraction.values[:, ends].T)
 
-    own = scene.priors.own_traces is not False
-    over_priors = readings_over_priors(transfer, states, options=options, own_traces=own, progress=progress)
+    over_priors = readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)
     return over_priors.dataset(scene)
 
 

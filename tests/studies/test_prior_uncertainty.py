@@ -1,6 +1,7 @@
 """Spread over what is unknown of the finger: against closed forms, fresh traces, joint draws and other photons."""
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,7 @@ from nailoptics.studies.prior_uncertainty import (
     nodes_of,
     only_absorbs,
     over_priors,
+    prior_of,
     readings_over_priors,
     value_of,
 )
@@ -106,29 +108,45 @@ def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, va
     assert (moved > 5 * reread[1] / reread[0]).any()
 
 
+def drawn(scene: Scene, found: PriorSensitivity, count: int, seed: int) -> Iterator[Scene]:
+    """The scene at so many draws from the joint prior, not beyond three standard deviations."""
+    random = np.random.default_rng(seed)
+    for row in random.multivariate_normal(np.zeros(len(found.priors)), found.correlation, count):
+        one = scene
+        for at, prior in zip(np.clip(row, -3, 3), found.priors, strict=True):
+            mean, sd = prior_of(prior)
+            value = float(np.exp(mean + sd * at) if prior.scale == "log" else mean + sd * at)
+            one = at_value(one, prior.field, min(value, 1.0) if prior.field == "blood.so2" else value)
+        yield one
+
+
 @pytest.mark.long
 def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
-    """Expected: the sum of variances by one prior each is that of joint draws; what two add together is small."""
-    scene = traced.scene
-    found = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
-    random, draws = np.random.default_rng(7), []
-    for _ in range(60):
-        drawn = scene
-        for prior in found.level.priors:
-            # Not beyond three standard deviations, where a saturation would exceed 1.
-            at = np.clip(random.normal(), -3, 3)
-            low, high = np.log([prior.low, prior.high]) if prior.scale == "log" else (prior.low, prior.high)
-            value = (low + high) / 2 + at * (high - low) / (2 * Z95)
-            drawn = at_value(drawn, prior.field, float(np.exp(value) if prior.scale == "log" else value))
+    """Expected: what one prior each changes adds up to joint draws; what two of them add together is small."""
+    found, draws = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False), []
+    for one in drawn(traced.scene, found.level, 60, seed=7):
         with warnings.catch_warnings():
             # Some draws lie far from the trace; they count with all others.
             warnings.simplefilter("ignore", ReweightWarning)
-            draws.append(relative(traced, drawn))
+            draws.append(relative(traced, one))
     level = np.log([one[0] for one in draws]).std(0, ddof=1)
     signal = np.array([one[2] for one in draws]).std(0, ddof=1)
     # Of 60 draws a standard deviation is known to 9 %, all photodiodes alike; lognormal tails make it some more.
     assert found.level.total[0][0] == pytest.approx(level, rel=0.3)
     assert found.signal.total[0][0] == pytest.approx(signal, rel=0.3)
+
+
+@pytest.mark.long
+def test_the_95_percent_interval_over_priors_holds_fresh_traces_at_their_draws(traced):
+    """Expected: of 40 draws, all priors at once, 88 to 99 % of readings and signals lie within the stated interval."""
+    transfer = trace(traced.scene, photons=1_000_000, seed=1)
+    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
+    fresh = []
+    for k, one in enumerate(drawn(traced.scene, found.level, 40, seed=11)):
+        fresh.append(relative(trace(one, photons=100_000, seed=100 + k), one))
+    for stated, read in ((found.level, np.log([one[0] for one in fresh])), (found.signal, [one[2] for one in fresh])):
+        low, high = np.percentile(stated.draws(0)[:, 0], [2.5, 97.5], axis=0)
+        assert 0.88 <= ((read > low) & (read < high)).mean() <= 0.99
 
 
 @pytest.mark.slow
