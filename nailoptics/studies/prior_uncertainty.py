@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import xarray as xr
-from scipy.stats import norm, qmc
 
 from ..errors import as_far_as_reached
 from ..light import ProgressCallback, Transfer, optics, trace
@@ -98,6 +97,9 @@ def standard_draws(correlation: np.ndarray) -> np.ndarray:
 
     Always the same ones: a Sobol' sequence.
     """
+    # Half a second, paid only where draws are made.
+    from scipy.stats import norm, qmc
+
     count = len(correlation)
     draws = norm.ppf(qmc.Sobol(count, seed=1).random(DRAWS)) if count else np.zeros((DRAWS, 0))
     draws -= draws.mean(0)
