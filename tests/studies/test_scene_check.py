@@ -39,11 +39,13 @@ def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
 
 def test_it_warns_of_readings_that_may_be_saturated():
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
-    bright = prototype.model_copy(
-        update={"leds": tuple(led.model_copy(update={"flux_mw": 20 * led.flux_mw}) for led in prototype.leds)}
-    )
-    assert check_scene(prototype)["warnings"] == []
-    (line,) = check_scene(bright)["warnings"]
+
+    def lit(factor: float) -> dict:
+        leds = tuple(led.model_copy(update={"flux_mw": factor * led.flux_mw}) for led in prototype.leds)
+        return check_scene(prototype.model_copy(update={"leds": leds}))
+
+    assert lit(0.5)["warnings"] == []
+    (line,) = lit(20)["warnings"]
     assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
 
 
