@@ -508,7 +508,7 @@ def figures(
         responses = simulate_responses(parameters)
         recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
         pictures += draw(output, responses, name=name, recorded=recorded)
-        judged[name] = judge(responses)
+        judged[name] = judge(responses, name)
     pictures.append(draw_haemoglobins(output))
     if colour and backends.choose("auto").jit:
         pictures += [draw_fig2(load_scene("nail_colour"), output, name=name) for name in named]

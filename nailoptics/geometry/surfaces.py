@@ -78,10 +78,10 @@ class FingerSurfaces:
         self.bone_half_height = min(0.17 * thickness, 0.3 * (thickness - self.deep), 0.8 * self.bed_radius)
         self.center_z = -(self.deep + self.bone_half_height)
         self.nail_end = finger.nail_length_mm / 2
-        self.beyond_nail = float(np.clip(0.15 * thickness, 1.0, 2.0))
+        self.beyond_nail = finger.beyond_nail_mm
         self.tip = self.nail_end + self.beyond_nail
         self.cut = self.tip - finger.length_mm
-        self.bone_end = self.tip - finger.bone_to_tip_mm
+        self.bone_end = finger.bone_end_mm
 
     def skin(self, phi: Array, y: Array) -> Array:
         """Distance from the central line to the skin (or nail), for angles and places that broadcast."""

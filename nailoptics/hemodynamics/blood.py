@@ -46,14 +46,22 @@ def blood_fraction(
     if np.any(diameter <= 0.0):
         raise InputError(f"capillary_diameter_m must be positive, got {diameter.min():g} m.")
     rest_m, share, closing_pa = _constants(parameters, zones, unit, diameter.ndim)
-    venules = share * np.clip(1.0 - np.asarray(touch_pa) / closing_pa, 0.0, 1.0)
-    result = fraction * ((1.0 - share) * (diameter / rest_m) ** 2 + venules)
+    result = fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
     if np.any(result > 1.0):
         raise InputError(
             f"rest_blood_fraction {fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
             "lower it or the suction."
         )
     return result
+
+
+def relative_blood(
+    width: ArrayLike, venular_share: ArrayLike, *, touch_pa: ArrayLike, closing_pa: ArrayLike
+) -> np.ndarray:
+    """Blood over that at rest, from the diameter of capillaries over that at rest and the touch on them. [1]"""
+    venules = np.clip(1.0 - np.asarray(touch_pa) / closing_pa, 0.0, 1.0)
+    share = np.asarray(venular_share)
+    return np.asarray((1.0 - share) * np.square(width) + share * venules)
 
 
 def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:

@@ -13,9 +13,8 @@ from scipy.ndimage import uniform_filter1d
 from .. import hemodynamics
 from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
-from ..scene.base import USUAL_DECAY_LENGTH
 from ..scene.oximeter import two_leds
-from ..scene.touch import value_at
+from ..scene.touch import BESIDE_FORCE, CONTACT, value_at
 from ..variables import precision, variable
 from .arterioles import Arterioles, arterioles_of
 from .parameters import each_bed
@@ -32,7 +31,11 @@ KNOTS_PER_RELAXATION = 16
 SAMPLES_PER_BEAT = 64
 # Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
 PA_PER_M_OF_BLOOD = 1.04e4
-CONTACT = ("contact_area_mm2", "proximal_share", "proximal_area_mm2", "distal_area_mm2")
+# A pressure that grows otherwise than its force goes through so many knots up to the largest force: between them it is
+# off by 0.6 % of the largest pressure at most.
+KNOTS_OF_CONTACT = 64
+# Half of the step over which pressures are compared for their slope. [N]
+CONTACT_STEP_N = 1e-3
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ class TouchCourse:
     def sides_pa(self, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Proximal and distal pressure of a force that presses as the touch does. [Pa]"""
         if self.per_n_pa is None:
-            return hemodynamics.pressures(force_n, **_contact(self.touch))
+            return hemodynamics.pressures(force_n, **contact(self.touch))
         return self.per_n_pa[0] * np.asarray(force_n, float), self.per_n_pa[1] * np.asarray(force_n, float)
 
     def held_pa(self, force_n: ArrayLike) -> np.ndarray:
@@ -88,26 +91,55 @@ class TouchCourse:
 def touch_course(touch: Touch) -> TouchCourse:
     """A scene's touch over time."""
     samples_s, (time_s, force_n) = touch.times_s(), touch.corners()
-    areas_m2, per_n_pa = 1e-6 * np.array(hemodynamics.side_areas_mm2(**_contact(touch))), None
+    given, per_n_pa = contact(touch), None
+    columns = {name: getattr(touch, f"recorded_{name}") for name in BESIDE_FORCE}
+    beside = {name: np.array(column) for name, column in columns.items() if column is not None}
     if touch.recorded_proximal_pressure_pa is None:
-        rows = np.array(hemodynamics.pressures(force_n, **_contact(touch)))
+        if touch.contact_force_n is not None or touch.distal_onset_n:
+            finer_s, force_n = _with_knots_of_contact(touch, time_s, force_n)
+            beside = {name: np.interp(finer_s, time_s, column) for name, column in beside.items()}
+            time_s = finer_s
+        own = {name: beside[name] for name in BESIDE_FORCE[1:] if name in beside}
+        rows = np.array(hemodynamics.pressures(force_n, **given | own))
     else:
         rows = np.array([touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa])
-        force_n = areas_m2 @ rows if np.isnan(force_n).any() else force_n
-        most = int(np.argmax(force_n))
+        areas_mm2 = np.array(hemodynamics.side_areas_mm2(**_stated(touch)))
+        force_n = 1e-6 * areas_mm2 @ rows if np.isnan(force_n).any() else force_n
+    most = int(np.argmax(force_n))
+    if touch.recorded_proximal_pressure_pa is not None or len(beside.keys() - {"shear_n"}):
         per_n_pa = rows[:, most] / force_n[most] if force_n[most] > 0 else np.zeros(2)
-    shear_n = None
-    if touch.recorded_shear_n is not None:
-        shear_n = np.array(touch.recorded_shear_n)
-    elif touch.shear_n is not None:
+    shear_n = beside.get("shear_n")
+    if shear_n is None and touch.shear_n is not None:
         shear_n = touch.shear_n * force_n / max(float(force_n.max()), np.finfo(float).tiny)
     if shear_n is not None:
-        rows = np.vstack([rows, np.abs(shear_n) / areas_m2[1]])
+        area_mm2, distal_mm2 = touch.contact_area_mm2, touch.distal_area_mm2
+        rows = np.vstack([rows, hemodynamics.shear_pressure(shear_n, area_mm2, distal_area_mm2=distal_mm2)])
     return TouchCourse(touch, samples_s, time_s, force_n, shear_n, rows, per_n_pa)
 
 
-def _contact(touch: Touch) -> dict[str, Any]:
-    return {name: getattr(touch, name) for name in CONTACT}
+def contact(touch: Touch) -> dict[str, Any]:
+    """Where a force presses, as `hemodynamics.pressures` takes it."""
+    fields = {name: getattr(touch, name) for name in CONTACT}
+    return fields | {"distal_onset_n": touch.distal_onset_n or 0.0}
+
+
+def _stated(touch: Touch) -> dict[str, Any]:
+    """The areas and the share as stated, whatever the force."""
+    return {name: value for name, value in contact(touch).items() if name not in ("contact_force_n", "distal_onset_n")}
+
+
+def _with_knots_of_contact(touch: Touch, time_s: np.ndarray, force_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A course at more times, where its force passes what the pressures between corners bend at."""
+    levels_n = force_n.max() * (np.arange(1, KNOTS_OF_CONTACT) / KNOTS_OF_CONTACT) ** 3
+    levels_n = levels_n if touch.contact_force_n is not None else levels_n[:0]
+    more_s, more_n = [time_s], [force_n]
+    for level_n in [*levels_n, touch.distal_onset_n or 0.0]:
+        passes = np.flatnonzero(((force_n[:-1] < level_n) != (force_n[1:] < level_n)) & (np.diff(time_s) > 0.0))
+        part = (level_n - force_n[passes]) / (force_n[passes + 1] - force_n[passes])
+        more_s.append(time_s[passes] + part * (time_s[passes + 1] - time_s[passes]))
+        more_n.append(np.full(passes.size, level_n))
+    order = np.argsort(np.concatenate(more_s), kind="stable")
+    return np.concatenate(more_s)[order], np.concatenate(more_n)[order]
 
 
 def _with_knots_after(time_s: np.ndarray, rows: np.ndarray, relaxation_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -133,9 +165,19 @@ def touch_pressures_pa(scene: Scene, force_n: ArrayLike) -> tuple[np.ndarray, np
     return touch_course(scene.touch).sides_pa(force_n)
 
 
-def touch_areas_mm2(scene: Scene) -> tuple[float, float]:
-    """Area on which the scene's touch presses the proximal and the distal pulp. [mm^2]"""
-    return hemodynamics.side_areas_mm2(**_contact(scene.touch))
+def contact_at(scene: Scene, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the scene's touch presses at a force: both pressures [Pa], their change by newton, and the change of the
+    force on either side by pascal [N/Pa], (2,) each.
+    """
+    touch, areas_m2 = scene.touch, 1e-6 * np.array(hemodynamics.side_areas_mm2(**_stated(scene.touch)))
+    if touch.contact_force_n is None and not touch.distal_onset_n:
+        per_n = np.array(touch_pressures_pa(scene, 1.0))
+        return force_n * per_n, per_n, areas_m2
+    low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
+    before, here, after = np.transpose(touch_pressures_pa(scene, [low_n, force_n, high_n]))
+    # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
+    growth = 1.0 if touch.contact_force_n is None else 3.0 * (high_n / touch.contact_force_n) ** (2.0 / 3.0)
+    return here, (after - before) / (high_n - low_n), growth * areas_m2
 
 
 def vessels(scene: Scene) -> hemodynamics.Parameters:
@@ -181,9 +223,13 @@ def capillary_zones(scene: Scene) -> hemodynamics.Zones:
         cut = hemodynamics.PAPER_ZONES
     else:
         assert scene.finger is not None
-        decay_length = USUAL_DECAY_LENGTH if blood.decay_length is None else blood.decay_length
-        edges = [0.5 + edge / scene.finger.nail_length_mm for edge in edges_mm]
-        cut = hemodynamics.zones_between(edges, decay_length=decay_length)
+        length_mm = scene.finger.nail_length_mm
+        edges = [0.5 + edge / length_mm for edge in edges_mm]
+        end, edge = 0.5 + scene.finger.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
+        law: dict[str, Any] = {"shield": (end, edge)}
+        if blood.decay_length is not None:
+            law = {"decay_length": blood.decay_length}
+        cut = hemodynamics.zones_between(edges, **law)
     shears = touch.shear_n is not None or touch.recorded_shear_n is not None
     return hemodynamics.with_shear(cut) if shears else cut
 
@@ -510,7 +556,7 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
         force_n=force_n,
         duration_s=60.0 / rate,
         sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
-        **_contact(scene.touch),
+        **{name: getattr(scene.touch, name) for name in CONTACT},
     )
     return _beat(scene.model_copy(update={"touch": held, "body": even, "placement": None}))
 

@@ -9,22 +9,29 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite, number
 from ..errors import InputError
-from ..scene.base import USUAL_CONTACT_AREA_MM2
+from ..scene.base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2
 from .parameters import beds
 
 
 def pressures(
     force_n: ArrayLike,
-    contact_area_mm2: float = USUAL_CONTACT_AREA_MM2,
-    proximal_share: float = 0.5,
+    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
+    proximal_share: ArrayLike = 0.5,
     *,
     proximal_area_mm2: float | None = None,
     distal_area_mm2: float | None = None,
+    contact_force_n: float | None = None,
+    distal_onset_n: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The proximal and the distal pressure, P_F1 and P_F2, that a force on the fingertip gives. [Pa]
 
     force_n : any shape, float, 0 or more. Normal force. [N]
-    contact_area_mm2, proximal_share, proximal_area_mm2, distal_area_mm2 : As for `side_areas_mm2`.
+    contact_area_mm2, proximal_share : float that broadcasts. As for `side_areas_mm2`.
+    proximal_area_mm2, distal_area_mm2 : As for `side_areas_mm2`.
+    contact_force_n : Force at which all areas are as stated. They grow with force^(2/3), as the contact of a sphere
+        (Hertz 1882) does, so that pressures grow with force^(1/3). None: they do not grow. [N]
+    distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
+        its share, the proximal side carries all else. [N]
 
     Each side carries its share of the force on its own area, so that both forces add up to the touch's. By default 1 N
     on one side is 1 N/cm^2 there, and an even touch of 1 N is 1 N/cm^2 on both, which puts the paper's model (level
@@ -32,22 +39,42 @@ def pressures(
 
     Raises: InputError if the force is negative or not finite, an area is not positive, or the share is not in 0..1.
     """
-    force = finite("force_n", force_n)
+    force, share = finite("force_n", force_n), finite("proximal_share", proximal_share)
     if np.any(force < 0.0):
         raise InputError(f"force_n must be 0 or more, got {force.min():g} N; a finger pushes, it does not pull.")
+    if distal_onset_n > 0.0:
+        share = 1.0 - (1.0 - share) * np.maximum(1.0 - distal_onset_n / np.maximum(force, distal_onset_n), 0.0)
     proximal_mm2, distal_mm2 = side_areas_mm2(
-        contact_area_mm2, proximal_share, proximal_area_mm2=proximal_area_mm2, distal_area_mm2=distal_area_mm2
+        contact_area_mm2, share, proximal_area_mm2=proximal_area_mm2, distal_area_mm2=distal_area_mm2
     )
-    return proximal_share * force / (proximal_mm2 * 1e-6), (1.0 - proximal_share) * force / (distal_mm2 * 1e-6)
+    if contact_force_n is not None:
+        force = np.cbrt(force) * contact_force_n ** (2.0 / 3.0)
+    return share * force / (proximal_mm2 * 1e-6), (1.0 - share) * force / (distal_mm2 * 1e-6)
+
+
+def shear_pressure(
+    shear_n: ArrayLike,
+    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
+    *,
+    distal_area_mm2: float | None = None,
+) -> np.ndarray:
+    """The pressure of a longitudinal force of either sign on the distal capillaries. [Pa]
+
+    It bears on the distal half of the contact, or on the stated distal area: a newton of it whitens the tip twice as
+    much as one of normal force. The paper says that shear is more effective, not by how much.
+    """
+    half = 0.5 * _area("contact_area_mm2", contact_area_mm2)
+    area = half if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
+    return np.abs(finite("shear_n", shear_n)) / (1e-6 * area)
 
 
 def side_areas_mm2(
-    contact_area_mm2: float = USUAL_CONTACT_AREA_MM2,
-    proximal_share: float = 0.5,
+    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
+    proximal_share: ArrayLike = 0.5,
     *,
     proximal_area_mm2: float | None = None,
     distal_area_mm2: float | None = None,
-) -> tuple[float, float]:
+) -> tuple[np.ndarray, np.ndarray]:
     """The areas on which a touch presses the proximal and the distal pulp. [mm^2]
 
     contact_area_mm2 : Area of the whole touch. [mm^2]
@@ -58,18 +85,22 @@ def side_areas_mm2(
 
     Raises: InputError if an area is not positive, or the share is not in 0..1.
     """
-    contact, share = _area("contact_area_mm2", contact_area_mm2), number("proximal_share", proximal_share)
-    if not 0.0 <= share <= 1.0:
-        raise InputError(f"proximal_share must lie in 0..1, got {share:g}; 0.5 is an even touch.")
-    proximal = contact * max(share, 0.5) if proximal_area_mm2 is None else _area("proximal_area_mm2", proximal_area_mm2)
-    distal = contact * max(1.0 - share, 0.5) if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
+    contact, share = _area("contact_area_mm2", contact_area_mm2), finite("proximal_share", proximal_share)
+    if np.any((share < 0.0) | (share > 1.0)):
+        wrong = share.ravel()[np.abs(share - 0.5).argmax()]
+        raise InputError(f"proximal_share must lie in 0..1, got {wrong:g}; 0.5 is an even touch.")
+    halves = [contact * np.maximum(part, 0.5) for part in (share, 1.0 - share)]
+    proximal = halves[0] if proximal_area_mm2 is None else _area("proximal_area_mm2", proximal_area_mm2)
+    distal = halves[1] if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
     return proximal, distal
 
 
-def _area(name: str, value: float) -> float:
-    area = number(name, value)
-    if area <= 0.0:
-        raise InputError(f"{name} must be greater than 0, got {area:g}; {USUAL_CONTACT_AREA_MM2:g} is usual.")
+def _area(name: str, value: ArrayLike) -> np.ndarray:
+    area = finite(name, value)
+    if np.any(area < LEAST_AREA_MM2):
+        raise InputError(
+            f"{name} must be {LEAST_AREA_MM2:g} or more, got {area.min():g}; {USUAL_CONTACT_AREA_MM2:g} is usual."
+        )
     return area
 
 
@@ -238,29 +269,42 @@ def zones(count: int, *, decay_length: float | None = None) -> Zones:
     return Zones(share=(2.0 / count,) * int(count), reach=reach, vein_reach=(1.0, 0.0))
 
 
-def zones_between(edges: Sequence[float] | np.ndarray, *, decay_length: float) -> Zones:
+def zones_between(
+    edges: Sequence[float] | np.ndarray,
+    *,
+    decay_length: float | None = None,
+    shield: tuple[float, float] | None = None,
+) -> Zones:
     """Cut the nail bed at given places into units whose size is their part of it, with the paper's two inputs.
 
     edges : where units meet, rising between 0 (the cuticle) and 1 (the tip). [1]
-    decay_length : Reach of the distal pressure, over the length of the bed. It falls off as exp(-d/decay_length) with
-        the distance d from the last unit, and P_F2 is its mean over the distal half. [1]
+    shield : Where on the same axis the bone ends, and the length over which its shield does. It keeps the distal
+        pressure from the bed behind it, as the paper says: a unit feels the mean over it of
+        (1 + tanh((x - end) / length)) / 2. [1]
+    decay_length : Instead of the shield, a reach that falls off as exp(-d/decay_length) with the distance d from the
+        last unit, where P_F2 is its mean over the distal half; the law of versions before the shield. [1]
 
-    The pressure that the pulp passes on to the bed falls off with the distance from the tip. An exponential is the
-    simplest law with one constant: a unit closes once its part of P_F2 passes its closing pressure, so the white
-    band's width grows as decay_length log(force).
-
-    Raises: InputError if the edges do not rise from above 0 to below 1, or the length is not positive.
+    Raises: InputError if the edges do not rise from above 0 to below 1, a length is not positive, or there is not one
+    of the two laws.
     """
     ends = np.concatenate(([0.0], np.asarray(edges, dtype=float), [1.0]))
     size = np.diff(ends)
     if not (np.all(np.isfinite(ends)) and np.all(size > 0.0)):
         raise InputError(f"zones.edges must rise between 0 and 1, got {list(edges)}; sort them and leave out the ends.")
-    if not (np.isfinite(decay_length) and decay_length > 0.0):
-        raise InputError(f"zones.decay_length must be positive and finite, got {decay_length}; 0.15 is usual.")
-    in_distal_half = np.diff(np.maximum(ends, 0.5))
-    centre = 0.5 * (ends[:-1] + ends[1:])
-    falling = np.exp((centre - centre[-1]) / decay_length)
-    distal = falling * in_distal_half.sum() / (falling @ in_distal_half)
+    if (shield is None) == (decay_length is None):
+        raise InputError("zones take one law of the distal pressure's reach; give shield or decay_length.")
+    name, (end, length) = ("decay_length", (0.0, decay_length)) if shield is None else ("shield", shield)
+    if length is None or not (np.isfinite(length) and np.isfinite(end) and length > 0.0):
+        raise InputError(f"zones.{name} must be positive and finite, got {length}; 0.15 is usual.")
+    if shield is not None:
+        past = (ends - end) / length
+        # The integral of tanh is log cosh.
+        distal = 0.5 + 0.5 * length * np.diff(np.logaddexp(past, -past)) / size
+    else:
+        in_distal_half = np.diff(np.maximum(ends, 0.5))
+        centre = 0.5 * (ends[:-1] + ends[1:])
+        falling = np.exp((centre - centre[-1]) / length)
+        distal = falling * in_distal_half.sum() / (falling @ in_distal_half)
     return Zones(
         share=tuple((2.0 * size).tolist()),
         reach=tuple((0.0, part) for part in distal.tolist()),
@@ -271,8 +315,8 @@ def zones_between(edges: Sequence[float] | np.ndarray, *, decay_length: float) -
 def with_shear(zones: Zones) -> Zones:
     """The same units with a third input, shear, which reaches each of them as the distal pressure does.
 
-    The paper says of shear and longitudinal force only that they widen the white band. This is the simplest law that
-    does: over the distal area they press on the capillaries as a normal force would, and on no vein.
+    The paper says of shear only that it widens the white band, and more than normal force does. This is the simplest
+    law that does: it presses on the capillaries (`shear_pressure`), and on no vein.
     """
     reach = tuple((proximal, distal, distal) for proximal, distal in zones.reach)
     return dataclasses.replace(zones, reach=reach, vein_reach=(*zones.vein_reach, 0.0))

@@ -10,8 +10,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.touch import creeping_pressure, pressures, zones
-from ..scene.base import USUAL_DECAY_LENGTH
+from ..hemodynamics.touch import creeping_pressure, pressures, shear_pressure, zones_between
+from ..scene.base import USUAL_BONE_EDGE_MM
+from ..scene.finger import Finger
 
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2 = 1e4
@@ -27,10 +28,17 @@ PHASE_S = ON_S * np.linspace(0.0, 1.0, 81) ** 2
 LOADING_S, UNLOADING_S = 0.16, 0.12
 # The static experiments: a force to and fro between 0 and 2 N, as a sine.
 CYCLE_HZ, CYCLES = 0.05, 3
-# The finger of the experiments has what the paper names as missing from its model: the white zone spreads from the tip,
-# and the distal pulp recovers with one relaxation time.
-FINGER_ZONES = zones(8, decay_length=USUAL_DECAY_LENGTH)
+# The finger of the experiments has what the paper names as missing from its model: the white zone spreads from the tip
+# to the end of the bone, and the distal pulp recovers with one relaxation time.
+FINGER = Finger()
+FINGER_ZONES = zones_between(
+    np.arange(1, 8) / 8,
+    shield=(0.5 + FINGER.bone_end_mm / FINGER.nail_length_mm, USUAL_BONE_EDGE_MM / FINGER.nail_length_mm),
+)
 RELAXATION_S = 0.2
+# Touches of the whole fingertip (section II and Fig. 2), and the one among them to which a shear is added.
+EVEN_N = np.array([0.0, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 16.0])
+ONSET_N, SHEARED, SHEAR_N = 0.8, 3, 0.5
 # The release is a ramp this short, so that the touch is a step for every model here. [s]
 _RELEASE_S = 1e-6
 
@@ -79,6 +87,16 @@ def press() -> Protocol:
     """A force of 1 N like the subjects', on at 0 and off at 2 s (Figs. 16 and 18): phases 0 to 80 and 80 to 160."""
     time = np.concatenate([PHASE_S, ON_S + PHASE_S[1:]])
     return one_sided(time, subject_force(time))
+
+
+def even() -> np.ndarray:
+    """Pressures of even touches, (2, F): of EVEN_N, and then of EVEN_N[SHEARED] with SHEAR_N of shear. [Pa]
+
+    The pulp meets what it presses first: only from ONSET_N on its tip does, too.
+    """
+    touch = np.array(pressures(EVEN_N, distal_onset_n=ONSET_N))
+    sheared = touch[:, SHEARED] + [0.0, shear_pressure(SHEAR_N)]
+    return np.column_stack([touch, sheared])
 
 
 def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.0, off_s: float = ON_S) -> np.ndarray:

@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.parameters import Parameters
+from ..hemodynamics.blood import relative_blood
+from ..hemodynamics.parameters import Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
 from ..hemodynamics.touch import PAPER_ZONES, Zones
-from .protocols import CURVE_PA, FINGER_ZONES, N_PER_CM2, PHASE_S, Protocol, cycle, one_sided, press, steps
+from .protocols import CURVE_PA, FINGER_ZONES, PHASE_S, Protocol, cycle, even, one_sided, press, steps
 
-# Steady widths from the (S,) proximal and distal pressures, and widths over time from a touch: (N+1, *B, S) or
-# (N+1, *B, S, T) float, capillary units and then the vein. [m]
-Steady = Callable[[np.ndarray, np.ndarray, Zones], np.ndarray]
+# Steady widths [m] and blood pressures [Pa] from the (S,) proximal and distal pressures, with k_C and k_V times two
+# factors, and widths over time from a touch: (N+1, *B, S) or (N+1, *B, S, T) float, capillary units and then the vein.
+Steady = Callable[[np.ndarray, np.ndarray, Zones, tuple[float, float]], tuple[np.ndarray, np.ndarray]]
 Follow = Callable[[Protocol, Zones], np.ndarray]
+# People differ in their walls: k_C and k_V of a set times these. The paper tunes both for each subject.
+PEOPLE = ((0.7, 0.7), (0.7, 1.4), (1.4, 0.7), (1.4, 1.4))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,36 +27,55 @@ class Responses:
     """What every figure shows; B is a batch shape, () for one set.
 
     Diameters of [proximal capillary, distal capillary, vein] in the paper's network: [m]
-    proximal, distal, both : (3, *B, 41) float. Steady, with P_F1 alone, P_F2 alone or P_F1 = P_F2 on CURVE_PA.
-    proximal_on, proximal_off, both_on, both_off : (3, *B, 10, 81) float. Over PHASE_S after each step on and off.
+    proximal : (3, *B, 41) float. Steady, with P_F1 alone on CURVE_PA.
+    proximal_on, proximal_off : (3, *B, 10, 81) float. Over PHASE_S after each step of P_F1 alone on and off.
+    Blood pressures there over P_H: [1]
+    pressure : (3, *B, 41) float. Steady, with P_F1 alone on CURVE_PA.
+
+    Blood over that at rest, [proximal bed, distal bed] in the paper's network: [1]
+    alone : (2, *B, 41) float. Steady, each bed with the pressure on its own side alone, on CURVE_PA.
+    both : (2, *B, 41) float. Steady, with P_F1 = P_F2 on CURVE_PA.
+    both_on, both_off : (2, *B, 10, 81) float. Over PHASE_S after each step of both on and off.
+    people : (4, 2, *B) float. `alone` at 2 N/cm^2 of PEOPLE.
 
     The finger of the experiments, [proximal reading with force there alone, distal reading with force there alone]: [1]
     cycle : (2, *B, 2, 41) float. On loading and on unloading between 0 and 2 N, the mean of three cycles.
     press_on, press_off : (2, *B, 81) float. Over PHASE_S after the subjects' force of 1 N comes and goes.
-    white : (*B, 2) float. Part of the bed with less than half of its blood, under even touches of 1 and 4 N.
+    even : (8, *B, F) float. Blood over that at rest of the zones, under the even touches of `protocols.even`.
     """
 
     proximal: np.ndarray
-    distal: np.ndarray
-    both: np.ndarray
     proximal_on: np.ndarray
     proximal_off: np.ndarray
+    pressure: np.ndarray
+    alone: np.ndarray
+    both: np.ndarray
     both_on: np.ndarray
     both_off: np.ndarray
+    people: np.ndarray
     cycle: np.ndarray
     press_on: np.ndarray
     press_off: np.ndarray
-    white: np.ndarray
+    even: np.ndarray
 
 
 def simulate_responses(parameters: Parameters) -> Responses:
     """The responses of one set, by `steady_state` and `respond`."""
+    p = parameters
 
-    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones) -> np.ndarray:
-        state = steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
-        return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]])
+    def steady(
+        proximal: np.ndarray, distal: np.ndarray, zones: Zones, stiffness: tuple[float, float]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        person = p.replace(
+            capillary_stiffness_n_per_m=each_bed(lambda k: k * stiffness[0], p.capillary_stiffness_n_per_m),
+            vein_stiffness_n_per_m=p.vein_stiffness_n_per_m * stiffness[1],
+        )
+        state = steady_state(person, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
+        pressure = np.vstack([state.capillary_pressure_pa, state.vein_pressure_pa[None]])
+        return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]]), pressure / p.arterial_pressure_pa
 
-    return responses_of(steady, lambda touch, zones: _follow(parameters, touch, zones))
+    venules = p.venular_share, p.venular_closing_pressure_pa
+    return responses_of(steady, lambda touch, zones: _follow(parameters, touch, zones), venules)
 
 
 def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray:
@@ -69,43 +91,59 @@ def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray
 
 def pressed(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike) -> np.ndarray:
     """The proximal reading with a force over time there alone, and the distal one with it there alone, (2, T). [1]"""
-    return _own_readings(_follow(parameters, one_sided(time_s, force_n), FINGER_ZONES), FINGER_ZONES)
+    touch, venules = one_sided(time_s, force_n), (parameters.venular_share, parameters.venular_closing_pressure_pa)
+    return _own_readings(_follow(parameters, touch, FINGER_ZONES), touch, venules)
 
 
-def _readings(width: np.ndarray, rest: np.ndarray, zones: Zones) -> np.ndarray:
-    """The proximal and the distal reading, (2, ...) float, from (N+1, ...) diameters and those at rest. [1]
+def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[PerBed, PerBed]) -> np.ndarray:
+    """Blood of units over that at their first sample, (N, *B, ...), from widths of (N+1, *B, ...).
+
+    touch : (2, ...) float. Proximal and distal pressure. [Pa]
+    """
+    axes = (zones.count,) + (1,) * (width.ndim - touch.ndim)
+    outside = zones.on_walls(touch)[:-1].reshape(*axes, *touch.shape[1:])
+    units = [np.array(zones.of_beds(one)) for one in venules]
+    share, closing_pa = (one.reshape(one.shape + (1,) * (width.ndim - one.ndim)) for one in units)
+    return relative_blood(width[:-1] / width[:-1, ..., :1], share, touch_pa=outside, closing_pa=closing_pa)
+
+
+def _own_readings(width: np.ndarray, touch: Protocol, venules: tuple[PerBed, PerBed]) -> np.ndarray:
+    """The proximal reading of the first touch and the distal one of the second, (2, *B, T), from (N+1, *B, 2, T). [1]
 
     Those of eq. (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode
     sees its half of the bed: the mean over its units, weighted by their shares.
     """
-    blood = (width[: zones.count] / rest[: zones.count]) ** 2
+    zones = FINGER_ZONES
+    blood = _blood(width, np.stack([touch.proximal_pa, touch.distal_pa]), zones, venules)
     share, proximal = np.asarray(zones.share), zones.position < 0.5
     halves = [np.tensordot(share[half], blood[half], axes=1) / share[half].sum() for half in (proximal, ~proximal)]
-    return 1.0 - np.array(halves)
+    return 1.0 - np.stack([halves[0][..., 0, :], halves[1][..., 1, :]])
 
 
-def _own_readings(width: np.ndarray, zones: Zones) -> np.ndarray:
-    """The proximal reading of the first touch and the distal one of the second, (2, ..., T), from (N+1, ..., 2, T)."""
-    both = _readings(width, width[..., :1], zones)
-    return np.stack([both[0, ..., 0, :], both[1, ..., 1, :]])
-
-
-def responses_of(steady: Steady, follow: Follow) -> Responses:
-    """What every figure shows, by a solver of steady states and one over time."""
+def responses_of(steady: Steady, follow: Follow, venules: tuple[PerBed, PerBed]) -> Responses:
+    """What every figure shows, by a solver of steady states, one over time, and venular share and closing pressure."""
     fields: dict[str, np.ndarray] = {}
-    size = PHASE_S.size
-    for name, proximal, distal in (("proximal", 1.0, 0.0), ("distal", 0.0, 1.0), ("both", 1.0, 1.0)):
-        fields[name] = steady(proximal * CURVE_PA, distal * CURVE_PA, PAPER_ZONES)
-    for name, distal_part in (("proximal", 0.0), ("both", 1.0)):
-        width = follow(steps(distal_part=distal_part), PAPER_ZONES)
-        fields[f"{name}_on"], fields[f"{name}_off"] = width[..., :size], width[..., size:]
-    pressed = _own_readings(follow(press(), FINGER_ZONES), FINGER_ZONES)
+    size, usual, none = PHASE_S.size, (1.0, 1.0), np.zeros_like(CURVE_PA)
+    fields["proximal"], fields["pressure"] = steady(CURVE_PA, none, PAPER_ZONES, usual)
+
+    def held(touch: np.ndarray, zones: Zones, stiffness: tuple[float, float] = usual) -> np.ndarray:
+        return _blood(steady(touch[0], touch[1], zones, stiffness)[0], touch, zones, venules)
+
+    ends = np.array([[0.0, CURVE_PA[-1], 0.0], [0.0, 0.0, CURVE_PA[-1]]])
+    sides = np.stack([CURVE_PA, none]), np.stack([none, CURVE_PA])
+    fields["alone"] = np.stack([held(touch, PAPER_ZONES)[side] for side, touch in enumerate(sides)])
+    fields["both"] = held(np.stack([CURVE_PA, CURVE_PA]), PAPER_ZONES)
+    people = [held(ends, PAPER_ZONES, stiffness) for stiffness in PEOPLE]
+    fields["people"] = np.array([[blood[0, ..., 1], blood[1, ..., 2]] for blood in people])
+    width = follow(steps(distal_part=0.0), PAPER_ZONES)
+    fields["proximal_on"], fields["proximal_off"] = width[..., :size], width[..., size:]
+    touch = steps(distal_part=1.0)
+    blood = _blood(follow(touch, PAPER_ZONES), np.stack([touch.proximal_pa, touch.distal_pa]), PAPER_ZONES, venules)
+    fields["both_on"], fields["both_off"] = blood[..., :size], blood[..., size:]
+    pressed = _own_readings(follow(press(), FINGER_ZONES), press(), venules)
     fields["press_on"], fields["press_off"] = pressed[..., :size], pressed[..., size - 1 :]
-    fields["cycle"] = _branches(_own_readings(follow(cycle(), FINGER_ZONES), FINGER_ZONES))
-    even = N_PER_CM2 * np.array([0.0, 1.0, 4.0])
-    width = steady(even, even, FINGER_ZONES)[:-1]
-    white = (width / width[..., :1]) ** 2 < 0.5
-    fields["white"] = np.tensordot(FINGER_ZONES.share, white[..., 1:], axes=1) / sum(FINGER_ZONES.share)
+    fields["cycle"] = _branches(_own_readings(follow(cycle(), FINGER_ZONES), cycle(), venules))
+    fields["even"] = held(even(), FINGER_ZONES)
     return Responses(**fields)
 
 

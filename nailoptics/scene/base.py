@@ -15,10 +15,11 @@ USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.0
 USUAL_PULP_BLOOD_FRACTION = 0.019  # fitted to the skin of ring fingers: assets/spectra/fit_fingertip_skin.py
 USUAL_SO2 = 0.97  # arterial blood of a healthy adult at sea level, whose pulse oximeter shows 95 to 99 %
 USUAL_MELANIN_FRACTION = 0.013  # the middle of the 0.9 to 1.7 % that the epidermis beside nails holds
-# Of the distal pressure, in lengths of the bed: the white band takes a half of it from 1 to 4 N, and the distal reading
-# stays linear to 1 N as in the paper's Fig. 17, which a shorter one bends.
-USUAL_DECAY_LENGTH = 0.4
+# Over such a length the bone's end stops to shield the bed: with it the white band is as wide as in the paper's Fig. 2.
+USUAL_BONE_EDGE_MM = 0.8
 USUAL_CONTACT_AREA_MM2 = 100.0  # 1 cm^2, on which 1 N presses with the paper's 1 N/cm^2
+
+LEAST_AREA_MM2 = 0.1  # of a contact: a pin's head; what is smaller pricks
 
 # Planck's constant times the speed of light over the elementary charge: a photon of 1240 nm carries 1 eV.
 PHOTON_NM_PER_V = 1239.841984

@@ -88,6 +88,16 @@ class Finger(Table):
         """The finger with these fields at their defaults."""
         return self.model_copy(update={name: type(self).model_fields[name].default for name in fields})
 
+    @property
+    def beyond_nail_mm(self) -> float:
+        """How far the tip reaches beyond the nail."""
+        return min(max(0.15 * self.thickness_mm, 1.0), 2.0)
+
+    @property
+    def bone_end_mm(self) -> float:
+        """Place of the end of the distal phalanx along the nail, relative to the nail's centre."""
+        return self.nail_length_mm / 2 + self.beyond_nail_mm - self.bone_to_tip_mm
+
     @model_validator(mode="before")
     @classmethod
     def _sizes_from_anatomy(cls, data: object) -> object:

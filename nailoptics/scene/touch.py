@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from .base import USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
+from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .importers.recordings import PRESSURES, check_columns, read_columns
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
@@ -20,6 +20,18 @@ LAST_STEP_S = 2.0
 
 
 Force = Annotated[float, Field(ge=0, le=100)]
+Area = Annotated[float, Field(ge=LEAST_AREA_MM2)]
+# Columns that may stand beside a recorded force.
+BESIDE_FORCE = ("shear_n", "contact_area_mm2", "proximal_share")
+# Fields that say where a force presses, by the names that `hemodynamics.pressures` has for them.
+CONTACT = (
+    "contact_area_mm2",
+    "proximal_share",
+    "proximal_area_mm2",
+    "distal_area_mm2",
+    "contact_force_n",
+    "distal_onset_n",
+)
 
 
 class ForceStep(Table):
@@ -59,7 +71,7 @@ class Touch(Table):
     """Samples per second of the results; the touch itself does not depend on it. [Hz]"""
     file: str | None = None
     """Recorded touch in the scene's folder: a CSV with columns time_s and force_n, or time_s, proximal_pressure_pa and
-    distal_pressure_pa, or all of them; optionally shear_n."""
+    distal_pressure_pa, or all of them; optionally shear_n, contact_area_mm2 and proximal_share."""
     recorded_time_s: tuple[float, ...] | None = None
     """The recorded times; filled from file. [s]"""
     recorded_force_n: tuple[NonNegative, ...] | None = None
@@ -70,15 +82,25 @@ class Touch(Table):
     """The recorded pressures on the distal pulp; filled from file. [Pa]"""
     recorded_shear_n: tuple[float, ...] | None = None
     """The recorded longitudinal forces; filled from file. [N]"""
-    contact_area_mm2: Positive = USUAL_CONTACT_AREA_MM2
+    recorded_contact_area_mm2: tuple[Area, ...] | None = None
+    """The recorded areas of the touch; filled from file. [mm^2]"""
+    recorded_proximal_share: tuple[Fraction, ...] | None = None
+    """The recorded proximal shares; filled from file."""
+    contact_area_mm2: Area = USUAL_CONTACT_AREA_MM2
     """Area of the whole touch: a one-sided touch presses on all of it, an even one on half of it per side. [mm^2]"""
+    contact_force_n: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    """Force at which all areas are as stated: they grow with force^(2/3), as in Hertz's contact of a sphere. If not
+    given they do not grow. [N]"""
+    distal_onset_n: Annotated[float, Field(ge=0, le=100)] | None = None
+    """Force from which the contact reaches the distal pulp: only what exceeds it has the shares that are stated, the
+    rest presses proximally. With 0.8 a white band begins past 1 N, as in the paper's Fig. 2; 0 if not given. [N]"""
     site: Literal["proximal", "distal", "even"] | None = None
     """Side of the touch: sets proximal_share to 1, 0 or 0.5."""
     proximal_share: Fraction = 0.5
     """Share of the force that presses on the proximal pulp (the veins); the rest presses distally."""
-    proximal_area_mm2: Positive | None = None
+    proximal_area_mm2: Area | None = None
     """Area on which the proximal share presses; by default its share of contact_area_mm2, but at least half. [mm^2]"""
-    distal_area_mm2: Positive | None = None
+    distal_area_mm2: Area | None = None
     """Area on which the distal share presses; by default its share of contact_area_mm2, but at least half. [mm^2]"""
     distal_relaxation_s: Positive | None = None
     """Time constant of the distal pulp's recovery on release; it yields immediately on loading. 0.2 makes the distal
@@ -91,8 +113,8 @@ class Touch(Table):
     """Time constant of the creep, and of its recovery. [s]"""
     shear_n: Annotated[float, Field(ge=-100, le=100)] | None = None
     """Longitudinal force at the largest normal force, positive towards the tip; proportional to the normal force. The
-    paper says only that it widens the white band: here its magnitude over the distal area is an additional pressure on
-    the distal capillaries. [N]"""
+    paper says that it widens the white band, more than normal force does: here its magnitude over half of
+    contact_area_mm2, or distal_area_mm2, is an additional pressure on the distal capillaries. [N]"""
 
     @model_validator(mode="before")
     @classmethod
@@ -101,7 +123,7 @@ class Touch(Table):
             return data
         if isinstance(data.get("file"), str) and "recorded_time_s" not in data:
             folder = (info.context or {}).get("folder") or Path()
-            known = ("force_n", *PRESSURES, "shear_n")
+            known = ("force_n", *PRESSURES, *BESIDE_FORCE)
             path = Path(folder) / data["file"]
             columns = read_columns(path, "touch.file", known, either=(("force_n",), PRESSURES))
             data = data | {f"recorded_{name}": column for name, column in columns.items()}
@@ -121,8 +143,14 @@ class Touch(Table):
             if self.profile != "cycle" and getattr(self, name) is not None:
                 raise ValueError(f'{name} = {getattr(self, name)} belongs to profile = "cycle"; leave it out')
         if self.recorded_time_s is not None:
-            columns = {name: getattr(self, f"recorded_{name}") for name in ("time_s", "force_n", "shear_n", *PRESSURES)}
+            names = ("time_s", "force_n", *BESIDE_FORCE, *PRESSURES)
+            columns = {name: getattr(self, f"recorded_{name}") for name in names}
             check_columns({name: column for name, column in columns.items() if column is not None}, "touch.file")
+        if self.distal_onset_n and self.proximal_share == 0.0:
+            raise ValueError(
+                f"distal_onset_n = {self.distal_onset_n:g} is for a touch that presses on the proximal pulp first, and "
+                "proximal_share is 0; leave it out"
+            )
         if self.site is not None and self.proximal_share != SHARES[self.site]:
             raise ValueError(
                 f'site = "{self.site}" sets proximal_share to {SHARES[self.site]:g}, '

@@ -8,7 +8,15 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from .base import USUAL_BLOOD_FRACTION, USUAL_PULP_BLOOD_FRACTION, USUAL_SO2, Fraction, Positive, Table
+from .base import (
+    USUAL_BLOOD_FRACTION,
+    USUAL_BONE_EDGE_MM,
+    USUAL_PULP_BLOOD_FRACTION,
+    USUAL_SO2,
+    Fraction,
+    Positive,
+    Table,
+)
 
 MOST_ZONES = 32
 
@@ -138,9 +146,12 @@ class Blood(Table):
     """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""
     zone_width_mm: Positive = 2.0
     """Width of the smooth transition between zones; at most one zone if their number is given by zones. [mm]"""
+    bone_edge_mm: Annotated[float, Field(ge=0.01, le=30)] = USUAL_BONE_EDGE_MM
+    """Length over which the end of the bone stops shielding the bed from the distal pressure, with more than two zones;
+    of two it acts on the distal one only. [mm]"""
     decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
-    """Decay length of the distal pressure, in lengths of the nail: it decreases as exp(-d/decay_length) with the
-    distance d from the tip. If not given, it acts on the distal one of two zones only; with more zones 0.4."""
+    """Decay length of the distal pressure, in lengths of the nail, instead of the bone's shield: it decreases as
+    exp(-d/decay_length) with the distance d from the tip."""
 
     @model_validator(mode="after")
     def _zones_are_said_once_and_apart(self) -> Self:

@@ -17,9 +17,8 @@ from scipy.special import ndtr
 
 from ..hemodynamics.for_scene import (
     blood_by_arterial_pressure,
+    contact_at,
     steady_blood_at,
-    touch_areas_mm2,
-    touch_pressures_pa,
 )
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Electronics, Led, Photodiode, Scene
@@ -105,8 +104,8 @@ class OperatingPoint:
     blood_fraction : (2,) float. Blood of the proximal and distal zone there.
     blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
     force_n : the force. [N]
-    force_per_pa : (2,) float. Force for each pressure: the area of either side. [N/Pa]
-    pressure_per_n : (2,) float. Pressures for each newton of the scene's touch. [Pa/N]
+    force_per_pa : (2,) float. Change of the force with each pressure: the area of either side, unless it grows. [N/Pa]
+    pressure_per_n : (2,) float. Change of the pressures with the force of the scene's touch. [Pa/N]
     body : what the body adds; None where the scene has no body, or one that is still.
     """
 
@@ -123,17 +122,17 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
 
     since_rest_s : time since the untouched finger was read, in which readings of a scene with a body drift. [s]
     """
-    per_n = np.array(touch_pressures_pa(scene, 1.0))
+    held_pa, per_n, force_per_pa = contact_at(scene, force_n)
     # In columns: there, and half a step up and down in either pressure.
     step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
-    pressure = np.maximum(force_n * per_n[:, None] + step, 0.0)
+    pressure = np.maximum(held_pa[:, None] + step, 0.0)
     blood = steady_blood_at(scene, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
     width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
     return OperatingPoint(
         blood_fraction=blood[0],
         blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
         force_n=force_n,
-        force_per_pa=np.array(touch_areas_mm2(scene)) * 1e-6,
+        force_per_pa=force_per_pa,
         pressure_per_n=per_n,
         body=physiological_noise(scene, force_n, since_rest_s=since_rest_s),
     )

@@ -11,6 +11,7 @@ from nailoptics.hemodynamics.for_scene import (
     blood_model,
     blood_over_touch,
     capillary_zones,
+    contact_at,
     largest_force_n,
     steady_blood,
     steady_blood_at,
@@ -20,7 +21,6 @@ from nailoptics.hemodynamics.for_scene import (
 )
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
-from nailoptics.scene.base import USUAL_DECAY_LENGTH
 
 
 def scene_with(text, folder=None):
@@ -138,20 +138,86 @@ def zoned(text="", zone_text="zones = 8"):
 
 def test_two_zones_are_the_papers_and_eight_are_equal_parts_of_the_nail():
     assert capillary_zones(scene_with("")) is PAPER_ZONES
-    eight, equal = capillary_zones(zoned()), zones(8, decay_length=USUAL_DECAY_LENGTH)
+    eight, equal = capillary_zones(zoned(zone_text="zones = 8\ndecay_length = 0.4")), zones(8, decay_length=0.4)
     assert np.allclose(eight.share, equal.share, rtol=1e-12) and np.allclose(eight.reach, equal.reach, rtol=1e-12)
     assert zoned().zone_edges_mm == pytest.approx([-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5])
     assert scene_with("zones = 2").zone_edges_mm == (0.0,)
 
 
 def test_edges_cut_the_bed_and_equal_ones_share_light_with_a_count():
-    cut = capillary_zones(zoned(zone_text="zone_edges_mm = [-3.0, 3.0]"))
+    cut = capillary_zones(zoned(zone_text="zone_edges_mm = [-3.0, 3.0]\ndecay_length = 0.4"))
     assert cut.share == pytest.approx((0.5, 1.0, 0.5)) and cut.names == ["zone_1", "zone_2", "zone_3"]
     # P_F2 is the mean over the distal half, which holds half of the middle zone.
     reach = np.array(cut.reach)[:, 1]
     assert (reach[1] + reach[2]) / 2 == pytest.approx(1.0)
     edges = zoned(zone_text=f"zone_edges_mm = {list(zoned().zone_edges_mm)}\nzone_width_mm = {zoned().zone_width_mm!r}")
     assert light_digest(edges) == light_digest(zoned()) != light_digest(scene_with(""))
+
+
+def test_the_bone_shields_the_bed_behind_its_end():
+    """The bone ends 3.8 mm short of the tip, which lies 2 mm beyond the nail: at 4.2 mm of 6."""
+    scene = zoned(zone_text="zones = 24\nzone_width_mm = 0.4")
+    middle_mm = 12.0 * (capillary_zones(scene).position - 0.5)
+    reach = np.array(capillary_zones(scene).reach)[:, 1]
+    assert reach == pytest.approx(0.5 + 0.5 * np.tanh((middle_mm - 4.2) / 0.8), abs=0.01)
+    assert reach[middle_mm < 2.0].max() < 0.01 and reach[-1] > 0.95
+    # Of few zones each feels the mean over it, and a digit has its own bone.
+    coarse = np.array(capillary_zones(zoned()).reach)[:, 1]
+    assert coarse == pytest.approx(reach.reshape(8, 3).mean(axis=1), rel=1e-9)
+    scene = zoned()
+    thumb = scene.model_copy(update={"finger": scene.finger.model_copy(update={"bone_to_tip_mm": 5.7})})
+    assert np.array(capillary_zones(thumb).reach)[-2, 1] > coarse[-2] + 0.2
+    sharp = np.array(capillary_zones(zoned(zone_text="zones = 8\nbone_edge_mm = 0.01")).reach)[:, 1]
+    assert sharp == pytest.approx([0.0] * 6 + [0.2, 1.0], abs=1e-2)
+
+
+def steady_reading(text, force_n):
+    return touch_pressures_pa(scene_with("[touch]\n" + text), force_n)
+
+
+def test_contact_grows_with_force_and_reaches_the_tip_late():
+    force_n = np.array([0.0, 0.4, 0.8, 1.0, 4.0])
+    proximal, distal = steady_reading("distal_onset_n = 0.8", force_n)
+    # On half of 100 mm^2 the tip bears half of what exceeds the onset; both sides bear all of the force.
+    assert distal == pytest.approx(1e4 * np.array([0.0, 0.0, 0.0, 0.2, 3.2]))
+    assert proximal == pytest.approx(1e4 * force_n)
+    growing = np.array(steady_reading("contact_force_n = 1.0", force_n))
+    assert growing == pytest.approx(1e4 * np.cbrt([force_n, force_n])) and growing[0, 3] == pytest.approx(1e4)
+
+
+@pytest.mark.parametrize(
+    "law", ["contact_force_n = 1.0", "distal_onset_n = 0.8", "contact_force_n = 2.0\ndistal_onset_n = 0.3"]
+)
+def test_a_growing_contact_is_followed_between_corners(law):
+    text = f'{law}\nprofile = "ramp"\nforce_n = 3.0\nsample_rate_hz = 997.0\n'
+    scene = scene_with("[touch]\n" + text)
+    run = blood_over_touch(scene)
+    exact = touch_pressures_pa(scene, run.force_n.values)
+    for row, expected in zip((run.proximal_pressure_pa, run.distal_pressure_pa), exact, strict=True):
+        assert np.abs(row.values - expected).max() < 0.01 * expected.max()
+    cycle = scene_with(f'[touch]\n{law}\nprofile = "cycle"\nforce_n = 0.0\nperiod_s = 1.0\ncycles = 1')
+    assert not blood_over_touch(cycle).proximal_pressure_pa.any()
+
+
+def test_recorded_contact_says_where_the_force_presses(tmp_path):
+    rows = "0,0,50,0.5\n1,1,50,1.0\n2,1,100,0.0\n3,1,100,0.0\n"
+    (tmp_path / "touch.csv").write_text("time_s,force_n,contact_area_mm2,proximal_share\n" + rows)
+    run = blood_over_touch(scene_with('[touch]\nprofile = "recorded"\nfile = "touch.csv"\n', tmp_path))
+    at = run.sel(time=[1.0, 3.0], method="nearest")
+    assert at.proximal_pressure_pa.values == pytest.approx([2e4, 0.0])
+    assert at.distal_pressure_pa.values == pytest.approx([0.0, 1e4])
+    (tmp_path / "touch.csv").write_text("time_s,force_n,contact_area_mm2\n0,0,50\n1,1,1e-9\n")
+    with pytest.raises(InputError, match="contact_area_mm2 = 1e-09 must lie in 0.1 to 1000 mm"):
+        scene_with('[touch]\nprofile = "recorded"\nfile = "touch.csv"\n', tmp_path)
+
+
+def test_the_local_contact_is_the_slope_of_the_pressures():
+    scene = scene_with("[touch]\ncontact_force_n = 1.0\n")
+    held, per_n, force_per_pa = contact_at(scene, 2.0)
+    assert held == pytest.approx(1e4 * np.cbrt([2.0, 2.0])) and per_n == pytest.approx(held / 6.0, rel=1e-3)
+    assert force_per_pa @ per_n == pytest.approx(1.0, rel=2e-3)
+    plain = contact_at(scene_with(""), 2.0)
+    assert plain[0] == pytest.approx([2e4, 2e4]) and plain[2] @ plain[1] == pytest.approx(1.0)
 
 
 def test_photodiodes_lie_above_their_own_zones():
@@ -193,7 +259,7 @@ def test_shear_is_a_third_pressure_left_out_of_two_pressure_states():
     assert run.shear_n.min() == -1.0 and run.shear_n[0] == 0.0
     assert run.distal_pressure_pa.max() == pytest.approx(2e4)
     still = steady_blood(zoned(), [2.0])[0]
-    assert steady_blood(sheared, [2.0])[0, -3] < still[-3]
+    assert steady_blood(sheared, [2.0])[0, -2] < still[-2]
     assert steady_blood_at(sheared, proximal_pressure_pa=[2e4], distal_pressure_pa=[2e4])[0] == pytest.approx(still)
     assert steady_blood(sheared, [0.0])[0] == pytest.approx(np.full(8, 0.03), rel=1e-9)
 

@@ -93,17 +93,17 @@ def _figure_10(r: Responses) -> "Figure":
 
 
 def _figure_11(r: Responses) -> "Figure":
-    width = np.concatenate([r.both_on, r.both_off], axis=-1)
-    change = 1.0 - (width / width[:, :, :1]) ** 2
+    blood = np.concatenate([r.both_on, r.both_off], axis=-1)
+    change = 1.0 - blood / blood[:, :, :1]
     labels = [f"change of $V_{{P{i + 1}}}$, Taylor (9) [rest blood]" for i in range(2)]
     return _steps_over_time([("Proximal reading", labels[0], change[0]), ("Distal reading", labels[1], change[1])])
 
 
 def _figure_12(r: Responses) -> "Figure":
     figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
-    for i, (axis, width, side) in enumerate(zip(axes, (r.proximal[0], r.distal[1]), _SIDES, strict=True)):
+    for i, (axis, blood, side) in enumerate(zip(axes, r.alone, _SIDES, strict=True)):
         axis.axvline(1.0, **_VEINS_SHUT)
-        axis.plot(CURVE_PA / N_PER_CM2, 1.0 - (width / width[0]) ** 2, color=style.ZONES[i], lw=1.8)
+        axis.plot(CURVE_PA / N_PER_CM2, 1.0 - blood, color=style.ZONES[i], lw=1.8)
         label = f"$P_{{F{i + 1}}}$ alone [N/cm²]"
         axis.set(title=f"$V_{{P{i + 1}}}$, {side}", xlabel=label, ylabel=_READING, xlim=(0.0, 1.6))
     return figure

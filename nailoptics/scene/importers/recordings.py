@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
+from ..base import LEAST_AREA_MM2
 from ..text_files import number_columns, read_rows
 
 PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
@@ -15,6 +16,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "force_n": (0.0, 100.0, "N"),
     "shear_n": (-100.0, 100.0, "N"),
     **dict.fromkeys(PRESSURES, (0.0, 1e6, "Pa")),
+    "contact_area_mm2": (LEAST_AREA_MM2, 1e3, "mm^2"),
+    "proximal_share": (0.0, 1.0, "(a part)"),
     "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
 }
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]

@@ -25,6 +25,7 @@ from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, Touch, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
+from ...scene.touch import CONTACT
 from ...statistics import Array, seed_of
 from ...variables import estimated, variable
 from ..prior_uncertainty import only_absorbs, over_priors
@@ -49,7 +50,7 @@ ONE_IN = 4
 BEAT_STEPS = 16
 # Of the linear colour; what is darker has missed the finger: no tissue is.
 MISSED = 0.02
-_CONTACT = ("contact_area_mm2", "site", "proximal_share", "proximal_area_mm2", "distal_area_mm2", "distal_relaxation_s")
+
 
 
 def colour(
@@ -263,7 +264,7 @@ def press_and_release(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: V
         return xr.Dataset()
     step: dict[str, Any] = {"profile": "step", "force_n": most, "start_s": ON_S, "release_s": OFF_S}
     step |= {"duration_s": END_S, "sample_rate_hz": (STEPS - 1) / END_S * FINER}
-    step |= {name: getattr(scene.touch, name) for name in _CONTACT}
+    step |= {name: getattr(scene.touch, name) for name in (*CONTACT, "distal_relaxation_s")}
     touched = blood_over_touch(scene.model_copy(update={"touch": Touch(**step)}))
     moments = touched.isel(time=slice(None, None, FINER))
     few = rays.one_in(ONE_IN)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError
 from ...geometry import underside
-from ...hemodynamics.for_scene import largest_force_n, touch_areas_mm2, touch_pressures_pa
+from ...hemodynamics.for_scene import contact_at, largest_force_n
 from ...light import ProgressCallback
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.tracing import Ending, StageProgress, run_until
@@ -339,6 +339,7 @@ def touch_table(scene: Scene) -> dict[str, Any]:
     reach_n = max(LEAST_REACH_N, 1.25 * largest_force_n(scene))
     force_n = reach_n * np.linspace(0.0, 1.0, FORCES) ** 1.5
     since_rest_s = boards.rules(scene).since_rest_s
+    _, per_n, force_per_pa = contact_at(scene, 1.0)
     points = [operating_point(scene, float(force), since_rest_s=since_rest_s) for force in force_n]
     rest = scene.blood.rest_blood_fraction
     waves = [np.zeros((2, 2)) if p.body is None else p.body.blood @ p.body.blood.T for p in points]
@@ -349,8 +350,8 @@ def touch_table(scene: Scene) -> dict[str, Any]:
         "blood": np.array([p.blood_fraction for p in points]) / rest,
         "blood_per_pa": np.array([p.blood_per_pa for p in points]) / rest,
         "waves": np.array(waves) / rest**2,
-        "force_per_pa": np.array(touch_areas_mm2(scene)) * 1e-6,
-        "pressure_per_n": np.array(touch_pressures_pa(scene, 1.0)),
+        "force_per_pa": force_per_pa,
+        "pressure_per_n": per_n,
         "prior_pa": PRIOR_PA,
         "has_body": points[0].body is not None,
         "led_drift": drift.led_per_rt_min * np.sqrt(minutes) if drift else 0.0,
