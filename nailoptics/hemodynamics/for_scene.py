@@ -185,7 +185,7 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
 
     P_H is the mean of a body whose pressure moves.
 
-    Raises: InputError if there is no such set.
+    Raises: InputError if there is no such set, or a constant cannot be.
     """
     named, tuning, body = hemodynamics.parameters(scene.blood.parameters), scene.blood.tuning, scene.body
     own = named
@@ -193,7 +193,10 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
         factors = {
             name: each_bed(operator.mul, one, getattr(named, name)) for name, one in (tuning.factors or {}).items()
         }
-        own = named.replace(**tuning.values(), **factors)
+        try:
+            own = named.replace(**tuning.values(), **factors)
+        except InputError as error:
+            raise InputError(str(error).replace("hemodynamics.", "blood.tuning.")) from None
     if body is None:
         return own
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:

@@ -28,6 +28,7 @@ _MOST_STEPS = 2_000_000
 # Samples whose pressures are worked out at once: what is between fills the processor's cache, not the memory.
 _AT_ONCE = 1 << 14
 _FIRST_STEP_S = 1e-3
+_EPS = float(np.finfo(float).eps)
 # Of the listed diameter: closer than this a wall counts as touching.
 _SNAP = 1e-9
 # A step that would end no further than this beyond its piece of the drive, in lengths of what is left of it, stays
@@ -173,6 +174,8 @@ class _Motion:
         self.listed = walls.diameter.tolist()
         self.free, self.piece = [1.0] * len(self.width), 0
         self.time, self.step_s = drive.starts[0], min(_FIRST_STEP_S, drive.ends[-1] - drive.starts[0])
+        # A failed step this short cannot move the time: it would be repeated for ever.
+        self.least_step_s = 1e-3 * _EPS * max(abs(drive.starts[0]), abs(drive.ends[-1]))
         self.steps = array("d")
         self._try_step, self._lift = _unrolled(len(self.width) - 1)
 
@@ -217,6 +220,11 @@ class _Motion:
                 # The step hit a pole of the method's stability function, at a growing mode: any other will do.
                 excess = math.inf
             if not excess <= 1.0:
+                if step_s < self.least_step_s:
+                    raise NotReachedError(
+                        f"hemodynamics: the response stops at {self.time:g} s, where no step is short enough for the "
+                        "tolerance; raise rtol, or take constants of the vessels nearer to those listed."
+                    )
                 # The error goes with the fourth power of the step: aim a little below what is allowed.
                 self.step_s = step_s * (max(0.2, min(0.9, 0.9 * excess**-0.25)) if excess < 1e6 else 0.2)
                 continue
@@ -279,7 +287,7 @@ def integrate(
             if taken > most_steps:
                 raise NotReachedError(
                     f"hemodynamics: the response needs more than {most_steps} steps (reached {motion.time:g} s); "
-                    "raise rtol or soften the parameters."
+                    "raise rtol, or take constants of the vessels nearer to those listed."
                 )
             if motion.snap() or 0.0 in motion.free:
                 motion.settle()

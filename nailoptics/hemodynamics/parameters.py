@@ -12,6 +12,8 @@ from ..errors import InputError
 PerBed = float | tuple[float, float]
 """A constant of both beds, or those of the proximal and of the distal one."""
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
+# With less damping a wall's own force is lost beside the blood's, in floats: results are wrong, not slow.
+LEAST_DAMPING_N_S_PER_M = 1e-12
 _BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
 
 
@@ -102,6 +104,10 @@ def _checked(name: str, given: Any) -> float:
     if name == "venular_share":
         if not 0.0 <= value < 1.0:
             raise InputError(f"hemodynamics.{name} must be 0 or more and less than 1, got {value:g}; 0 is none.")
+    elif "damping" in name and 0.0 < value < LEAST_DAMPING_N_S_PER_M:
+        raise InputError(
+            f"hemodynamics.{name} must be {LEAST_DAMPING_N_S_PER_M:g} or more, got {value:g}; 1e-6 is as good as none."
+        )
     elif name not in _MAY_BE_ANY_SIGN and value <= 0.0:
         raise InputError(f"hemodynamics.{name} must be greater than 0, got {value:g}; give a positive value.")
     return value

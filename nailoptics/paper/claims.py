@@ -206,7 +206,8 @@ _MAGNIFIES = "Capillaries that widen let more in: the change of R_A magnifies th
 # fmt: off
 RULES = (
     Rule("8", _DROP, "pressure at the vein node at rest over P_H", lambda r: r.pressure[2, ..., 0], high=0.1),
-    Rule("8", _MAGNIFIES, "rise of capillary pressure to 0.1 N/cm^2 over that with a fixed R_A", _magnification, low=1.1),
+    Rule("8", _MAGNIFIES, "rise of capillary pressure to 0.1 N/cm^2 over that of a fixed R_A",
+         _magnification, low=1.1),
     Rule("10", _SHUT, "outflow through the vein at 1 N/cm^2 over that at rest", _outflow, high=0.1, given="1 N"),
     Rule("10", _WIDEN, "smallest step of a capillary over its range",
          lambda r: _smallest_step(r.proximal[0]), low=0.0),

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .base import USUAL_MELANIN_FRACTION, Fraction, Positive, Table
+from .base import USUAL_MELANIN_FRACTION, Fraction, Table
 
 # Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the tip are measured
 # means per digit. The index lies within its measured ranges: 16-20 wide and 12-15 thick, its nail 10-14 wide and
@@ -59,7 +59,7 @@ class Finger(Table):
     """Thickness of the nail bed, plate to bone. [mm]"""
     epidermis_thickness_mm: Annotated[float, Field(ge=0.02, le=1)] = 0.1
     """Thickness of the epidermis outside the nail. [mm]"""
-    length_mm: Positive = ANATOMY["index"]["nail_length_mm"] + BEYOND_NAIL_MM
+    length_mm: Annotated[float, Field(gt=0, le=100)] = ANATOMY["index"]["nail_length_mm"] + BEYOND_NAIL_MM
     """Modelled length of the finger from the tip; if not given the nail's length plus 4 mm. [mm]"""
     melanin_fraction: Fraction = USUAL_MELANIN_FRACTION
     """Volume fraction of melanosomes in the epidermis."""

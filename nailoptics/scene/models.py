@@ -246,6 +246,14 @@ class Scene(Table):
                     "body.heartbeat.mean_pressure_pa and blood.tuning.arterial_pressure_pa both set P_H; give one of "
                     "them"
                 )
+        touch, finger = self.touch, self.finger
+        sides = [area for area in (touch.proximal_area_mm2, touch.distal_area_mm2) if area is not None]
+        largest_mm2 = max([touch.contact_area_mm2, *sides, *(touch.recorded_contact_area_mm2 or ())])
+        if finger is not None and largest_mm2 > finger.width_mm * finger.length_mm:
+            raise ValueError(
+                f"touch: an area of contact of {largest_mm2:g} mm^2 reaches off the finger, which has "
+                f"{finger.width_mm * finger.length_mm:.0f} mm^2 (width_mm times length_mm); make it smaller"
+            )
         recorded = self.body.recorded_time_s if self.body else None
         if recorded is not None:
             times = self.touch.times_s()

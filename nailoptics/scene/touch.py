@@ -176,6 +176,10 @@ class Touch(Table):
             raise ValueError(
                 f"duration_s * sample_rate_hz = {self.duration_s * self.sample_rate_hz:g} samples; at most 1e7"
             )
+        if self.times_s().size < 2:
+            raise ValueError(
+                f"sample_rate_hz = {self.sample_rate_hz:g} gives one sample of the touch; raise it, or touch longer"
+            )
         return self
 
     def times_s(self) -> np.ndarray:

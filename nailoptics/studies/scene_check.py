@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
+from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
+from ..hemodynamics.parameters import beds, bounds
 from ..light import optics
 from ..light.diffusion import DiffusionModel
 from ..scene import Scene
@@ -17,6 +18,8 @@ from .placement import boards, candidates
 
 # Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
 MAY_BE_FULL = 0.6
+# The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
+FAR_FROM_LIST = 100.0
 # Forces beside which a change of posture is shown as a false one. [N]
 POSTURE_FORCES_N = (0.1, 0.5)
 
@@ -47,7 +50,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     if scene.board.unmapped is not None:
         file = scene.board.kicad or scene.board.positions
         report["ignored"] = {str(file): list(scene.board.unmapped)}
-    report["warnings"] += _beyond_the_nail(scene) + _posture(scene)
+    report["warnings"] += _beyond_the_nail(scene) + _beyond_the_list(scene) + _posture(scene)
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
     report["warnings"] += full + warnings_without_light(scene)
@@ -72,6 +75,21 @@ def _posture(scene: Scene) -> list[str]:
 def _led(led: Any) -> dict[str, Any]:
     shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "position_mm", "rotation_deg")
     return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
+
+
+def _beyond_the_list(scene: Scene) -> list[str]:
+    """Constants of the vessels farther from those that the paper lists than a factor of `FAR_FROM_LIST`."""
+    far = []
+    for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
+        for value in beds(getattr(vessels(scene), name)):
+            if not low <= value <= high:
+                far.append(f"{name} = {value:g} (listed {math.sqrt(low * high):g})")
+    if not far:
+        return []
+    return [
+        f"blood.tuning: more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right: "
+        + ", ".join(dict.fromkeys(far))
+    ]
 
 
 def _beyond_the_nail(scene: Scene) -> list[str]:

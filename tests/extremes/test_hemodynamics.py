@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from nailoptics.hemodynamics import NAMES, parameters, respond, steady_state, zones
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.hemodynamics import NAMES, massless, parameters, respond, steady_state, zones
 
 TIME = np.arange(0.0, 4.0, 1e-3)
 EXTREMES_PA = (-1e5, 0.0, 1e4, 1.2e4, 1e5, 1e7)
@@ -199,3 +200,23 @@ def test_eight_zones_hold_where_two_do():
             rtol=1e-5,
         )
         assert_sound(run)
+
+
+def test_hardly_damped_walls_follow_the_blood_and_less_is_refused():
+    p = parameters("listed")
+    time = np.linspace(0.0, 3.0, 301)
+    touch = np.interp(time, [0.2, 0.6, 1.6, 2.0], [0.0, 9e3, 9e3, 0.0])
+    runs = []
+    for damping in (1e-3, 1e-12):
+        light = p.replace(capillary_damping_n_s_per_m=damping, vein_damping_n_s_per_m=damping)
+        runs.append(widths(respond(light, time, proximal_pressure_pa=touch, distal_pressure_pa=0.7 * touch)))
+    assert np.abs(runs[1] / runs[0] - 1).max() < 1e-5
+    with pytest.raises(InputError, match="capillary_damping_n_s_per_m must be 1e-12 or more, got 1e-21"):
+        p.replace(capillary_damping_n_s_per_m=1e-21)
+
+
+def test_a_response_that_no_step_reaches_ends_with_an_error(monkeypatch):
+    """A model whose error is never small enough, as of numbers that are none."""
+    monkeypatch.setattr(massless, "_unrolled", lambda units: (lambda *_: (np.nan, 0.0, [], [], []), None))
+    with pytest.raises(NotReachedError, match="no step is short enough for the tolerance"):
+        respond(parameters("listed"), TIME, proximal_pressure_pa=5e3)

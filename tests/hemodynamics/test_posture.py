@@ -6,7 +6,7 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood, touch_areas_mm2
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, contact_at, steady_blood
 from nailoptics.scene import parse_scene
 from nailoptics.sensor.information import posture_force_n
 from nailoptics.studies.scene_check import check_scene
@@ -53,7 +53,7 @@ def test_the_false_force_of_a_small_change_moves_the_blood_as_it_does() -> None:
     change = steady_blood(scene, [force_n]) - steady_blood(scene_with(""), [force_n])
     # A touch on both sides whose pressures change by what the force of either side is.
     false_n = posture_force_n(scene, force_n)
-    areas_m2 = 1e-6 * np.array(touch_areas_mm2(scene))
+    areas_m2 = contact_at(scene, force_n)[2]
     per_pa = []
     for step in np.eye(2):
         moved = blood_model(scene_with("")).touch.held_pa([force_n])[:, 0] + step

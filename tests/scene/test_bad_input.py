@@ -88,6 +88,8 @@ def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
         (FINGER + "[touch]\nforce_n = 1000.0", "touch.force_n", "1000.0"),
         (FINGER + "[touch]\nproximal_share = 50", "touch.proximal_share", "50"),
         (FINGER + "[touch]\ncontact_area_mm2 = 0", "touch.contact_area_mm2", "0"),
+        (FINGER + "[touch]\ncontact_area_mm2 = 1e-296", "touch.contact_area_mm2", "1e-296"),
+        (FINGER.replace("[finger]", "[finger]\nlength_mm = 1e4"), "finger.length_mm", "10000.0"),
         (FINGER + "[electronics]\nadc_bits = 64", "electronics.adc_bits", "64"),
         (FINGER + "[accuracy]\nrelative_error = 0.0", "accuracy.relative_error", "0.0"),
         (FINGER + "[accuracy]\nphotons = 1.5", "accuracy.photons", "1.5"),
@@ -208,6 +210,21 @@ def test_phantoms_and_fingers_refuse_each_others_fields():
     assert "photodiodes[0].aperture needs aperture = true" in complaint(
         PHANTOM + '[[photodiodes]]\nname = "square"\nposition_mm = [2.0, 0.0]'
     )
+
+
+@pytest.mark.parametrize(
+    ("touch", "words"),
+    [
+        ("contact_area_mm2 = 400.0", "an area of contact of 400 mm^2 reaches off the finger, which has 280 mm^2"),
+        (
+            'site = "distal"\ndistal_onset_n = 0.8',
+            "touch: distal_onset_n = 0.8 is for a touch that presses on the proximal",
+        ),
+        ("duration_s = 1e-3", "touch: sample_rate_hz = 100 gives one sample of the touch"),
+    ],
+)
+def test_a_contact_that_cannot_be_is_refused(touch, words):
+    assert words in complaint(FINGER + "[touch]\n" + touch)
 
 
 def test_what_is_missing_is_named():

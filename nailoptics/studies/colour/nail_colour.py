@@ -52,7 +52,6 @@ BEAT_STEPS = 16
 MISSED = 0.02
 
 
-
 def colour(
     scene: Scene,
     *,
