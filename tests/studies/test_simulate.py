@@ -17,7 +17,6 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
-from nailoptics.light.reference import readings
 from nailoptics.scene import Scene, digest, load_scene, parse_scene
 from nailoptics.studies.simulate import simulate, simulate_from
 
@@ -240,7 +239,7 @@ def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit)
     simulate_from(scene, light, course=blood, seed=1)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert blood.blood_fraction.dtype == np.float32 and peak < 64 * 8 * blood.sizes["time"]
+    assert blood.blood_fraction.dtype == np.float32 and peak < 80 * 8 * blood.sizes["time"]
 
 
 @pytest.mark.jit
@@ -280,7 +279,6 @@ def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
     larger than asked, and the signs of the largest changes, of which the states share their noise."""
     monkeypatch.setattr(detect, "VOLPATH_RELATIVE_ERROR", 0.3)
-    monkeypatch.setattr(readings, "BATCH_SECONDS", 0.3)
     scene = prototype()
     scene = scene.model_copy(
         update={
