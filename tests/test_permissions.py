@@ -100,8 +100,6 @@ def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, folder):
     first, *others = sorted((out / "results").iterdir())
     stamps = [path.stat().st_mtime_ns for path in others]
     first.chmod(0o000)
-    # Another user's claims: two may do the same twice, nobody is refused.
-    (out / ".claims").chmod(0o000)
     ((code, said),) = commands(folder, batch)
     assert code == 0 and "made again" in said and [path.stat().st_mtime_ns for path in others] == stamps
     (out / "failed").chmod(0o000)
