@@ -274,6 +274,24 @@ def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study 
 
 
 @app.command
+def validate(*, data: Path | None = None, output: File = None, options: Traced = TRACED) -> None:
+    """Compare the model with what was measured on people: nails, skin, pulse and slow waves.
+
+    Writes validation.html. Photons are those of each LED, and the rays of all colours.
+
+    Args:
+        data: Folder of tables of your own, with the names and columns of those in assets/real.
+        output: Folder for the page; results/validation if not given.
+    """
+    from .report.pages.validate import VALIDATION
+    from .studies.validate import validate as study
+
+    folder = _results(output, "validation", VALIDATION)
+    result, unmet = _traced(study, data=data, options=options)
+    _show(VALIDATION, result, VALIDATION.write(result, folder), options.json, unmet, folder)
+
+
+@app.command
 def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: Traced = TRACED) -> None:
     """Make a page on which LEDs and photodiodes are dragged and every reading follows, from light traced once.
 

@@ -1,0 +1,119 @@
+"""The page "Beside real fingers": the model beside every table measured on people, what disagrees first."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...studies.validate import Comparison, Validation
+from .. import style
+from ..files import Report
+from ..html import document, figure, section, small, table
+from ..numbers import aligned, significant
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEAD = (
+    "What was measured on people, and what the model says of the same quantity. Intervals hold 95 %: of people, or of "
+    "what is known of their mean; of the model, over the priors of the finger and the noise of the trace."
+)
+NOTE = (
+    "z: difference over its standard error, which agrees between -2 and 2. Coverage: the part of people, or of points "
+    "of a curve, within the model's interval; an interval that is too wide does not agree either."
+)
+
+
+def page(result: Validation) -> str:
+    """The page of a validation."""
+    ranked = sorted(result.tables.values(), key=lambda comparison: comparison.agrees)
+    agreeing = sum(comparison.agrees for comparison in ranked)
+    return document(
+        kicker="validation",
+        title="Beside real fingers",
+        lead=LEAD,
+        cards=[(f"{agreeing} of {len(ranked)}", "measured quantities agree with the model")],
+        body=[
+            section("All quantities, what disagrees first", table([_row(one) for one in ranked]), small(NOTE)),
+            *(
+                section(one.quantity, figure(draw(one), _caption(one), narrow=True), small(one.remark))
+                for one in ranked
+            ),
+        ],
+        attributes=result.attributes,
+    )
+
+
+def _caption(comparison: Comparison) -> str:
+    agrees = "agrees" if comparison.agrees else "disagrees"
+    return f"{comparison.statistic} {significant(comparison.value, 2)}: {agrees}. People: {comparison.source}"
+
+
+def _range(rows: np.ndarray) -> str:
+    """A middle with its interval; of a curve, over all its points."""
+    if rows.shape[1] > 1:
+        return f"{significant(float(rows[1].min()), 3)} to {significant(float(rows[1].max()), 3)}"
+    low, middle, high = (significant(float(value), 3) for value in rows[:, 0])
+    return f"{middle} ({low} to {high})"
+
+
+def _row(comparison: Comparison) -> dict[str, object]:
+    low, high = comparison.accepted
+    return {
+        "Quantity": comparison.quantity + _units(comparison),
+        "People": _range(comparison.people),
+        "Model": _range(comparison.model),
+        "Statistic": f"{comparison.statistic} {significant(comparison.value, 2)}",
+        "Accepted": f"{low:g} to {high:g}",
+        "Agrees": "yes" if comparison.agrees else "no",
+    }
+
+
+def _units(comparison: Comparison) -> str:
+    return "" if comparison.units == "1" else f" [{comparison.units}]"
+
+
+@style.drawing()
+def draw(comparison: Comparison) -> "Figure":
+    """People and model with their intervals: side by side, or over what the quantity is measured over."""
+    both = (("people", comparison.people, style.MUTED), ("model", comparison.model, style.ZONES[0]))
+    if not comparison.x_label:
+        drawing, axes = style.panels(5.5, 1.3)
+        for row, (_, values, colour) in enumerate(both):
+            low, middle, high = values[:, 0]
+            axes.plot([low, high], [row, row], color=colour, lw=2.2)
+            axes.plot(middle, row, "o", color=colour)
+        axes.set_yticks([0, 1], ["people", "model"])
+        axes.set(ylim=(1.6, -0.6), xlabel=f"95 % interval{_units(comparison)}")
+        return drawing
+    drawing, axes = style.panels(5.5, 3.0)
+    for name, values, colour in both:
+        axes.fill_between(comparison.x, values[0], values[2], color=colour, alpha=0.2, linewidth=0)
+        axes.plot(comparison.x, values[1], color=colour, label=name)
+    axes.set(xlabel=comparison.x_label, ylabel=f"middle, and 95 %{_units(comparison)}")
+    axes.legend()
+    return drawing
+
+
+def lines(summary: dict[str, Any]) -> list[str]:
+    """Every table's verdict for the terminal, what disagrees first."""
+    rows = []
+    for name, one in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
+        statistic, row = "z" if "z" in one else "coverage", {"quantity": name}
+        for side in ("people", "model"):
+            values = np.atleast_1d(one[side]["middle"])
+            row[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
+        row |= {"statistic": f"{statistic} {one[statistic]:.2g}", "verdict": "agrees" if one["agrees"] else "DISAGREES"}
+        rows.append(row)
+    return aligned(rows)
+
+
+def summary(result: Validation) -> dict[str, Any]:
+    """Every table as plain numbers and texts."""
+    return {"tables": {name: one.as_dict() for name, one in result.tables.items()}} | dict(result.attributes)
+
+
+def _files(result: Validation) -> tuple[Any, ...]:
+    return (lambda _: page(result),)
+
+
+VALIDATION = Report(("validation.html",), _files, summary, lambda result, summary: lines(summary))
