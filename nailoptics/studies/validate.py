@@ -441,8 +441,8 @@ class _Surface:
                 np.stack([low, middle, high]),
                 np.stack([low, high]),
                 quantity=f"reflectance of skin: back of hand, group {group}, {int(table.people.iloc[0])} people",
-                remark=f"Melanin of {100 * MELANIN[melanin]:.2g} % and blood are fitted to the group's median; coverage "
-                "is the part of wavelengths within 5-95 % of people.",
+                remark=f"Melanin of {100 * MELANIN[melanin]:.2g} % and blood are fitted to the group's median; "
+                "coverage is the part of wavelengths within 5-95 % of people.",
             )
         return result
 
