@@ -362,6 +362,27 @@ def priors() -> str:
     return "\n".join(rows) + "\n"
 
 
+def validation() -> str:
+    """What was measured on people beside the model, what disagrees first."""
+    tables = json.loads((HERE / "validation.json").read_text(encoding="utf-8"))["tables"].values()
+    rows = ["| quantity | people | model | statistic | agrees |", "|---|---|---|---|---|"]
+    for one in sorted(tables, key=lambda one: one["agrees"]):
+        statistic = "z" if "z" in one else "coverage"
+        cells = [one["quantity"] + ("" if one["units"] == "1" else f" [{one['units']}]")]
+        for side in ("people", "model"):
+            ends = (
+                [one[side]["low"], one[side]["high"]]
+                if "over" not in one
+                else [min(one[side]["middle"]), max(one[side]["middle"])]
+            )
+            cells.append(f"{ends[0]:.3g} to {ends[1]:.3g}")
+        rows.append(
+            f"| {' | '.join([*cells, f'{statistic} {one[statistic]:.2g}', 'yes' if one['agrees'] else 'no'])} |"
+        )
+    return "\n".join(rows) + "\n"
+
+
 MADE: dict[str, Callable[[], str]] = {
-    one.__name__: one for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors)
+    one.__name__: one
+    for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors, validation)
 }
