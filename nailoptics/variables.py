@@ -50,13 +50,13 @@ def estimated(
 def to_record(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """A dataset as a header for JSON and arrays of numbers."""
     variables, arrays = {}, {}
-    for name, one in dataset.variables.items():
-        entry: dict[str, Any] = {"dims": one.dims, "attrs": one.attrs, "coord": name in dataset.coords}
-        if one.dtype.kind in "biuf":
-            arrays[str(name)] = one.values
+    for name, variable in dataset.variables.items():
+        entry: dict[str, Any] = {"dims": variable.dims, "attrs": variable.attrs, "coord": name in dataset.coords}
+        if variable.dtype.kind in "biuf":
+            arrays[str(name)] = variable.values
         else:
-            entry["text"] = [str(item) for item in one.values.ravel()]
-            entry["shape"] = one.shape
+            entry["text"] = [str(item) for item in variable.values.ravel()]
+            entry["shape"] = variable.shape
         variables[str(name)] = entry
     attributes = {k: v for k, v in dataset.attrs.items() if k not in ("scene", "cpu_seconds", "wall_seconds", "reused")}
     return {"variables": variables, "attrs": attributes}, arrays

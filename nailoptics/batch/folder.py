@@ -289,10 +289,10 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
         ("digest", plan.scenes, "digest of the scene"),
     ):
         joined[label] = _SCENE, list(texts), {"long_name": text}
-    dataset = xr.Dataset(coords=_coordinates(plan) | {n: one for n, one in joined.coords.items() if n != _SCENE})
-    for name, one in joined.data_vars.items():
-        values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
-        dataset[name] = (*dims, *one.isel({_SCENE: 0}).dims), values, one.attrs
+    dataset = xr.Dataset(coords=_coordinates(plan) | {n: coord for n, coord in joined.coords.items() if n != _SCENE})
+    for name, variable in joined.data_vars.items():
+        values = variable.transpose(_SCENE, ...).values.reshape(*dims.values(), *variable.isel({_SCENE: 0}).shape)
+        dataset[name] = (*dims, *variable.isel({_SCENE: 0}).dims), values, variable.attrs
     attributes = {k: v for k, v in joined.attrs.items() if k in ("engine", "versions")}
     attributes |= {"title": f"nailoptics: batch {plan.sweep}", "Conventions": "CF-1.11"}
     return dataset.assign_attrs(attributes, seed=plan.made.seed, backend=plan.made.backend, study=plan.study)

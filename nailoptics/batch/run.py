@@ -180,7 +180,7 @@ class ClusterSlots(LocalSlots):
         # One more than there are workers, so that none waits for the driver.
         self.executors = [self.client.get_executor(pure=False)] * (2 * sum(threads.values()))
         # Workers of one machine divide its cores.
-        self.sharers = max(Counter(one.rpartition(":")[0] for one in threads).values())
+        self.sharers = max(Counter(thread.rpartition(":")[0] for thread in threads).values())
 
     def start(self) -> None:
         """They are there."""

@@ -152,7 +152,9 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
     required = replace(options, relative_error=None).fields
     result, unmet = as_far_as_reached(colour, scene, stores=stores, **required)
     pictures = photographs(scene, result, states=range(result.sizes["state"]), backend=options.backend)
-    names = [name for name, one in result.variables.items() if not {"time", "beat_time", "tile"} & set(one.dims)]
+    names = [
+        name for name, variable in result.variables.items() if not {"time", "beat_time", "tile"} & set(variable.dims)
+    ]
     # Forces and places are the scene's own, and "state" is what a batch calls its progress with a scene.
     answer = result[names].reset_coords(["force_n", "v_mm"]).rename_dims(state="force")
     dims = ("force", "row", "column", "channel")
@@ -171,7 +173,9 @@ def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     from ..studies.oximetry.oxygen import oximeter
 
     result, unmet = as_far_as_reached(oximeter, scene, **options.fields)
-    names = [name for name, one in result.data_vars.items() if set(one.dims) <= {"photodiode", "led", "cause"}]
+    names = [
+        name for name, variable in result.data_vars.items() if set(variable.dims) <= {"photodiode", "led", "cause"}
+    ]
     at = result[["ratio", "ratio_stderr"]].interp(so2=scene.blood.so2).reset_coords(drop=True)
     answer = result[names].drop_dims([d for d in ("so2", "time", "beat_time") if d in result[names].dims])
     return answer.assign(at.data_vars), int(result.attrs["photons"]), not unmet

@@ -43,10 +43,10 @@ def compatibility(scene: Scene, geometry: Geometry, *, own: Sequence[Row], refle
             rows.append((f"line width of LED {led.name}", f"{led.fwhm_nm:g} nm", there))
         if led.pattern == "measured":
             rows.append((f"pattern of LED {led.name}", "a measured table", "Lambertian"))
-    for one in scene.photodiodes:
-        if one.angular_response:
+    for photodiode in scene.photodiodes:
+        if photodiode.angular_response:
             there = "a flat face, which takes all alike"
-            rows.append((f"angular response of photodiode {one.name}", "rows over the angle", there))
+            rows.append((f"angular response of photodiode {photodiode.name}", "rows over the angle", there))
     edges = ", ".join(f"{edge:g}" for edge in scene.zone_edges_mm)
     zones = f"{len(scene.zone_edges_mm) + 1} zones that pass into each other over {scene.zone_width_mm:g} mm"
     electronics = "flux, line and responsivity, amplifier, converter, noise"

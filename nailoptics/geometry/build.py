@@ -85,7 +85,7 @@ def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
     usual["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})
     usual["leds"] = tuple(led.model_copy(update=LED_LIGHT) for led in scene.leds)
     read_out = {name: Photodiode.model_fields[name].default for name in READ_OUT}
-    usual["photodiodes"] = tuple(one.model_copy(update=read_out) for one in scene.photodiodes)
+    usual["photodiodes"] = tuple(photodiode.model_copy(update=read_out) for photodiode in scene.photodiodes)
     return scene.model_copy(update=usual)
 
 

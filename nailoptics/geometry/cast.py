@@ -125,6 +125,6 @@ def _inside(
         left, area = edge.sides(triangle, x, y)
         same = np.arange(len(ray)) if sides is None else np.nonzero(left == sides)[0]
         sides, triangle, ray = left[same], triangle[same], ray[same]
-        areas = [*(one[same] for one in areas), area[same]]
+        areas = [*(area[same] for area in areas), area[same]]
     assert sides is not None
     return triangle, ray, np.stack(areas), sides

@@ -168,7 +168,7 @@ class _Motion:
 
     def __init__(self, walls: Walls, drive: Drive, start_m: np.ndarray, *, rtol: float) -> None:
         self.drive, self.rtol = drive, float(rtol)
-        self.constants = [one.tolist() for one in walls.constants]
+        self.constants = [constant.tolist() for constant in walls.constants]
         self.closed, self.snap_m = walls.closed.tolist(), (_SNAP * walls.diameter).tolist()
         self.width: list[float] = np.maximum(start_m, walls.closed).tolist()
         self.listed = walls.diameter.tolist()

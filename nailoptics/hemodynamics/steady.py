@@ -156,7 +156,7 @@ def solve_walls(
     The constants of `walls` may be arrays that broadcast to S.
     """
     # Along the last axis several pressures of the vein node are tried together.
-    walls = Walls(*(one[..., None] for one in walls.with_axes(outside.ndim).constants))
+    walls = Walls(*(constant[..., None] for constant in walls.with_axes(outside.ndim).constants))
     n, (outside, high, low) = len(walls.venule), (values[..., None] for values in (outside, high, low))
     tension = walls.stiffness * walls.diameter / walls.area
     conductance, venule = walls.flow_factor * walls.diameter**4, walls.venule

@@ -47,7 +47,7 @@ class Walls:
         if self.area.ndim == count:
             return self
         more = (1,) * (count - self.area.ndim)
-        return Walls(*(one.reshape(one.shape[:1] + more + one.shape[1:]) for one in self.constants))
+        return Walls(*(constant.reshape(constant.shape[:1] + more + constant.shape[1:]) for constant in self.constants))
 
 
 def build_walls(parameters: Parameters, zones: Zones) -> Walls:

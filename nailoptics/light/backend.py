@@ -261,7 +261,7 @@ def _key(name: Name, library: str) -> str:
 @cache
 def _packages() -> list[str]:
     """Versions of the packages that compile and run kernels; read once, since every trace chooses the backend."""
-    return [one.version for name in ("drjit", "mitsuba") for one in metadata.distributions(name=name)]
+    return [distribution.version for name in ("drjit", "mitsuba") for distribution in metadata.distributions(name=name)]
 
 
 def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
@@ -294,7 +294,7 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
         return engines, "works", True
     code = f"(code {run.returncode})"
     if run.returncode < 0:
-        names = {one.value: one.name for one in signal.Signals}
+        names = {Signal.value: Signal.name for Signal in signal.Signals}
         code = f"({names.get(-run.returncode, f'signal {-run.returncode}')})"
     if engines:
         return engines, f"works for photons; a kernel of volpath's ends the process {code}", True

@@ -67,10 +67,10 @@ class Arrivals:
     @classmethod
     def joined(cls, batches: "Sequence[Arrivals]") -> "Arrivals":
         """Batches of one LED as one, their photons counted on."""
-        first = np.cumsum([0, *(one.photons for one in batches)])
-        photon = np.concatenate([one.photon + n for one, n in zip(batches, first, strict=False)])
+        first = np.cumsum([0, *(batch.photons for batch in batches)])
+        photon = np.concatenate([batch.photon + n for batch, n in zip(batches, first, strict=False)])
         columns = (
-            np.concatenate([getattr(one, name) for one in batches]) for name in ("place_mm", "weight", "path_mm")
+            np.concatenate([getattr(batch, name) for batch in batches]) for name in ("place_mm", "weight", "path_mm")
         )
         return cls(int(first[-1]), photon, *columns)
 

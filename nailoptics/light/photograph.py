@@ -56,8 +56,10 @@ def photograph(
     parts = {"nail": outer & (inside == "plate"), "skin": outer & (inside != "plate") & (inside != "cut")}
     with stock_mitsuba(choose(backend, volpath=True)) as mi:
         return [
-            _render(mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, one) for k in parts], size, samples, camera_mm)
-            for one in colours
+            _render(
+                mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, colour) for k in parts], size, samples, camera_mm
+            )
+            for colour in colours
         ]
 
 

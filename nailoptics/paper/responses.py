@@ -102,8 +102,8 @@ def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[Pe
     """
     axes = (zones.count,) + (1,) * (width.ndim - touch.ndim)
     outside = zones.on_walls(touch)[:-1].reshape(*axes, *touch.shape[1:])
-    units = [np.array(zones.of_beds(one)) for one in venules]
-    share, closing_pa = (one.reshape(one.shape + (1,) * (width.ndim - one.ndim)) for one in units)
+    units = [np.array(zones.of_beds(venule)) for venule in venules]
+    share, closing_pa = (unit.reshape(unit.shape + (1,) * (width.ndim - unit.ndim)) for unit in units)
     return relative_blood(width[:-1] / width[:-1, ..., :1], share, touch_pa=outside, closing_pa=closing_pa)
 
 

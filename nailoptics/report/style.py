@@ -114,7 +114,7 @@ def panels(
 def longest_in(words: Iterable[object], *, size_pt: float = 8.5) -> float:
     """Width that the longest of some words takes, a little more than less. [inch]"""
     # Letters of DejaVu Sans are 0.5 to 0.55 of their size wide on average.
-    return max((len(str(one)) for one in words), default=0) * 0.6 * size_pt / 72
+    return max((len(str(word)) for word in words), default=0) * 0.6 * size_pt / 72
 
 
 def estimate(

@@ -158,21 +158,21 @@ class Photodiode(PhotodiodeElements, Mounted):
 def check_one_response(photodiodes: Iterable[Photodiode]) -> None:
     """Raise InputError for photodiodes of several angular responses, where any place is read as by one of them."""
     first, *others = photodiodes
-    for one in others:
-        if one.angular_response != first.angular_response:
+    for other in others:
+        if other.angular_response != first.angular_response:
             raise InputError(
-                f'photodiodes "{first.name}" and "{one.name}" differ in angular_response, and maps of a board read any '
-                "place as by one photodiode; give all the same, or read the scene by simulate or trace."
+                f'photodiodes "{first.name}" and "{other.name}" differ in angular_response, and maps of a board '
+                "read any place as by one photodiode; give all the same, or read the scene by simulate or trace."
             )
 
 
 def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
     """Raise InputError for a photodiode with an angular response, where light of all angles is counted alike."""
-    for one in photodiodes:
-        if one.angular_response is not None:
+    for photodiode in photodiodes:
+        if photodiode.angular_response is not None:
             raise InputError(
-                f'photodiode "{one.name}": angular_response is not known to {what}; leave it out, or read the scene by '
-                "trace or simulate on a backend that compiles kernels."
+                f'photodiode "{photodiode.name}": angular_response is not known to {what}; leave it out, or '
+                "read the scene by trace or simulate on a backend that compiles kernels."
             )
 
 

@@ -58,7 +58,7 @@ class Priors(Table):
     def _names_unknowns(self) -> Self:
         named = [*self.known, *(one.field for one in self.ranges)]
         check_unique(named, "known and ranges")
-        shipped = {one.field: one for one in shipped_priors()}
+        shipped = {shipped_prior.field: shipped_prior for shipped_prior in shipped_priors()}
         for field in named:
             if field not in shipped:
                 raise ValueError(f'"{field}" has no prior; choose from {", ".join(shipped)}')
@@ -79,12 +79,14 @@ class Priors(Table):
     def _unknown(self) -> tuple[Prior, ...]:
         own = {one.field: {"low": one.low, "high": one.high} for one in self.ranges}
         return tuple(
-            one.model_copy(update=own.get(one.field, {})) for one in shipped_priors() if one.field not in self.known
+            shipped_prior.model_copy(update=own.get(shipped_prior.field, {}))
+            for shipped_prior in shipped_priors()
+            if shipped_prior.field not in self.known
         )
 
     def correlation(self, priors: Sequence[Prior]) -> np.ndarray:
         """Correlations of some priors, each on its scale, (priors, priors) float; 0 with the scene's own ranges."""
-        of = {one.field: i for i, one in enumerate(priors)}
+        of = {prior.field: i for i, prior in enumerate(priors)}
         own = {one.field for one in self.ranges}
         matrix = np.eye(len(priors))
         for (first, second), value in _shipped_correlations().items():

@@ -25,7 +25,7 @@ def _of_each_bed(rule: str, holds: Callable[[float], bool]) -> BeforeValidator:
     def check(value: object) -> object:
         values = value if isinstance(value, tuple) else (value,)
         if len(values) > 2 or not all(
-            isinstance(one, int | float) and one is not True and holds(one) for one in values
+            isinstance(value, int | float) and value is not True and holds(value) for value in values
         ):
             raise ValueError(f"{value} must be a number {rule}, or two such numbers: proximal and distal")
         return value

@@ -74,8 +74,8 @@ def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Ph
     if isinstance(photodiodes, Photodiode):
         return np.asarray(value(photodiodes))
     # Thousands of places have one and the same photodiode.
-    by_id = {key: value(one) for key, one in {id(one): one for one in photodiodes}.items()}
-    return np.array([by_id[id(one)] for one in photodiodes])
+    by_id = {key: value(one) for key, one in {id(photodiode): photodiode for photodiode in photodiodes}.items()}
+    return np.array([by_id[id(photodiode)] for photodiode in photodiodes])
 
 
 def lsb_v(amplifier: Electronics) -> float:

@@ -158,7 +158,10 @@ def front_ends_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None =
     """The front end of every photodiode; ambient_a : (photodiodes,) float, photocurrent by ambient light. [A]"""
     elements = scene.layout.photodiodes
     currents = np.zeros(len(elements)) if ambient_a is None else ambient_a
-    return [SampledFrontEnd(scene, one.photodiode, leds, float(a)) for one, a in zip(elements, currents, strict=True)]
+    return [
+        SampledFrontEnd(scene, element.photodiode, leds, float(a))
+        for element, a in zip(elements, currents, strict=True)
+    ]
 
 
 def ratio_stderr(

@@ -185,7 +185,7 @@ class PriorSensitivity:
     def _moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Means and variances over the draws, by all photons and without each group, (1 + groups, ...) float each."""
         draws = (self.draws(group) for group in range(len(self.own)))
-        mean, variance = zip(*((one.mean(0), one.var(0)) for one in draws), strict=True)
+        mean, variance = zip(*((draw.mean(0), draw.var(0)) for draw in draws), strict=True)
         return np.stack(mean), np.stack(variance)
 
     def variables(self, name: str, dims: tuple[str, ...], text: str, untraced: int = 0) -> Variables:
@@ -220,15 +220,15 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
     priors = (*evaluated, *untraced)
     data: Variables = {}
     for field, text in (("field", "field of the scene"), ("source", "where its range comes from")):
-        data |= variable(f"prior_{field}", "prior", [getattr(one, field) for one in priors], text)
-    ends = [[one.low, one.high] for one in priors]
+        data |= variable(f"prior_{field}", "prior", [getattr(prior, field) for prior in priors], text)
+    ends = [[prior.low, prior.high] for prior in priors]
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
-    offsets = [offset_of(scene, one) for one in priors]
+    offsets = [offset_of(scene, prior) for prior in priors]
     text = "the scene's value less the mean of its prior, in standard deviations"
     data |= variable("prior_offset", "prior", offsets, text)
     how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in evaluated]
     data |= variable("prior_how", "prior", [*how, *["not traced"] * len(untraced)], "how it was evaluated")
-    names = ("prior", [one.name for one in priors], {"long_name": "prior of a parameter of the finger"})
+    names = ("prior", [prior.name for prior in priors], {"long_name": "prior of a parameter of the finger"})
     return xr.Dataset(data, {"prior": names})
 
 

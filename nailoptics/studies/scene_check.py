@@ -132,10 +132,12 @@ def _candidates(scene: Scene) -> list[dict[str, Any]]:
     """The layouts that a search would rank; raises InputError for what it would refuse."""
     base, rules, described = boards.base_board(scene), boards.rules(scene), []
     boards.check_search(base, rules)
-    for i, one in enumerate(rules.candidates):
+    for i, candidate in enumerate(rules.candidates):
         try:
-            layout = candidates.candidate(one.name, candidates.candidate_scene(base, one), "given").scene.layout
+            layout = candidates.candidate(
+                candidate.name, candidates.candidate_scene(base, candidate), "given"
+            ).scene.layout
         except InputError as error:
             raise InputError(f"placement.candidates[{i}]: {error}") from None
-        described.append({"name": one.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})
+        described.append({"name": candidate.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})
     return described

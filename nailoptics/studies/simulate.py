@@ -191,7 +191,7 @@ def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> Readi
     states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
     by_led = [light.readings_at(state) for state in states]
     return ReadingSeries(
-        *(np.stack([getattr(read, one.name)[i] for i, read in enumerate(by_led)]) for one in fields(ReadingSeries))
+        *(np.stack([getattr(read, field.name)[i] for i, read in enumerate(by_led)]) for field in fields(ReadingSeries))
     )
 
 

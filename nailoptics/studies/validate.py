@@ -137,7 +137,7 @@ def validate(
             f"{data}: holds none of {', '.join(f'{name}.csv' for name in COLUMNS)}; see docs/validation.md."
         )
     tables = {name: read_people(name, data) for name in COLUMNS}
-    result = {}
+    result: dict[str, Comparison] = {}
     steps: tuple[Callable[[], dict[str, Comparison]], ...] = (
         lambda: _waves(tables["fingertip_waves"]),
         lambda: {"pulse_over_contact_pressure": _contact_pressure(tables["pulse_against_contact_pressure"])},
@@ -341,8 +341,8 @@ class _Surface:
         self.viewer, self.seed = Viewer(), options.seed
         chosen = backend.choose_jit(options.backend, "validate")
         backend.activate(chosen)
-        stores = [LightStore.of_user()] if options.store else []
-        self.nail = NailReflectance(_shipped_scene("prototype"), backend=chosen.name, stores=stores)
+        store = LightStore.of_user() if options.store else None
+        self.nail = NailReflectance(_shipped_scene("prototype"), backend=chosen.name, stores=[store] if store else [])
         # With the epidermis, which the prototype's readings can do without.
         self.scene = self.nail.scene
         photons = options.photons or RAYS

@@ -80,7 +80,7 @@ def trace(
         chosen.name,
         cpu_seconds=time.process_time() - cpu - engine.cpu_seconds,
         wall_seconds=time.perf_counter() - start - engine.wall_seconds,
-        events=sum(one.events for one in traces),
+        events=sum(trace.events for trace in traces),
         setup_seconds=cpu - begin + engine.cpu_seconds,
         reused_photons=reused,
     )

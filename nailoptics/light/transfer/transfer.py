@@ -122,7 +122,7 @@ class Transfer:
         """
         states = _states(blood_fraction, so2)
         if states is not None:
-            readings = [self.at(*one, mu_a_per_mm=mu_a_per_mm) for one in states]
+            readings = [self.at(*state, mu_a_per_mm=mu_a_per_mm) for state in states]
             change = [name for name in readings[0] if name not in ("wavelength_nm", "error_correlation")]
             return xr.concat(readings, "state", data_vars=change, coords="minimal", compat="override", join="override")
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)

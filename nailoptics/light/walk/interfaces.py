@@ -230,7 +230,7 @@ def _packed(distances: DistanceGrid) -> np.ndarray:
     steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
     steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
     columns = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
-    return np.stack([one.astype(np.uint8).T.ravel() for one in columns], -1).view("<u4").ravel().astype(np.uint32)
+    return np.stack([column.astype(np.uint8).T.ravel() for column in columns], -1).view("<u4").ravel().astype(np.uint32)
 
 
 def _mesh_scene(geometry: Geometry) -> Any:

@@ -107,7 +107,7 @@ class NailReflectance:
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
         least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
-        parameters = {"patches": [[*one.center_mm, *one.size_mm, one.share] for one in patches]}
+        parameters = {"patches": [[*patch.center_mm, *patch.size_mm, patch.share] for patch in patches]}
         parameters["least_mu_a_per_mm"] = [least_mu_a_per_mm.tolist()]
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]

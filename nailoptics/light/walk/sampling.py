@@ -319,9 +319,11 @@ class Acceptance:
 
 def acceptance_of(photodiodes: Sequence[Photodiode]) -> Acceptance | None:
     """The acceptance of every element of a scene's photodiodes, as its geometry orders them; None if all are flat."""
-    if all(one.angular_response is None for one in photodiodes):
+    if all(photodiode.angular_response is None for photodiode in photodiodes):
         return None
     flat = np.ones(STEPS + 1)
-    tables = [flat if one.angular_response is None else acceptance_table(one) for one in photodiodes]
-    read = [len(one.wired or range(one.elements)) for one in photodiodes]
+    tables = [
+        flat if photodiode.angular_response is None else acceptance_table(photodiode) for photodiode in photodiodes
+    ]
+    read = [len(photodiode.wired or range(photodiode.elements)) for photodiode in photodiodes]
     return Acceptance(np.repeat(tables, read, axis=0))

@@ -108,7 +108,7 @@ def _unknowns(result: xr.Dataset) -> str:
         low, high = one.prior_range.values
         row = {"Prior": str(one.prior.item()), "Range": f"{low:g} to {high:g}"}
         rows.append(row | _lab(one, "prior_lab_spread"))
-    sources = "; ".join(f"{one.name}: {one.source}" for one in measured_colours())
+    sources = "; ".join(f"{measured_colour.name}: {measured_colour.source}" for measured_colour in measured_colours())
     text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
     drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers, of people.")
     return section("Uncertainty over the priors", drawn, table(rows), small(text))
@@ -272,13 +272,13 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
             x, y = float(result.lab[p, 0, 1]), float(result.lab[p, 0, k])
             spread = Z95 * result.lab_spread.sel(site=site).values
             panel.errorbar(x, y, spread[k], spread[1], color=colour, marker="o", label=f"{site}, 95 % over priors")
-        for one in measured_colours():
-            mean, sd = one.lab, one.sd
+        for measured_colour in measured_colours():
+            mean, sd = measured_colour.lab, measured_colour.sd
             look = {"color": style.MUTED, "marker": "s", "markersize": 4, "linestyle": "none"}
             if sd is None:
-                panel.plot([row[1] for row in mean], [row[k] for row in mean], **look, label=one.name)
+                panel.plot([row[1] for row in mean], [row[k] for row in mean], **look, label=measured_colour.name)
             else:
-                panel.errorbar(mean[0][1], mean[0][k], Z95 * sd[k], Z95 * sd[1], **look, label=one.name)
+                panel.errorbar(mean[0][1], mean[0][k], Z95 * sd[k], Z95 * sd[1], **look, label=measured_colour.name)
         panel.set_xlabel("redness a* [1]")
         panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name} [1]")
     style.legend_above(figure, axes[0], ncols=2)
@@ -364,7 +364,7 @@ def png(picture: np.ndarray) -> bytes:
 
 def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> tuple[Any, ...]:
     """Contents of the files; photographs : at rest and pressed, (height, width, 3) uint8 each."""
-    pictures, width_mm = [png(one) for one in photographs], _nail_width_mm(result)
+    pictures, width_mm = [png(photograph) for photograph in photographs], _nail_width_mm(result)
     press = animation(result, width_mm=width_mm) if "press_lab" in result else None
     html, strip = lambda _: page(result, pictures, press), lambda _: strip_figure(result, width_mm=width_mm)
     return result, html, strip, *[*pictures, None, None][:2], press

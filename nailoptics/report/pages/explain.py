@@ -47,7 +47,7 @@ def write_explanation(result: Explanation, path: Path) -> dict[str, Path]:
 
 def page(result: Explanation) -> str:
     """The page of an explanation."""
-    known = [one for one in result.effects if math.isfinite(one.change)]
+    known = [effect for effect in result.effects if math.isfinite(effect.change)]
     required: list[str] = []
     for text, lines in _requires(result):
         required += [text, Html(f"<pre>{escaped(lines)}</pre>") if lines else ""]
@@ -101,7 +101,7 @@ def _kind(one: Effect) -> str:
 @style.drawing()
 def draw(result: Explanation) -> "Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
-    shown = [one for one in result.effects if math.isfinite(one.change) and one.bound > 0]
+    shown = [effect for effect in result.effects if math.isfinite(effect.change) and effect.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
     for row, one in enumerate(shown):
         colour, change, spread = KINDS[_kind(one)], 100 * abs(one.change), 100 * Z95 * one.stderr
@@ -149,7 +149,7 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
     if result.missing:
         names = (one.name + (" (of the signal)" if one.of == "signal" else "") for one in result.missing)
         out.append((f"Left out, though it matters: {', '.join(names)}.", ""))
-    if unsure := [one.name for one in result.effects if one.matters == "cannot tell"]:
+    if unsure := [effect.name for effect in result.effects if effect.matters == "cannot tell"]:
         out.append((f"Undecided, more photons are needed: {', '.join(unsure)}.", ""))
     return out
 
@@ -158,7 +158,7 @@ def summary(result: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
     made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
     return {
-        "effects": [_effect(one) for one in result.effects],
+        "effects": [_effect(effect) for effect in result.effects],
         "not_needed": [one.name for one in result.needless],
         "missing": [one.name for one in result.missing],
         "together": result.together and _effect(result.together),

@@ -71,7 +71,10 @@ def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     axes.legend()
     layout, half = scene.layout, np.array(scene.layout.photodiodes[0].photodiode.size_mm) / 2
     shown = int(np.argmin(np.abs(counts - len(layout.photodiodes))))
-    for area, fill in (*((one, maps.BARRIER) for one in layout.barriers), *((one, maps.LED) for one in layout.leds)):
+    for area, fill in (
+        *((barrier, maps.BARRIER) for barrier in layout.barriers),
+        *((led, maps.LED) for led in layout.leds),
+    ):
         maps.draw_rectangle(board, area, fc=fill, ec=style.DARK_INK, lw=0.5)
     for _, purpose, _, colour, mark in kinds:
         centers = result.count_place_mm.sel(chosen_for=purpose).isel(photodiode_count=shown).dropna("count_place")

@@ -50,7 +50,7 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 def courses(result: xr.Dataset) -> "Figure":
     """The touch, and what it does to the vessels and to the blood of the nail bed and its oxygen, a panel for each."""
     thin, colours = _thin(result), style.place_colours(result.sizes["zone"])
-    shown = [one for one in COURSES if one[3][0] in result]
+    shown = [course for course in COURSES if course[3][0] in result]
     room = style.Room(left=0.65, across=0.7, down=0.7)
     figure, panels = style.tiles(len(shown), 3, 9.2, 2.5, room_in=room, sharex=True)
     for axes, (title, label, scale, names) in zip(panels, shown, strict=True):

@@ -131,10 +131,10 @@ def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float |
 def _rows(result: Tradeoff) -> list[dict[str, str]]:
     """Every level, on the page and in the terminal: its biases, and its answer's time."""
     rows = []
-    for one in result.levels:
-        answer = one.within(result.tolerance, result.coverage)
-        row = {"Level": f"{one.name}{' (chosen)' if one.name == result.chosen.level.name else ''}"}
-        for name, bias in (("reading", one.reading), ("signal", one.signal)):
+    for level in result.levels:
+        answer = level.within(result.tolerance, result.coverage)
+        row = {"Level": f"{level.name}{' (chosen)' if level.name == result.chosen.level.name else ''}"}
+        for name, bias in (("reading", level.reading), ("signal", level.signal)):
             shown, bound = "not measured", "–"
             if bias is not None:
                 shown = with_error(100 * bias.value, 100 * bias.stderr, sign=True)
@@ -147,7 +147,7 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
 def _needs(result: Tradeoff) -> list[dict[str, str]]:
     """What must be known for each level, and what selects it."""
     heads = ("Level", "Must be known beside the scene", "Scene lines, or the call that gives it")
-    cells = ((one.name, one.beforehand or "–", "; ".join(one.lines) or one.call) for one in result.levels)
+    cells = ((level.name, level.beforehand or "–", "; ".join(level.lines) or level.call) for level in result.levels)
     return [dict(zip(heads, (*cell[:2], cell[2] or "the scene as it is"), strict=True)) for cell in cells]
 
 
@@ -198,7 +198,7 @@ def summary(result: Tradeoff) -> dict[str, Any]:
         {name: getattr(result, name) for name in names}
         | {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
         | {"chosen": result.chosen.level.name, "answer": _answer(result.chosen), "sentence": sentence(result)}
-        | {"levels": [_level(result, one) for one in result.levels]}
+        | {"levels": [_level(result, level) for level in result.levels]}
         | {"fastest_within": {str(error): _answer(result.fastest(error)) for error in ERRORS}}
     )
 
@@ -218,7 +218,7 @@ def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
 
 def lines(result: Tradeoff) -> list[str]:
     """The table of levels and the one to take, for the terminal."""
-    known = ({"Must be known": one.beforehand} for one in result.levels)
+    known = ({"Must be known": level.beforehand} for level in result.levels)
     out = aligned([row | more for row, more in zip(_rows(result), known, strict=True)])
     out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
     out += filter(None, [simultaneous_line(result)])

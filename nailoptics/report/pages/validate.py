@@ -109,7 +109,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
 
 def summary(result: Validation) -> dict[str, Any]:
     """Every table as plain numbers and texts."""
-    return {"tables": {name: one.as_dict() for name, one in result.tables.items()}} | dict(result.attributes)
+    return {"tables": {name: table.as_dict() for name, table in result.tables.items()}} | dict(result.attributes)
 
 
 def _files(result: Validation) -> tuple[Any, ...]:

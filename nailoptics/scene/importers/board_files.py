@@ -170,7 +170,7 @@ def _tables(
     if kind == "module":
         module = load_part(str(use[kind]), beside=folder, expect=ModulePart)
         assert isinstance(module, ModulePart)
-        both = [("led", one) for one in module.leds] + [("photodiode", one) for one in module.photodiodes]
+        both = [("led", led) for led in module.leds] + [("photodiode", photodiode) for photodiode in module.photodiodes]
         name = str(own.get("name", part.ref))
         return [
             (k, table(f"{name}.{one.name}", f"{part.ref}.{one.name}", one.position_mm, one.scene_fields()))

@@ -162,7 +162,9 @@ def _areas(lines: Iterable[Sequence[Point]], name: str) -> tuple[list["shapely.P
     enclosed, cuts, dangles, _ = polygonize_full(get_parts(unary_union(drawn, grid_size=GRID_MM)))
     areas = [area for area in get_parts(enclosed) if _corners_area(area) >= LEAST_AREA_MM2]
     loose = line_merge(unary_union([cuts, dangles]))
-    return sorted(areas, key=_corners_area, reverse=True), [one for one in get_parts(loose) if one.length]
+    return sorted(areas, key=_corners_area, reverse=True), [
+        get_part for get_part in get_parts(loose) if get_part.length
+    ]
 
 
 def _outermost(areas: Iterable["shapely.Polygon"]) -> list["shapely.Polygon"]:

@@ -61,7 +61,7 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
     line : (T,) int. Of each sample in its file, for messages; its number if not given.
     """
     arrays = {title: np.asarray(column, float) for title, column in columns.items()}
-    time_s, counts = arrays["time_s"], " and ".join(map(str, sorted({len(one) for one in arrays.values()})))
+    time_s, counts = arrays["time_s"], " and ".join(map(str, sorted({len(array) for array in arrays.values()})))
 
     def at(sample: int) -> str:
         return f"{name}: sample {sample + 1}:" if line is None else f"{name} line {line[sample]}:"

@@ -228,7 +228,9 @@ def read_oximeter_recording(
     check_header(header, name)
     lights, by_slot = (*leds, DARK), "slot" in header
     title = "{1}" if by_slot else "{0}:{1}"
-    there = tuple(one for one in photodiodes if any(title.format(led, one) in header for led in leds))
+    there = tuple(
+        photodiode for photodiode in photodiodes if any(title.format(led, photodiode) in header for led in leds)
+    )
     if not there:
         example = title.format(leds[0], photodiodes[0])
         raise InputError(f"{name}: has no column such as {example!r} of this scene; give {OXIMETER_CSV}.")
@@ -241,7 +243,7 @@ def read_oximeter_recording(
         ["time_s", *(["slot"] if by_slot else []), *(one for own in titles.values() for one in own)]
     )
     codes = {"slot": {light: float(k) for k, light in enumerate(lights)}}
-    line, columns = number_columns(rows, {one: header.index(one) for one in numbers}, name, codes=codes)
+    line, columns = number_columns(rows, {number: header.index(number) for number in numbers}, name, codes=codes)
     series: dict[str, tuple[Array, Array]] = {}
     for k, (light, own) in enumerate(titles.items()):
         lit = columns["slot"] == k if by_slot else np.ones(len(line), bool)
@@ -308,7 +310,7 @@ def _read_module(name: str, header: Sequence[str], rows: Rows, photodiode: str, 
 
 def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:
     """A recording as the text of its file, a column for each LED, and the dark slot, on each photodiode."""
-    titles = ["time_s", *(f"{light}:{one}" for light in (*leds, DARK) for one in recording.photodiodes)]
+    titles = ["time_s", *(f"{light}:{photodiode}" for light in (*leds, DARK) for photodiode in recording.photodiodes)]
     columns = np.concatenate([recording.time_s[None], *recording.volts, recording.dark_v])
     lines = [
         ",".join([repr(float(time_s)), *("" if np.isnan(x) else f"{x:.9g}" for x in volts)])

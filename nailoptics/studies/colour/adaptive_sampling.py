@@ -126,5 +126,5 @@ def _allocated(rays: ColourRays, needed: Array) -> tuple[tuple[Patch, ...], int]
     tiles = np.full(len(now) - ALONG, np.median(more) / PLACE_SHARE)
     both = np.concatenate([more, tiles])
     shares = np.ceil(both / both.sum() * PARTS).astype(int)
-    patches = tuple(replace(one, share=int(n)) for one, n in zip(rays.patches, shares, strict=True))
+    patches = tuple(replace(patch, share=int(n)) for patch, n in zip(rays.patches, shares, strict=True))
     return patches, int(both.sum())

@@ -51,7 +51,7 @@ def compare(
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("compare needs a [finger] scene; a [phantom] has no blood.")
-    sweeps = [state_sweep(scene, one) for one in dict.fromkeys(over)]
+    sweeps = [state_sweep(scene, fromkey) for fromkey in dict.fromkeys(over)]
     if not sweeps:
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]

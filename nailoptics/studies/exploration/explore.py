@@ -216,7 +216,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
     projection = PairProjection(basis, radial)
     tables = [one.table(led, projection, light) for one, led, light in zip(sums, sources, fluence, strict=True)]
-    attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(one.photons for one in tables)}
+    attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(table.photons for table in tables)}
     attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
     exploration = Exploration(base, basis, radial, polynomial, tables, touch, *sums[0].ambient(), attributes)

@@ -96,7 +96,7 @@ def estimate_noise(
         untouched = force_n < REST_FORCE_N
         reading_drift2.append(share * _random_walk_variance(left / rest_v[:, None], time_s, untouched))
         led_drift2.append(_random_walk_variance(light, time_s, untouched))
-    frequency = spectra[int(np.argmax([len(one.time_s) for one in recordings]))][0]
+    frequency = spectra[int(np.argmax([len(recording.time_s) for recording in recordings]))][0]
     power = np.mean([np.interp(frequency, *one) for one in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
     return white_v, Noise(
@@ -149,7 +149,7 @@ def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> Cardi
     heights = [rms_pa(k * rate_hz, HARMONIC_BAND * rate_hz) for k in orders]
     if not orders.size or np.hypot.reduce(heights) < LEAST_BEAT_PA:
         return None
-    return CardiacOscillator(rate_hz, tuple(max(one, 0.01 * max(heights)) for one in heights), HEIGHT_SPREAD)
+    return CardiacOscillator(rate_hz, tuple(max(height, 0.01 * max(heights)) for height in heights), HEIGHT_SPREAD)
 
 
 def _slow_waves(person: Person, frequency: Array, power: Array) -> Iterator[DampedOscillator]:

@@ -75,7 +75,9 @@ def calibrate(
     where the trace falls short of what is required; KeyboardInterrupt if it was interrupted.
     """
     names = reading_names(scene)
-    read = [one if isinstance(one, Recording) else read_sensor_recording(one) for one in recordings]
+    read = [
+        recording if isinstance(recording, Recording) else read_sensor_recording(recording) for recording in recordings
+    ]
     given = [_checked(one.of(names), scene) for one in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
@@ -147,7 +149,7 @@ def calibrate_with(
             subject=subject_toml(subject),
             half_width_n=half_width_n,
             bent_factors=bent_factors(profiles),
-            recordings=[one.name for one in recordings],
+            recordings=[recording.name for recording in recordings],
             warnings=_warnings(subject, recordings),
         )
     )
@@ -155,8 +157,8 @@ def calibrate_with(
 
 def joined(recordings: Sequence[Recording]) -> Recording:
     """All samples of recordings with force and site, one after the other; times begin anew with each."""
-    force_n, site = ([np.asarray(getattr(one, name)) for one in recordings] for name in ("force_n", "site"))
-    parts = [one.time_s for one in recordings], [one.volts for one in recordings], force_n, site
+    force_n, site = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in ("force_n", "site"))
+    parts = [recording.time_s for recording in recordings], [recording.volts for recording in recordings], force_n, site
     return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
 
 
@@ -194,7 +196,7 @@ def _subject(scene: Scene, model: Model, fit: Fit, fitted: Fitted) -> Subject:
     residual_rms_v = np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1))
     at_site = {"proximal": site == 1.0, "distal": site == 0.0, "even": np.isnan(site)}
     most_n = {name: float(force_n[at].max()) for name, at in at_site.items() if at.any()}
-    bridged = np.concatenate([_bridged(one.volts) for one in fit.recordings], axis=1)
+    bridged = np.concatenate([_bridged(recording.volts) for recording in fit.recordings], axis=1)
     complete = np.isfinite(bridged).all(0)
     return Subject(
         model=model,
@@ -258,7 +260,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     factors = subject.factor_table()
     if not any(factors[name]["informed"] for name in PAPER_FACTORS):
         advice = f"record some that are released within {QUICKLY_S:g} s, too"
-        if any(_released_quickly(one) for one in recordings):
+        if any(_released_quickly(recording) for recording in recordings):
             advice = "those that are released quickly do not identify it, either; record more of them"
         warnings.append(
             f"the refill rate of the vessels is not identifiable, estimates of quick touches rely on priors: {advice}."
@@ -304,7 +306,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     """
     every = joined(recordings)
     force_n, site = np.asarray(every.force_n), np.asarray(every.site)
-    each = [estimate_pressures(subject, one.time_s, one.volts) for one in recordings]
+    each = [estimate_pressures(subject, recording.time_s, recording.volts) for recording in recordings]
     estimates = PressureEstimate(*map(np.concatenate, zip(*each, strict=True)))
     estimated = touch_pressure(estimates.touch.T)
     applied, closure = subject.person.pressures(force_n, site), subject.person.closure()
@@ -377,7 +379,7 @@ def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
 def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
     """The recordings beside their fit, one after the other."""
     every, reading = joined(recordings), ("reading", "sample")
-    which = np.repeat(np.arange(len(recordings)), [len(one.time_s) for one in recordings])
+    which = np.repeat(np.arange(len(recordings)), [len(recording.time_s) for recording in recordings])
     columns: list[tuple[str, Any, Any, str, str]] = [
         ("recording", "sample", which, "number of the recording", "1"),
         ("time_s", "sample", every.time_s, "time", "s"),

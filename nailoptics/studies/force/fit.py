@@ -88,7 +88,7 @@ class Fit:
         self.recordings, self.table, self.finger = list(recordings), table, finger
         self.free = np.flatnonzero(free)
         self.most_ln = (FARTHEST_SPREADS * SPREAD_LN)[self.free]
-        self.averaged = [_averaged(one) for one in self.recordings]
+        self.averaged = [_averaged(recording) for recording in self.recordings]
         self.volts = np.concatenate([one.volts for one in self.averaged], axis=1)
         self.valid = np.isfinite(self.volts)
         swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
@@ -133,12 +133,12 @@ class Fit:
     def model(self, factors_ln: Array, recordings: Sequence[Recording]) -> list[Array]:
         """Per recording (3, R, *S, T): volts before gain and offset, and their derivatives by either zone's slope."""
         who, out = self.finger.person(factors_ln), []
-        for one in recordings:
-            assert one.force_n is not None and one.site is not None
-            pressure = who.pressures(one.force_n, one.site)
-            longest_s = max(LONGEST_STEP_S, float(np.median(np.diff(one.time_s))) / STEPS_BETWEEN)
+        for recording in recordings:
+            assert recording.force_n is not None and recording.site is not None
+            pressure = who.pressures(recording.force_n, recording.site)
+            longest_s = max(LONGEST_STEP_S, float(np.median(np.diff(recording.time_s))) / STEPS_BETWEEN)
             rest = np.asarray(who.rest_blood)[..., None]
-            blood = rest * who.widths_over(one.time_s, pressure, longest_step_s=longest_s)[:2] ** 2
+            blood = rest * who.widths_over(recording.time_s, pressure, longest_step_s=longest_s)[:2] ** 2
             volts = self.table.volts(blood)
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out
@@ -230,8 +230,8 @@ class Fit:
         table = self.table.steeper(solved[:, 2:4] / solved[:, :1], float(who.rest_blood))
         response = [arterial_response(who, table, solved[:, 0], one) for one in self.averaged]
         predicted = [
-            solved[:, 1:2] + drift[:, None] * _ramp(one) + np.einsum("rc,crt->rt", solved[:, [0, 2, 3]], parts)
-            for one, parts, drift in zip(
+            solved[:, 1:2] + drift[:, None] * _ramp(recording) + np.einsum("rc,crt->rt", solved[:, [0, 2, 3]], parts)
+            for recording, parts, drift in zip(
                 self.recordings, self.model(factors, self.recordings), solved[:, LINEAR:].T, strict=True
             )
         ]
@@ -243,7 +243,7 @@ class Fit:
             gain=solved[:, 0],
             offset_v=solved[:, 1],
             predicted_v=predicted,
-            residual_v=[one.volts - curve for one, curve in zip(self.recordings, predicted, strict=True)],
+            residual_v=[recording.volts - curve for recording, curve in zip(self.recordings, predicted, strict=True)],
             chi2_per_dof=float(self.memory * (white**2).sum() / dof),
         )
 

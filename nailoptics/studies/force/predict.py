@@ -178,7 +178,7 @@ def _csv_row(time_s: float, *columns: float) -> str:
 def _dataset(
     subject: Subject, recording: Recording, estimates: PressureEstimate, force: ForceEstimate, known_n: Array
 ) -> xr.Dataset:
-    regression_n = {name: one.force_n(recording.volts) for name, one in subject.baselines.items()}
+    regression_n = {name: baseline.force_n(recording.volts) for name, baseline in subject.baselines.items()}
     columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
         "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
         "surprise": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),

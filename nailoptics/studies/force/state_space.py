@@ -82,7 +82,7 @@ class StateSpace:
         variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE**2
         if subject.noise.beat:
             variance[self.beat] = subject.noise.beat.initial_variance()
-        variance[self.waves] = np.repeat([one.rms_pa**2 for one in subject.noise.waves], 2)
+        variance[self.waves] = np.repeat([wave.rms_pa**2 for wave in subject.noise.waves], 2)
         # Uncertainty of the calibration at rest.
         count, factors, blood = len(subject.rest_v), len(NAMES), self.person.blood(np.ones(2))
         volts, by_blood = subject.light.slopes(blood)

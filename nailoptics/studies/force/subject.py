@@ -223,7 +223,7 @@ class Subject:
     def __post_init__(self) -> None:
         count = len(self.light.names)
         shapes = {"covariance": len(self.covariance) - len(NAMES) - (LINEAR - 1) * count}
-        shapes |= {f"readings.{name}": len(one) for name, one in vars(self.readings).items()}
+        shapes |= {f"readings.{name}": len(var) for name, var in vars(self.readings).items()}
         shapes |= {f"baselines.{name}": len(self.baselines[name].weights_n_per_v) for name in ("linear", "components")}
         for name, size in shapes.items():
             if size != count:
@@ -279,7 +279,7 @@ class Subject:
         """Gain, offset and noise of every reading, by name."""
         gain_stderr, offset_stderr_v, *_ = np.split(self.stderr[len(NAMES) :], LINEAR)
         columns = vars(self.readings) | {"gain_stderr": gain_stderr, "offset_stderr_v": offset_stderr_v}
-        rows = zip(*(one.tolist() for one in columns.values()), strict=True)
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         return {name: dict(zip(columns, row, strict=True)) for name, row in zip(self.light.names, rows, strict=True)}
 
 

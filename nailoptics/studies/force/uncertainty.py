@@ -96,7 +96,7 @@ class ForceInterval:
         self._closed = self.correction.apply(closure[:, None])
         root, self._information = covariance_root(subject.covariance), np.linalg.inv(subject.rest_covariance)
         self._roots = [
-            make_interp_spline(bends, [self._jacobian(side, one) @ root for one in bends], k=1)
+            make_interp_spline(bends, [self._jacobian(side, bend) @ root for bend in bends], k=1)
             for side, bends in enumerate(closure[:, None] * PARTS)
         ]
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T

@@ -257,9 +257,9 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
     paths = np.stack(
         [
-            [np.bincount(one.photodiode, part[:, 0] * path, minlength=base.level.shape[1]) for path in zones.T]
-            for one, part in zip(base.transfer.traces, base.parts, strict=True)
-            for zones in (one.path_mm[:, optics.bed_columns(scene)],)
+            [np.bincount(trace.photodiode, part[:, 0] * path, minlength=base.level.shape[1]) for path in zones.T]
+            for trace, part in zip(base.transfer.traces, base.parts, strict=True)
+            for zones in (trace.path_mm[:, optics.bed_columns(scene)],)
         ]
     )
     unit, unit_stderr = base.largest_modulation
@@ -293,9 +293,9 @@ def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Eff
     # Of n photons one more may have left than were counted.
     parts = [escapes["value"], math.hypot(escapes["stderr"], UNDETECTED / back.transfer.photons)]
     current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
-    wavelength_nm = np.array([one.wavelength_nm for one in scene.leds])
+    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
     response = electronics.photodiode_responsivity_a_per_w(diode, wavelength_nm)
-    full = 1e-3 * np.array([one.flux_mw for one in scene.leds]) * response
+    full = 1e-3 * np.array([led.flux_mw for led in scene.leds]) * response
     with np.errstate(divide="ignore"):
         ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
     paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))

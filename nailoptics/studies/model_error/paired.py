@@ -75,13 +75,13 @@ class PairedReadings:
     def modulation_stderr(self) -> np.ndarray:
         """Standard error of the modulation; inf where fewer than 25 effective photons were detected."""
         count, spread = len(self.transfer.photodiodes), []
-        for one, part, level, modulation in zip(
+        for recorded, part, level, modulation in zip(
             self.transfer.traces, self.parts, self.level, self.modulation, strict=True
         ):
             # The modulation is linear in what one photon more or less adds to it.
-            added = part[:, 1] - (1 + modulation[one.photodiode]) * part[:, 0]
+            added = part[:, 1] - (1 + modulation[recorded.photodiode]) * part[:, 0]
             with np.errstate(divide="ignore", invalid="ignore"):
-                spread.append(np.sqrt(np.bincount(one.photodiode, added**2, minlength=count)) / level)
+                spread.append(np.sqrt(np.bincount(recorded.photodiode, added**2, minlength=count)) / level)
         return np.where(np.isfinite(self.relative_stderr), np.stack(spread), np.inf)
 
     @cached_property
@@ -97,14 +97,14 @@ def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedRea
     """Readings of a trace at rest and at the scene's largest force."""
     scene, states = transfer.scene, end_states(transfer.scene)
     parts = []
-    for one, led in zip(transfer.traces, scene.leds, strict=True):
+    for recorded, led in zip(transfer.traces, scene.leds, strict=True):
         wavelength, share = optics.spectrum(led)
-        mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - one.mu_a
+        mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - recorded.mu_a
         left = [
-            transmissions(one.path_mm[start : start + CHUNK], mu_a, share * wavelength / led.wavelength_nm)
-            for start in range(0, max(len(one.weight), 1), CHUNK)
+            transmissions(recorded.path_mm[start : start + CHUNK], mu_a, share * wavelength / led.wavelength_nm)
+            for start in range(0, max(len(recorded.weight), 1), CHUNK)
         ]
-        parts.append(np.concatenate(left) * one.weight[:, None] / one.photons)
+        parts.append(np.concatenate(left) * recorded.weight[:, None] / recorded.photons)
     return PairedReadings(transfer, tuple(parts), setup_seconds)
 
 

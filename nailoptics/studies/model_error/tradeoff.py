@@ -200,16 +200,16 @@ class Tradeoff:
         data: Variables = {}
         nothing = Bias(math.nan, math.nan, math.nan)
         for which, text in (("reading", "reading at rest"), ("signal", "change by touch, of the largest change")):
-            biases = [getattr(one, which) or nothing for one in self.levels]
+            biases = [getattr(level, which) or nothing for level in self.levels]
             value, stderr, bound = np.array([(b.value, b.stderr, b.bound) for b in biases]).T
             data |= variable(f"{which}_bias", "level", value, f"bias of the {text}", stderr=stderr)
             data |= variable(f"{which}_bound", "level", bound, f"what no photodiode's bias exceeds, of the {text}")
-            noise = [getattr(one, f"{which}_noise") for one in self.levels]
+            noise = [getattr(level, f"{which}_noise") for level in self.levels]
             text = f"standard error after one second of photons, of the {text}"
             data |= variable(f"{which}_noise", "level", noise, text)
-        seconds = [one.setup_seconds for one in self.levels]
+        seconds = [level.setup_seconds for level in self.levels]
         data |= variable("first_fixed", "level", seconds, "processor time of an answer without photons", units="s")
-        return xr.Dataset(data, {"level": [one.name for one in self.levels]}, self.attributes)
+        return xr.Dataset(data, {"level": [level.name for level in self.levels]}, self.attributes)
 
 
 def fastest(levels: Iterable[Level], error: float, coverage: float | None = None) -> Answer | None:
@@ -219,7 +219,7 @@ def fastest(levels: Iterable[Level], error: float, coverage: float | None = None
 
     coverage : as in `Level.photon_seconds`.
     """
-    answers = [answer for one in levels if (answer := one.within(error, coverage))]
+    answers = [answer for level in levels if (answer := level.within(error, coverage))]
     least = min(answers, key=lambda answer: answer.seconds, default=None)
     for name in (OWN, REFERENCE):
         for answer in answers:
@@ -390,7 +390,7 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         more = {"beforehand": "one measured reading at rest", "call": LITERATURE_CALL}
         yield Level(f"{name}, literature", "numpy", None, signal, seconds, **more)  # type: ignore[arg-type]
         values = (change(np.stack(depths)) - np.stack(traced)) / unit
-        errors = np.stack([jackknife(one) for one in values])
+        errors = np.stack([jackknife(value) for value in values])
         signal = bias_of(base, Estimates(values[:, 0], errors), shared=stderr / unit)
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
 

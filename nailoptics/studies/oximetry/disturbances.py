@@ -106,7 +106,7 @@ def sensitivity_curves(
     def add(name: str, text: str, units: str, values: Array, changes: list[tuple[Scene, BloodBeat]]) -> None:
         # Light scatters as at the wavelength that was traced, however an LED's line moves.
         known = [_has_tissue_data(one, leds) for one, _ in changes]
-        bias = oximeter.bias(oximeter.ratio([one for one, inside in zip(changes, known, strict=True) if inside]))
+        bias = oximeter.bias(oximeter.ratio([change for change, inside in zip(changes, known, strict=True) if inside]))
         curves[name] = _curve(name, text, units, values[known], *bias)
 
     def at(field: str, values: Array) -> list[tuple[Scene, BloodBeat]]:
@@ -146,7 +146,9 @@ def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], s
     """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
     nominal, ratios = oximeter.nominal, []
     for lux in SUN_LUX:
-        level_a = np.stack([_photocurrent_a(one, nominal.dc[:, :, j, 0]) for j, one in enumerate(front_ends)], -1)
+        level_a = np.stack(
+            [_photocurrent_a(front_end, nominal.dc[:, :, j, 0]) for j, front_end in enumerate(front_ends)], -1
+        )
         diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
         ratios.append(diluted[:, 0] / diluted[:, 1])
     return oximeter.bias(np.stack(ratios, -1))
@@ -300,7 +302,7 @@ def ambient_leakage(scene: Scene, options: TraceOptions, *, seed: int) -> Array:
     store = LightStore.of_user() if options.store else None
     how: dict[str, Any] = {"backend": options.backend, "store": store, "seed": seed}
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
-    led = int(np.argmax([one.wavelength_nm for one in scene.leds]))
+    led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
     light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
     current_a = np.zeros((len(sources), 2, len(scene.layout.photodiodes)))
     for j, element in enumerate(scene.layout.photodiodes):

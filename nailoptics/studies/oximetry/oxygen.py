@@ -180,9 +180,9 @@ def _volts(
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
     states = [(transfer.scene.blood.so2, beat.resting, beat.pulse)]
     light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds], -1)
-    slots = np.stack([one.slot_volts(light[:, j])[0] for j, one in enumerate(front_ends)], 1)
-    full = np.stack([one.slot_volts(light[0, j])[1].any((0, 1)) for j, one in enumerate(front_ends)])
-    volts = np.einsum("gjts,jls->gljt", slots, np.stack([one.weights for one in front_ends]))
+    slots = np.stack([front_end.slot_volts(light[:, j])[0] for j, front_end in enumerate(front_ends)], 1)
+    full = np.stack([front_end.slot_volts(light[0, j])[1].any((0, 1)) for j, front_end in enumerate(front_ends)])
+    volts = np.einsum("gjts,jls->gljt", slots, np.stack([front_end.weights for front_end in front_ends]))
     pulse, dims = volts - volts.mean(-1, keepdims=True), ("led", "photodiode", "beat_time")
     data = estimated("volts", dims, volts, "reading over a beat, dark slot taken away", units="V")
     data |= estimated("volts_pulse", dims, pulse, "reading less its mean over a beat", units="V")
@@ -204,13 +204,13 @@ def _error_variables(
     level_v, pulse = volts["volts"][1].mean(-1).T, volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    noises = [one.reading_noise_v2(f) for one, f in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)]
+    noises = [front_end.reading_noise_v2(f) for front_end, f in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)]
     data: Variables = {}
     for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene)), ("", AVERAGE_S)):
         rows = []
         for name in CAUSES:
             how = {"shape_rms": shape, "frames": seconds * frame_hz}
-            rows.append(slope * ratio_stderr(ratio, index, level_v, np.stack([one[name] for one in noises]), **how))
+            rows.append(slope * ratio_stderr(ratio, index, level_v, np.stack([noise[name] for noise in noises]), **how))
         rows.append(slope * jackknife(nominal.ratio[..., 0]))
         by_cause, text = np.array(rows), f"standard error of SpO2 over {seconds:.3g} s"
         data |= variable(f"spo2_stderr{end}_by_cause", ("cause", "photodiode"), by_cause, text, units="percent")

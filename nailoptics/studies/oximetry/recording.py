@@ -200,7 +200,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     # Filtered noise is correlated: so many values of a sample are independent.
     independent = 2 * (high_hz - low_hz) / rate_hz
     estimates = [_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres]
-    return centres, {key: np.array([one[key] for one in estimates]) for key in estimates[0]}
+    return centres, {key: np.array([estimate[key] for estimate in estimates]) for key in estimates[0]}
 
 
 def _window(

@@ -178,7 +178,7 @@ def check_search(base: Scene, placement: Placement) -> None:
             "give candidates."
         )
     loose, requested = loose_photodiodes(base, placement), placement.photodiodes
-    staying = tuple(one for one in base.photodiodes if one.name in placement.fixed)
+    staying = tuple(photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed)
     fixed = len(lay_elements(base.board, staying)[0])
     if fixed > requested:
         raise InputError(f"placement.photodiodes = {requested}, but fixed has {fixed} of them; ask for more.")
@@ -196,9 +196,11 @@ def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
 
 def searchable_board(base: Scene, placement: Placement) -> Scene:
     """The board whose parts, those aside that stay where they are, lie along or across the nail."""
-    stay = {*placement.fixed, *((one.name for one in base.photodiodes) if placement.wire else ())}
-    leds = tuple(one if one.name in stay else straightened(one) for one in base.leds)
-    photodiodes = tuple(one if one.name in stay else straightened(one) for one in base.photodiodes)
+    stay = {*placement.fixed, *((photodiode.name for photodiode in base.photodiodes) if placement.wire else ())}
+    leds = tuple(led if led.name in stay else straightened(led) for led in base.leds)
+    photodiodes = tuple(
+        photodiode if photodiode.name in stay else straightened(photodiode) for photodiode in base.photodiodes
+    )
     return base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
 
 

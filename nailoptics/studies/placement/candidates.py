@@ -128,13 +128,17 @@ def searched(
     side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
     """
     leds = [_at(base, led, place) for led, place in zip(base.leds, leds_mm, strict=True)]
-    parts = [one for one in base.photodiodes if one.name in placement.fixed]
+    parts = [photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed]
     if placement.wire:
         names = {area.name for area in photodiodes}
-        for one in loose_photodiodes(base, placement):
-            wired = tuple(i for i, element in enumerate(one.element_names()) if element in names)
+        for loose_photodiode in loose_photodiodes(base, placement):
+            wired = tuple(i for i, element in enumerate(loose_photodiode.element_names()) if element in names)
             if wired:
-                parts.append(one.model_copy(update={"wired": wired if len(wired) < one.elements else None}))
+                parts.append(
+                    loose_photodiode.model_copy(
+                        update={"wired": wired if len(wired) < loose_photodiode.elements else None}
+                    )
+                )
     else:
         like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
         areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
@@ -151,7 +155,7 @@ def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> lis
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
     same = (1, like.part, like.size_mm)
     alike = [one for one in loose if one.reference and (one.elements, one.part, one.size_mm) == same]
-    fixed = [one for one in base.photodiodes if one not in loose]
+    fixed = [photodiode for photodiode in base.photodiodes if photodiode not in loose]
     taken = {word for one in (*fixed, *alike) for word in (one.name, one.reference)}
     apart = np.array(
         [[math.dist(area.center_mm, np.add(one.position_mm, (du, dv))) for one in alike] for area in areas]

@@ -82,7 +82,7 @@ class PhotonMapCache:
     @property
     def cases(self) -> list[FingerCase]:
         """The fingers of the conditions."""
-        return [one.case for one in self.conditions]
+        return [condition.case for condition in self.conditions]
 
     def _of(self, board: Scene) -> _Traced:
         """What is held of a board; of a new one nothing."""

@@ -148,7 +148,7 @@ def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerC
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists."""
-    scenes = [(one.name, candidates.candidate_scene(base, one)) for one in rules.candidates]
+    scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
     return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 
 

@@ -169,7 +169,10 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         ("zone_v", (*dims, "blood_zone"), "V", "change of the reading with the blood fraction of a zone by the map"),
     ):
         replicates = [getattr(read, name) for read in by_led]
-        values, errors = np.array([one[0] for one in replicates]), np.array([jackknife(one) for one in replicates])
+        values, errors = (
+            np.array([replicate[0] for replicate in replicates]),
+            np.array([jackknife(replicate) for replicate in replicates]),
+        )
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
         errors = np.where(known, errors, np.nan)
@@ -275,7 +278,7 @@ def kicad_parts(scene: Scene) -> list[PlacedPart]:
     References are those of the file that the parts came from; else D1, PD1 and so on, with the part's name as value.
     """
     layout, parts = scene.layout, []
-    known = any(led.reference for led in scene.leds) or any(one.reference for one in scene.photodiodes)
+    known = any(led.reference for led in scene.leds) or any(photodiode.reference for photodiode in scene.photodiodes)
     for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
         ref = led.reference or (led.name if known else f"D{i}")
         value = led.part if led.part and led.reference else led.name

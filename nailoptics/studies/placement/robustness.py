@@ -127,9 +127,9 @@ def resolution_over_priors(
     scene = layouts[0].board
     known = (*scene.priors.of_finger(), *scene.priors.of_body(scene.body))
     priors = sorted(known, key=lambda one: not only_absorbs(scene, one))
-    untraced = [one for one in priors if not (only_absorbs(scene, one) or scene.priors.own_traces)]
+    untraced = [prior for prior in priors if not (only_absorbs(scene, prior) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
-    chosen = [i for i, one in enumerate(layouts) if i < TOP_RANKED or one.name == "paper"]
+    chosen = [i for i, layout in enumerate(layouts) if i < TOP_RANKED or layout.name == "paper"]
     results: list[tuple[np.ndarray, np.ndarray]] = []
     resolution = _Resolution(rules, judged, stop)
     try:
@@ -185,7 +185,7 @@ class _Resolution:
         for i in range(len(scene.leds)):
             blood = blood_point(scene, i, traced=light_scene(scene), blood_fraction=point.blood_fraction)
             blocks = [self._arrivals(layout, scene, case, i).thin(BLOCKS, k) for k in range(BLOCKS)]
-            by_led.append(left_out(np.stack([readings(one, blood.values(one), areas)[0] for one in blocks])))
+            by_led.append(left_out(np.stack([readings(block, blood.values(block), areas)[0] for block in blocks])))
         read = scene_responses(layout.scene, by_led, point, replicates=True)
         return force_resolution_n(total_information(read), point)
 

@@ -223,7 +223,7 @@ class RowDesign:
         known : arrangements that were tried, best first; of few they are left out, of many the best is a start.
         """
         every = self._arrangements()
-        if len(every) <= STARTS or sum(len(one) > 1 for one in self.columns) <= 1:
+        if len(every) <= STARTS or sum(len(column) > 1 for column in self.columns) <= 1:
             return [one for leds in every if leds not in known and (one := self.best(leds))]
         picked = [every[i] for i in np.linspace(0, len(every) - 1, STARTS).astype(int)]
         results: dict[LedPlaces, SearchedSite] = {}
@@ -244,11 +244,11 @@ class RowDesign:
         for i, j in combinations(range(len(leds)), 2):
             if leds[j] in self.columns[i] and leds[i] in self.columns[j]:
                 moved.append((*leds[:i], leds[j], *leds[i + 1 : j], leds[i], *leds[j + 1 :]))
-        return [one for one in dict.fromkeys(moved) if one != leds and self.sites.go_together(one)]
+        return [fromkey for fromkey in dict.fromkeys(moved) if fromkey != leds and self.sites.go_together(fromkey)]
 
     def _arrangements(self) -> list[LedPlaces]:
         """Places that LEDs may have together: all, or of very many a sample that is always the same."""
-        pools = [list(one) for one in self.columns]
+        pools = [list(column) for column in self.columns]
         if math.prod(map(len, pools)) <= MOST_LISTED:
             every = list(product(*pools))
         else:
@@ -404,7 +404,9 @@ def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) ->
     """The best layouts of a search, to be judged with photons of their own: those of few photons look better than they
     are, and come after the others."""
     layouts = []
-    for one in sorted(results, key=lambda one: (-one.photons, one.score))[:SHORTLIST]:
-        scene = candidates.searched(base, rules, one.places_mm, one.photodiodes, side=one.row.side, name=one.name)
-        layouts.append(candidates.candidate(one.name, scene, "searched"))
+    for result in sorted(results, key=lambda one: (-one.photons, one.score))[:SHORTLIST]:
+        scene = candidates.searched(
+            base, rules, result.places_mm, result.photodiodes, side=result.row.side, name=result.name
+        )
+        layouts.append(candidates.candidate(result.name, scene, "searched"))
     return layouts

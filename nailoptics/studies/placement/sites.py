@@ -73,7 +73,7 @@ class Sites:
     @cached_property
     def _fixed(self) -> tuple[list[Rectangle], list[Rectangle]]:
         """Elements of photodiodes that stay: those that are read, and those that are not wired."""
-        fixed = tuple(one for one in self.base.photodiodes if one.name in self.rules.fixed)
+        fixed = tuple(photodiode for photodiode in self.base.photodiodes if photodiode.name in self.rules.fixed)
         read, unwired = lay_elements(self.base.board, fixed)
         return [element.area for element in read], unwired
 
@@ -176,8 +176,8 @@ class Sites:
         left: dict[LedRow, list[list[Point]]] = {}
         for row, places in rows.items():
             by_led = [
-                [self.place_of(i)] if self.is_fixed[i] else [p for p in one if self.may_lie(i, p)]
-                for i, one in enumerate(places)
+                [self.place_of(i)] if self.is_fixed[i] else [p for p in place if self.may_lie(i, p)]
+                for i, place in enumerate(places)
             ]
             if all(by_led) and self.leaves_room(row):
                 left[row] = by_led
@@ -203,7 +203,7 @@ class Sites:
         if room <= LEAST_ROOM * self.outline.size_mm[axis] and not self.obstacles:
             return False
         behind = face + self._gap_mm + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM
-        return all(span_mm(one, row.side)[0] - behind >= -ROUNDING_MM for one in self.obstacles)
+        return all(span_mm(obstacle, row.side)[0] - behind >= -ROUNDING_MM for obstacle in self.obstacles)
 
     @property
     def _gap_mm(self) -> float:
@@ -233,7 +233,7 @@ class Sites:
                 behind = span_mm(wall, wall.name)[1] + max(gap, WALL_ROOM_MM)
                 areas = [a for a in areas if span_mm(a, wall.name)[0] >= behind - ROUNDING_MM]
         free = [a for a in areas if walled or self._is_beside(a, leds)]
-        by_name = {name: one for one in self.base.photodiodes for name in one.element_names()}
+        by_name = {name: photodiode for photodiode in self.base.photodiodes for name in photodiode.element_names()}
         kinds = [by_name.get(area.name, self.base.photodiodes[0]) for area in (*free, *self._fixed[0])]
         return PhotodiodePlaces((*free, *self._fixed[0]), tuple(kinds), len(free), spacing)
 
@@ -255,7 +255,7 @@ class Sites:
             axes.append(first + step * np.arange(int((last - first) / step + 1e-6) + 1))
         areas = (Rectangle.around("", (float(u), float(v)), size_mm) for u in axes[0] for v in axes[1])
         gap = self.rules.clearance_mm - ROUNDING_MM
-        clear = (area for area in areas if all(_gap_mm(area, one) >= gap for one in self.obstacles))
+        clear = (area for area in areas if all(_gap_mm(area, obstacle) >= gap for obstacle in self.obstacles))
         return tuple(area for area in clear if has_room_for(area, self.rules))
 
     @property

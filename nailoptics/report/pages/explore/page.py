@@ -120,9 +120,9 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
         "restRange": _rest_range(scene),
-        "colours": [_colour(one) for one in exploration.colours],
+        "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
-        "photodiodeKinds": [_readout(one, leds, scene) for one in diodes],
+        "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
         "stage": {
             "feedbackOhm": scene.electronics.feedback_ohm,
             "rangeV": scene.electronics.adc_range_v,
@@ -135,7 +135,9 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "rules": {
             "scene": _bare(Scene.model_json_schema()),
             "mostElements": MOST_PHOTODIODES,
-            "mostPairs": max(MOST_PAIRS, len(scene.leds) * sum(one.elements for one in scene.photodiodes)),
+            "mostPairs": max(
+                MOST_PAIRS, len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
+            ),
             "mostBytes": MOST_SCENE_BYTES,
         },
         "formula": FORMULA,
@@ -194,9 +196,9 @@ def _fields(part: Led | Photodiode) -> dict[str, Any]:
 
 def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
     """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
-    number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(exploration.colours)}
+    number = {(colour.led.wavelength_nm, colour.led.fwhm_nm): i for i, colour in enumerate(exploration.colours)}
     kinds: list[dict[str, Any]] = []
-    for led in (*exploration.scene.leds, *(one.led for one in exploration.colours)):
+    for led in (*exploration.scene.leds, *(colour.led for colour in exploration.colours)):
         colour, fields = number[led.wavelength_nm, led.fwhm_nm], _fields(led)
         known = "fields" if led in exploration.scene.leds else "colour"
         if all(kind[known] != {"fields": fields, "colour": colour}[known] for kind in kinds):
@@ -210,9 +212,9 @@ def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
 def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
     """The scene's photodiodes without those that differ in their places alone."""
     kinds: list[Photodiode] = []
-    for one in scene.photodiodes:
-        if _fields(one) not in map(_fields, kinds):
-            kinds.append(one)
+    for photodiode in scene.photodiodes:
+        if _fields(photodiode) not in map(_fields, kinds):
+            kinds.append(photodiode)
     return kinds
 
 
@@ -260,14 +262,18 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
         u, v = part.position_mm
         return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
 
-    kinds, fields = [_fields(one) for one in diodes], [kind["fields"] for kind in leds]
+    kinds, fields = [_fields(diode) for diode in diodes], [kind["fields"] for kind in leds]
     return {
-        "leds": [placed(one) | {"kind": fields.index(_fields(one))} for one in scene.leds],
+        "leds": [placed(led) | {"kind": fields.index(_fields(led))} for led in scene.leds],
         "photodiodes": [
-            placed(one)
-            | {"kind": kinds.index(_fields(one)), "width": one.size_mm[0], "length": one.size_mm[1]}
-            | {"elements": one.elements, "pitch": one.pitch_mm, "wired": one.wired}
-            for one in scene.photodiodes
+            placed(photodiode)
+            | {
+                "kind": kinds.index(_fields(photodiode)),
+                "width": photodiode.size_mm[0],
+                "length": photodiode.size_mm[1],
+            }
+            | {"elements": photodiode.elements, "pitch": photodiode.pitch_mm, "wired": photodiode.wired}
+            for photodiode in scene.photodiodes
         ],
         "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,
         "rest": scene.blood.rest_blood_fraction,
