@@ -93,7 +93,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
         photodiodes=(0,),
         backend=backend.choose("auto", volpath=True),
     )
-    batches = np.array([paths.batch(paths=5632, seed=seed_of(2, k))[0] for k in range(24)])
+    batches = np.array([paths.batch(paths=5632, seed=seed_of(2, k))[0] for k in range(34)])
     other, error = batches.mean(), batches.std(ddof=1) / np.sqrt(len(batches))
     assert error < 0.03 * other and seen.detected_fraction_stderr < 0.03 * seen.detected_fraction
     assert abs(seen.detected_fraction - other) < 3 * np.hypot(error, seen.detected_fraction_stderr)

@@ -33,7 +33,7 @@ def test_a_factor_multiplies_the_bloodless_absorption(scene, part):
         # The epidermis is left out in this scene, so that it has the pulp's optics, as its factor.
         mine = region == part or (part == "pulp" and region == "epidermis")
         if mine and part == "pulp":
-            blood = scene.blood.pulp_blood_fraction * 0.436  # of the pulp at rest, per mm; times 0.97 oxygenated and 0.03 not
+            blood = scene.blood.pulp_blood_fraction * 0.436  # per mm; 0.97 of it oxygenated
             assert other - blood == pytest.approx(3 * (one - blood), rel=0.01)
         else:
             assert other == pytest.approx(3 * one if mine else one, rel=1e-12)

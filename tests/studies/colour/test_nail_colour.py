@@ -19,7 +19,6 @@ from nailoptics.scene import Viewing, load_scene, parse_scene
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, measured_colours
 from nailoptics.studies.colour.nail_colour import colour
 from nailoptics.studies.colour.reflectance import GROUPS, walk_colour
-from nailoptics.tissue import properties
 
 PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
 LOOK = Viewing(lit_by="sky", gloss=False)
@@ -62,18 +61,18 @@ def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backen
 
 
 @pytest.mark.long
-def test_blood_reddens_and_melanin_darkens_as_was_measured(rays, monkeypatch):
+def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
     viewer = Viewer()
     lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], LOOK)[0])
     step = lab[0, 1] - lab[0, 0]
     # Takiwaki 1998: haemoglobin -0.74, melanin about -2.8.
     assert step[1] > 1 and -1.0 < step[0] / step[1] < -0.5
     # Pale skin, as melanin was measured on: where a finger's blood reddens it, pigment hides as much red as it adds.
-    monkeypatch.setitem(properties.REST_BLOOD_FRACTION, "pulp", 0.002)
+    blood = rays.scene.blood.model_copy(update={"pulp_blood_fraction": 0.002})
 
     def skin(melanin):
         finger = rays.scene.finger.model_copy(update={"melanin_fraction": melanin})
-        scene = rays.scene.model_copy(update={"finger": finger})
+        scene = rays.scene.model_copy(update={"finger": finger, "blood": blood})
         return viewer.lab(rays.reflectance([[0.03, 0.03]], LOOK, scene=scene))[:, 1, 0]
 
     tanned = skin(0.03) - skin(0.005)
