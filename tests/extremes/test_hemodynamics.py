@@ -7,6 +7,7 @@ import pytest
 
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics import NAMES, massless, parameters, respond, steady_state, zones
+from nailoptics.hemodynamics.parameters import beds
 
 TIME = np.arange(0.0, 4.0, 1e-3)
 EXTREMES_PA = (-1e5, 0.0, 1e4, 1.2e4, 1e5, 1e7)
@@ -35,7 +36,7 @@ def test_pressures_from_suction_to_crushing(name):
         assert_sound(run)
         s = steady_state(p, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
         expected = np.append(s.capillary_diameter_m, s.vein_diameter_m)
-        listed = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])
+        listed = np.array([*beds(p.capillary_diameter_m), p.vein_diameter_m])
         assert np.all(np.abs(widths(run)[:, 2499] - expected) < 5e-3 * np.maximum(expected, listed))
         back = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
         assert np.all(np.abs(widths(run)[:, -1] / back - 1) < 0.03)
@@ -47,7 +48,7 @@ def test_closure_is_reached_without_a_jump_and_flat_past_it(name, proximal, dist
     p = parameters(name)
     touch = np.linspace(0.0, 4e4, 8001)  # 5 Pa apart
     s = steady_state(p, proximal_pressure_pa=proximal * touch, distal_pressure_pa=distal * touch)
-    listed = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])[:, None]
+    listed = np.array([*beds(p.capillary_diameter_m), p.vein_diameter_m])[:, None]
     width = np.vstack([s.capillary_diameter_m, s.vein_diameter_m[None]]) / listed
     assert np.abs(np.diff(width, axis=1)).max() < 0.01  # no fold: 5 Pa never move a wall by a hundredth
     past = touch >= 3e4
@@ -66,7 +67,7 @@ def test_slow_ramps_up_and_down_show_no_hysteresis(name, proximal, distal):
     touch = 3e4 * np.interp(time, [0.0, 4e5, 6e5, 1e6], [0.0, 1.0, 1.0, 0.0])
     run = respond(p, time, proximal_pressure_pa=proximal * touch, distal_pressure_pa=distal * touch)
     assert_sound(run)
-    listed = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])[:, None]
+    listed = np.array([*beds(p.capillary_diameter_m), p.vein_diameter_m])[:, None]
     width = widths(run) / listed
     scale = width[:, :1]
     assert np.abs((width - width[:, ::-1]) / scale).max() < 5e-4
