@@ -229,10 +229,10 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
             people[f"{column}_g"] / people["heart_0.7_3_hz_g"],
             rms[name] / rms[HEARTBEAT.name] * factors,
             few=True,
-            quantity=f"{name} over heartbeat, rms: green light of fingertips; blood of the nail bed",
+            quantity=f"{name} over heartbeat, rms",
             units="1",
             source=_source("fingertip_waves"),
-            remark="A telephone sees the pulp with its arteries, not the nail bed.",
+            remark="People: green light through fingertips, with their arteries; model: blood of the nail bed.",
         )
     return result
 
@@ -326,10 +326,10 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
             normal[f"{name}_ac_over_dc_percent"],
             np.array([[low], [middle], [high]]),
             few=True,
-            quantity=f"amplitude of the pulse over the mean, {name}, at {NORMAL_SPO2:g} % saturation or more",
+            quantity=f"amplitude of the pulse over the mean, {name}",
             units="percent",
             source=source,
-            remark=remark,
+            remark=f"{remark} Recordings at {NORMAL_SPO2:g} % saturation or more; the model's is from peak to peak.",
         )
     return result
 
@@ -396,9 +396,9 @@ class _Surface:
         measured = photos[_RGB[:3]].to_numpy()
         logarithm = np.log(measured)
         rows = {
-            "green": ("logarithm of green in percent", 100 * logarithm[:, 1], 100 * red_green_blue[..., 1]),
+            "green": ("ln(green) in percent", 100 * logarithm[:, 1], 100 * red_green_blue[..., 1]),
             "green_over_red": (
-                "logarithm of green over red in percent",
+                "ln(green/red) in percent",
                 100 * (logarithm[:, 1] - logarithm[:, 0]),
                 100 * (red_green_blue[..., 1] - red_green_blue[..., 0]),
             ),
@@ -410,10 +410,10 @@ class _Surface:
             result[f"haemoglobin_{name}"] = _z(
                 slope_within_days(photos, values),
                 (float(change[0]), float(jackknife(change))),
-                quantity=f"{words} of nails with 10 g/l more haemoglobin, within a day of photographs",
+                quantity=f"{words} of nails per 10 g/l of haemoglobin",
                 units="1",
                 source=_source("nail_photos"),
-                remark="Exposure and what goes with haemoglobin among people are not in the model.",
+                remark="Within days of photographs. Exposure and what else goes with haemoglobin are not modelled.",
             )
         return result
 

@@ -60,11 +60,11 @@ def _row(comparison: Comparison) -> dict[str, object]:
     low, high = comparison.accepted
     return {
         "Quantity": comparison.quantity + _units(comparison),
-        "People": _range(comparison.people),
-        "Model": _range(comparison.model),
+        "Agrees": "yes" if comparison.agrees else "no",
         "Statistic": f"{comparison.statistic} {significant(comparison.value, 2)}",
         "Accepted": f"{low:g} to {high:g}",
-        "Agrees": "yes" if comparison.agrees else "no",
+        "People": _range(comparison.people),
+        "Model": _range(comparison.model),
     }
 
 
