@@ -197,6 +197,11 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
             own = named.replace(**tuning.values(), **factors)
         except InputError as error:
             raise InputError(str(error).replace("hemodynamics.", "blood.tuning.")) from None
+    if (factor := scene.blood.wall_stiffness) != 1.0:
+        stiffness = each_bed(operator.mul, own.capillary_stiffness_n_per_m, factor)
+        own = own.replace(
+            capillary_stiffness_n_per_m=stiffness, vein_stiffness_n_per_m=factor * own.vein_stiffness_n_per_m
+        )
     if body is None:
         return own
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:

@@ -75,7 +75,9 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
             "on average, and vary about that."
         )
     lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
-    lines.append("Not among these priors: vessels, contact area, the share of the touch on each side, and zones.")
+    lines.append(
+        "Not among these priors: constants of the vessels but for the stiffness of their walls, and the zone law."
+    )
     return lines
 
 

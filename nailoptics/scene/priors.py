@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from ..assets import asset_path
 from .base import Table, check_unique
 from .body import Body
+from .touch import Touch
 
 
 class PriorRange(Table):
@@ -67,9 +68,15 @@ class Priors(Table):
                 raise ValueError(f"ranges: low = {one.low:g} must be above 0 for {one.field}")
         return self
 
-    def of_finger(self) -> tuple[Prior, ...]:
-        """The shipped priors without the known fields and those of [body], with the scene's own ranges."""
-        return tuple(one for one in self._unknown() if not one.field.startswith("body."))
+    def of_finger(self, touch: Touch | None = None) -> tuple[Prior, ...]:
+        """The shipped priors without the known fields and those of [body], with the scene's own ranges.
+
+        touch : of the scene, which may state its contact: then that is no unknown. All are given without it.
+        """
+        stated = set() if touch is None else touch.stated_contact
+        return tuple(
+            prior for prior in self._unknown() if not prior.field.startswith("body.") and prior.field not in stated
+        )
 
     def of_body(self, body: Body | None) -> tuple[Prior, ...]:
         """The same of [body], for the tables that it has."""

@@ -116,6 +116,18 @@ class Touch(Table):
     paper says that it widens the white band, more than normal force does: here its magnitude over half of
     contact_area_mm2, or distal_area_mm2, is an additional pressure on the distal capillaries. [N]"""
 
+    @property
+    def stated_contact(self) -> set[str]:
+        """Fields of the contact that this touch makes no unknown: measured, or of a touch on one side alone."""
+        stated = set()
+        if self.recorded_proximal_pressure_pa is not None or self.proximal_area_mm2 or self.distal_area_mm2:
+            stated |= {"touch.contact_area_mm2", "touch.proximal_share"}
+        if self.recorded_contact_area_mm2 is not None:
+            stated.add("touch.contact_area_mm2")
+        if self.recorded_proximal_share is not None or self.proximal_share in (0.0, 1.0):
+            stated.add("touch.proximal_share")
+        return stated
+
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, data: object, info: ValidationInfo) -> object:

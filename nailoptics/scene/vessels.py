@@ -122,6 +122,8 @@ class Blood(Table):
     """Named set of hemodynamic parameters."""
     tuning: Tuning | None = None
     """Values of parameters that replace those of the named set, or factors on them."""
+    wall_stiffness: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    """Factor on the stiffness of all walls, of capillaries and vein."""
     rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
     pulp_blood_fraction: Fraction = USUAL_PULP_BLOOD_FRACTION

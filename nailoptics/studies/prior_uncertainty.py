@@ -255,7 +255,7 @@ class ReadingUncertainty:
         text = "change by touch as a part of the reading at the start"
         data |= self.signal.variables("signal", pair, f"the {text}", count)
         data |= variable("signal", pair, self.signal.own_answer[0], text)
-        text = "whether the change has one sign over the evaluated priors, to which vessels and touch do not belong"
+        text = "whether the change has one sign over the evaluated priors"
         data |= variable("keeps_sign", pair, self.signal.keeps_sign, text)
         return xr.Dataset(data).merge(prior_variables(self.level.priors, self.untraced, scene))
 
@@ -275,7 +275,7 @@ def readings_over_priors(
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     """
     scene = transfer.scene
-    priors = sorted(scene.priors.of_finger(), key=lambda prior: not only_absorbs(scene, prior))
+    priors = sorted(scene.priors.of_finger(scene.touch), key=lambda prior: not only_absorbs(scene, prior))
     own = [prior for prior in priors if not only_absorbs(scene, prior)]
     evaluated = priors if own_traces else priors[: len(priors) - len(own)]
     limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(own), 1)

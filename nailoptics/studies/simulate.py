@@ -117,7 +117,10 @@ def _spread(
     scene, ends = transfer.scene, [0, hold_end(result)]
 
     def states(one: Scene) -> np.ndarray:
-        same = all(getattr(one.blood, name) == getattr(scene.blood, name) for name in ("tuning", "decay_length"))
+        same = all(
+            getattr(one.blood, name) == getattr(scene.blood, name)
+            for name in ("tuning", "wall_stiffness", "decay_length")
+        )
         course = result if same and one.touch == scene.touch else blood_over_touch(one)
         # Eq. (7): blood goes with the blood at rest.
         part = one.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0

@@ -105,7 +105,7 @@ def changes_of(scene: Scene) -> Iterator[Change]:
     """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
     yield from _parts(scene)
     if scene.priors.spread:
-        yield from (_unknown(scene, prior) for prior in scene.priors.of_finger())
+        yield from (_unknown(scene, prior) for prior in scene.priors.of_finger(scene.touch))
 
 
 def _unknown(scene: Scene, prior: Prior) -> Change:

@@ -208,10 +208,12 @@ def effect_of(
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
-    of : what it is judged by.
+    of : what it is judged by; by the signal where no reading changes.
     """
     from scipy.special import ndtri
 
+    # Contact and vessels change no reading at rest.
+    of = "signal" if paired.signal is not None and not paired.reading.value.any() else of
     judged = paired.reading if of == "reading" or paired.signal is None else paired.signal
     known = np.isfinite(judged.value) & np.isfinite(judged.stderr)
     # Where nothing was detected, anything may be.

@@ -125,7 +125,7 @@ def resolution_over_priors(
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
     scene = layouts[0].board
-    known = (*scene.priors.of_finger(), *scene.priors.of_body(scene.body))
+    known = (*scene.priors.of_finger(scene.touch), *scene.priors.of_body(scene.body))
     priors = sorted(known, key=lambda one: not only_absorbs(scene, one))
     untraced = [prior for prior in priors if not (only_absorbs(scene, prior) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
@@ -177,7 +177,7 @@ class _Resolution:
 
     def _resolution_n(self, layout: CandidateLayout, case: FingerCase, scene: Scene) -> np.ndarray:
         """Force resolution on one finger, (1 + blocks,) float. [N]"""
-        finger = scene.finger, scene.blood, scene.body
+        finger = scene.finger, scene.blood, scene.body, scene.touch
         if finger not in self.points:
             touch = operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
             self.points[finger] = touch
