@@ -271,11 +271,9 @@ def library() -> str:
 
 
 def _module(name: str, module: Any) -> str:
-    public = [
-        one for one in module.__all__ if callable(getattr(module, one)) and not inspect.isclass(getattr(module, one))
-    ]
-    known = [f".. autofunction:: nailoptics.{name}.{one}\n" for one in public]
-    return f".. py:module:: nailoptics.{name}\n\n{inspect.getdoc(module)}\n\n" + "\n".join(known)
+    public = [key for key, item in sorted(vars(module).items()) if callable(item) and not inspect.isclass(item)]
+    functions = [f".. autofunction:: nailoptics.{name}.{key}\n" for key in public if key[0] != "_"]
+    return f".. py:module:: nailoptics.{name}\n\n{inspect.getdoc(module)}\n\n" + "\n".join(functions)
 
 
 def _rst(text: str) -> str:

@@ -4,18 +4,3 @@ from ..scene.sweep import Axis, Sweep, load_sweep
 from .folder import Status, open_results, status, write_table
 from .jobs import Estimate, estimate
 from .run import BatchProgress, Outcome, run_batch
-
-__all__ = [
-    "Axis",
-    "BatchProgress",
-    "Estimate",
-    "Outcome",
-    "Status",
-    "Sweep",
-    "estimate",
-    "load_sweep",
-    "open_results",
-    "run_batch",
-    "status",
-    "write_table",
-]

@@ -18,33 +18,3 @@ from .touch import (
     zones_between,
 )
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
-
-__all__ = [
-    "NAMES",
-    "PAPER_ZONES",
-    "Parameters",
-    "SteadyState",
-    "Waveform",
-    "Zones",
-    "arterial_gain_m_per_pa",
-    "blood_fraction",
-    "bounds",
-    "breathing_pressure",
-    "cardiac_pressure",
-    "creeping_pressure",
-    "parameters",
-    "pressures",
-    "respond",
-    "saturation",
-    "saturation_over_time",
-    "shear_pressure",
-    "side_areas_mm2",
-    "spreading_pressure",
-    "steady_state",
-    "tissue_volume_m3",
-    "vasomotion_pressure",
-    "white_band_mm",
-    "with_shear",
-    "zones",
-    "zones_between",
-]

@@ -3,16 +3,3 @@
 from .detect import DetectedLight, RestReadings, open_light, read_rest, section
 from .tracing import ProgressCallback, TraceProgress, trace
 from .transfer import ReweightWarning, Transfer
-
-__all__ = [
-    "DetectedLight",
-    "ProgressCallback",
-    "RestReadings",
-    "ReweightWarning",
-    "TraceProgress",
-    "Transfer",
-    "open_light",
-    "read_rest",
-    "section",
-    "trace",
-]

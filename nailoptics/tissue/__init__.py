@@ -11,16 +11,3 @@ from .properties import (
     scattering,
 )
 from .spectra import WAVELENGTH_RANGE_NM, blood_mu_a_per_mm
-
-__all__ = [
-    "REGIONS",
-    "REST_BLOOD_FRACTION",
-    "WAVELENGTH_RANGE_NM",
-    "BloodZones",
-    "absorption",
-    "bed_zone_name",
-    "blood_mu_a_per_mm",
-    "blood_scattering_contrast",
-    "optical_properties",
-    "scattering",
-]

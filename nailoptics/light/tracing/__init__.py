@@ -13,19 +13,3 @@ from .trigger import (
     share_of_time,
     unlit,
 )
-
-__all__ = [
-    "Ending",
-    "ProgressCallback",
-    "StageProgress",
-    "TraceProgress",
-    "Trigger",
-    "accuracy",
-    "out_of_time",
-    "photons_engine",
-    "run_until",
-    "seconds_per_sample",
-    "share_of_time",
-    "trace",
-    "unlit",
-]

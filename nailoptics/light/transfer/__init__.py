@@ -10,14 +10,3 @@ from .transfer import (
     provenance,
     rest_state,
 )
-
-__all__ = [
-    "MIN_EFFECTIVE_PHOTONS",
-    "ReweightWarning",
-    "Transfer",
-    "current_versions",
-    "mean_of_leds",
-    "photodiode_names",
-    "provenance",
-    "rest_state",
-]
