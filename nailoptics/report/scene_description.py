@@ -73,6 +73,7 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     for led in report.get("leds", ()):
         part, width = f" ({led['part']})" if "part" in led else "", f", {led['fwhm_nm']:g} nm wide"
         at = "at ({:g}, {:g}) mm".format(*led["position_mm"])
+        at += f", rotated by {led['rotation_deg']:g} deg" if led.get("rotation_deg") else ""
         light = f"{led['wavelength_nm']:g} nm{width if led['fwhm_nm'] else ''}, {led['flux_mw']:g} mW"
         lines.append(f"LED {led['name']}{part}: {light}, {at}")
     if "photodiodes" in report:
@@ -80,13 +81,24 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
         lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
         lines.append("reading at rest by layered diffusion (within 40 %):")
-        places = {one["name"]: "({:.3g}, {:.3g})".format(*one["position_mm"]) for one in report["photodiodes"]}
+        places = {
+            diode["name"]: {
+                "part": diode.get("part", ""),
+                "place (u, v) [mm]": "({:.3g}, {:.3g})".format(*diode["position_mm"]),
+                "size [mm]": "{:.3g} x {:.3g}".format(*diode["size_mm"]),
+                "rotation [deg]": f"{diode['rotation_deg']:g}",
+            }
+            for diode in report["photodiodes"]
+        }
         rows = [
-            {"LED": one["led"], "photodiode": one["photodiode"], "place (u, v) [mm]": places[one["photodiode"]]}
-            | {"distance [mm]": f"{one['distance_mm']:.2f}", "reading [V]": f"{one['volts']:.4f}"}
-            for one in report["pairs"]
+            {"LED": pair["led"], "photodiode": pair["photodiode"], **places[pair["photodiode"]]}
+            | {"distance [mm]": f"{pair['distance_mm']:.2f}", "reading [V]": f"{pair['volts']:.4f}"}
+            for pair in report["pairs"]
         ]
         lines += [f"  {line}" for line in aligned(rows)]
+    if assumed := report.get("assumed"):
+        words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())
+        lines.append(f"assumed of the board, as neither its file nor the scene says it: {words}")
     for one in report.get("candidates", ()):
         lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
     lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]

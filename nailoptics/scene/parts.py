@@ -9,7 +9,7 @@ from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
 from .catalogue import LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, load_part
 from .importers.outlines import is_point
-from .importers.positions import FileUnit
+from .importers.positions import BottomRotation, FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]
@@ -195,13 +195,17 @@ class BoardFile(Table):
     origin: Annotated[Literal["auxiliary", "grid", "outline"] | Point | None, BeforeValidator(_origin)] = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
     outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
-    grid's. [mm]"""
+    grid's, else the middle of the mapped parts (of a position file, where they lie farther than a nail from (0, 0)).
+    [mm]"""
     faces_nail: Literal["top", "bottom"] | None = None
     """Side of the file's board that faces the nail; that of its parts if not given."""
     turn_deg: Rotation = 0.0
     """Rotation of the file's board on the nail, counterclockwise seen from above. [deg]"""
     negate_x_on_bottom: bool = False
     """The position file was written with "negate bottom side X"; undo that."""
+    rotation_on_bottom: BottomRotation | None = None
+    """Rotation of parts on the bottom in a position file: as KiCad writes it, or 180 degrees less it, as assemblers
+    such as JLCPCB ask for; KiCad's if not given. [deg]"""
     positions_unit: FileUnit | None = None
     """Unit of a position file that does not state it, such as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None

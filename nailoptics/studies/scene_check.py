@@ -20,6 +20,8 @@ from .placement import boards, candidates
 MAY_BE_FULL = 0.6
 # The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
 FAR_FROM_LIST = 100.0
+# What lies on a board and below it, which no file of a layout program says.
+BUILD = ("kapton_um", "clear_epoxy_um", "adhesive_um", "barrier", "cover_um")
 # Forces beside which a change of posture is shown as a false one. [N]
 POSTURE_FORCES_N = (0.1, 0.5)
 
@@ -42,6 +44,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         led["position_mm"] = list(die.center_mm)  # from the nail's centre, as the photodiodes'
     report["photodiodes"] = [
         {"name": e.name, "position_mm": list(e.area.center_mm), "size_mm": list(e.area.size_mm)}
+        | {"rotation_deg": e.photodiode.rotation_deg}
         | ({"part": e.photodiode.part} if e.photodiode.part else {})
         for e in layout.photodiodes
     ]
@@ -50,6 +53,10 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     if scene.board.unmapped is not None:
         file = scene.board.kicad or scene.board.positions
         report["ignored"] = {str(file): list(scene.board.unmapped)}
+        # No board file says them: what the scene does not say either is assumed.
+        report["assumed"] = {
+            name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
+        }
     report["warnings"] += _beyond_the_nail(scene) + _beyond_the_list(scene) + _posture(scene)
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
@@ -73,7 +80,7 @@ def _posture(scene: Scene) -> list[str]:
 
 
 def _led(led: Any) -> dict[str, Any]:
-    shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "position_mm", "rotation_deg")
+    shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "position_mm", "rotation_deg")
     return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
 
 

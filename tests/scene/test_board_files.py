@@ -10,7 +10,7 @@ from nailoptics.light.identity import light_digest
 from nailoptics.scene import Placement, digest, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.kicad import read_board, write_board
 from nailoptics.scene.importers.outlines import Outline
-from nailoptics.scene.rectangles import Rectangle
+from nailoptics.scene.rectangles import Rectangle, turned
 from nailoptics.studies.placement import boards, candidates, result
 from nailoptics.studies.placement.sites import Sites
 
@@ -89,6 +89,55 @@ def test_a_part_may_sit_beside_the_middle_of_its_footprint(tmp_path):
     assert load_scene(path).leds[0].position_mm == pytest.approx((-3.0 + 0.2, 1.0 + 0.5))
 
 
+PINS = "(pad 1 thru_hole rect (at 0 0 {0}) (size 1.6 1.6)) (pad 2 thru_hole circle (at 5.08 0 {0}) (size 1.6 1.6))"
+
+
+@pytest.mark.parametrize("angle", [0, 30, 90])
+def test_a_part_with_wires_lies_in_the_middle_of_its_pads(tmp_path, caplog, angle):
+    path = write(tmp_path, turn=angle)
+    board = tmp_path / "x.kicad_pcb"
+    board.write_text(
+        board.read_text().replace("(fp_text reference D1)", f"(fp_text reference D1) {PINS.format(angle)}")
+    )
+    dx, dy = turned((2.54, 0.0), angle)
+    assert load_scene(path).leds[0].position_mm == pytest.approx((-3 + dx, 1 + dy))
+    assert "D1: the middle of its pads lies 2.54 mm from" in caplog.text
+    path.write_text(path.read_text().replace('"led_660"', '"led_660", offset_mm = [0.0, 0.0]'))
+    assert load_scene(path).leds[0].position_mm == pytest.approx((-3, 1))
+
+
+def test_parts_that_are_not_fitted_are_left_out(tmp_path, caplog):
+    path, board = write(tmp_path), tmp_path / "x.kicad_pcb"
+    second = "(module LED_0603 (layer B.Cu) (at 98 103) (attr smd dnp) (fp_text reference D2) (fp_text value 660nm))"
+    board.write_text(board.read_text().replace("(gr_rect", f"{second}\n(gr_rect"))
+    path.write_text(path.read_text() + 'D2 = { led = "led_660" }\n')
+    assert [led.name for led in load_scene(path).leds] == ["D1"] and "D2 is marked DNP" in caplog.text
+
+
+def test_coordinates_of_a_page_are_taken_from_the_middle_of_the_parts(tmp_path, caplog):
+    path = write(tmp_path)
+    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,97,-99,90,bottom\nPD1,101,-101,30,bottom\n")
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    scene = load_scene(path)
+    assert scene.leds[0].position_mm == (-2, 1) and scene.photodiodes[0].position_mm == (2, -1)
+    assert "pos.csv: has no origin; the middle of its mapped parts lies on the nail's centre" in caplog.text
+
+
+def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
+    path = write(tmp_path)
+    text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,150\n"
+    (tmp_path / "pos.csv").write_text(text)
+    board = load_scene(path)
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    assert load_scene(path).photodiodes[0].rotation_deg == 150
+    said = "the rotation of PD1 on the bottom is read as KiCad writes it, but its header is"
+    assert caplog.text.count(said) == 1
+    path.write_text(path.read_text().replace("barrier", 'rotation_on_bottom = "assembler"\nbarrier'))
+    scene = load_scene(path)
+    assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes)
+    assert caplog.text.count(said) == 1
+
+
 def test_position_files_serve_as_boards(tmp_path, caplog):
     path = write(tmp_path)
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
@@ -114,6 +163,13 @@ def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, caps
     path.write_text(path.read_text().replace("barrier = false", "barrier = false\ncenter_mm = [90.0, 0.0]"))
     assert run(["check", str(path), "--json"]) == 2
     assert capsys.readouterr().err.count("X on the bottom looks negated") == 1
+
+
+def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys):
+    assert run(["check", str(write(tmp_path)), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["assumed"]["clear_epoxy_um"] == 400.0 and "barrier" not in report["assumed"]
+    assert [diode["rotation_deg"] for diode in report["photodiodes"]] == [30.0]
 
 
 def test_a_position_file_without_a_unit_is_read_in_that_of_the_scene(tmp_path, capsys):

@@ -1,5 +1,7 @@
 """A designer's board file as LEDs and photodiodes on the nail: what its references are, its origin, and its side."""
 
+import logging
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +14,20 @@ from ..catalogue import ModulePart, load_part
 from ..rectangles import turned
 from .kicad import KicadBoard, read_board
 from .outlines import Outline, is_number, is_point, join, middle
-from .positions import PlacedPart, read_positions, reading_of, warn_of_mirrored
+from .positions import PlacedPart, read_positions, reading_of, warn_of_mirrored, warn_of_rotation
+
+log = logging.getLogger(__name__)
 
 KINDS = ("led", "photodiode", "module")
 NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
 SHOWN = 12  # references that a message names
 # Within this of its wavelength a shipped die is proposed for an LED.
 NEAR_NM = 15.0
+# A footprint's position is its body's middle, or the first pin of one with wires: farther from its pads' middle than
+# this, the pads count. [mm]
+ANCHOR_MM = 0.5
+# No nail reaches farther from the origin: beyond this, a file's coordinates are those of a page. [mm]
+NAIL_REACH_MM = 20.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +85,10 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     mapped = _mapped(placed, uses, name)
     if board is None:
         warn_of_mirrored(table, placed, mapped)
+        warn_of_rotation(table, path, [part for part in mapped if part.rotation_deg % 90 or "module" in uses[part.ref]])
     whole, origin = _outline(board, mapped, name), table.get("origin")
     view = View(
-        _origin(origin, board, whole, name),
+        _origin(origin, board, whole, mapped, name),
         _faces_nail(mapped, table.get("faces_nail")) == "top",
         float(table.get("turn_deg", 0.0)),
     )
@@ -109,7 +119,12 @@ def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) ->
             known = ", ".join(sorted(set(filter(None, refs)))[:SHOWN])
             there = f"{count} times" if count else f"not; it has {known}"
             raise ValueError(f"parts.{ref} names a part that {name} has {there}")
-    return [part for part in placed if part.ref in uses]
+    mapped = [part for part in placed if part.ref in uses]
+    if absent := [part.ref for part in mapped if not part.populated]:
+        log.warning("%s: %s is marked DNP (do not populate) and left out.", name, ", ".join(absent))
+    if len(absent) == len(mapped):
+        raise ValueError(f"{name}: all parts that are mapped are marked DNP (do not populate)")
+    return [part for part in mapped if part.populated]
 
 
 def _outline(board: KicadBoard | None, mapped: Sequence[PlacedPart], name: str) -> Outline | None:
@@ -119,8 +134,10 @@ def _outline(board: KicadBoard | None, mapped: Sequence[PlacedPart], name: str) 
     return join(board.edges, name, around=[part.position_mm for part in mapped])
 
 
-def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name: str) -> Point:
-    """The point that lies on the nail's centre, in the file's coordinates. [mm]"""
+def _origin(
+    origin: Any, board: KicadBoard | None, outline: Outline | None, mapped: Sequence[PlacedPart], name: str
+) -> Point:
+    """The point that lies on the nail's centre, in the file's coordinates; without any, the parts' middle. [mm]"""
     if not isinstance(origin, str | None):
         x, y = origin
         # KiCad shows y downwards.
@@ -128,17 +145,28 @@ def _origin(origin: Any, board: KicadBoard | None, outline: Outline | None, name
     if board is None:
         if origin is not None:
             raise ValueError(f'origin = "{origin}" needs a KiCad board; give [x, y] as in {name}, or leave it out')
-        return 0.0, 0.0
+        reach_mm = max(abs(x) for part in mapped for x in part.position_mm)
+        return (0.0, 0.0) if reach_mm <= NAIL_REACH_MM else _middle_of(mapped, name)
     named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
     if outline is not None:
         named["outline"] = middle(outline)
     preferred = (origin,) if origin is not None else ("auxiliary", "outline")
     point = next((point for one in preferred if (point := named.get(one)) is not None), None)
+    if point is None and origin is None:
+        return _middle_of(mapped, name)
     if point is None:
         raise ValueError(
             f'{name} has no such origin; set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
         )
     return point
+
+
+def _middle_of(mapped: Sequence[PlacedPart], name: str) -> Point:
+    """The middle of the box around the mapped parts, for a file that says no origin. [mm]"""
+    xs, ys = zip(*(part.position_mm for part in mapped), strict=True)
+    x, y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+    log.warning("%s: has no origin; the middle of its mapped parts lies on the nail's centre: give origin.", name)
+    return x, y
 
 
 def _faces_nail(mapped: Sequence[PlacedPart], side: Any) -> str:
@@ -159,10 +187,11 @@ def _tables(
     kind = next(kind for kind in KINDS if kind in use)
     own = {name: value for name, value in use.items() if name not in (*KINDS, *NOT_IN_SCENE)}
     offset, more_deg = tuple(use.get("offset_mm", (0.0, 0.0))), float(use.get("rotation_deg", 0.0))
+    pads = (0.0, 0.0) if "offset_mm" in use else _pads_middle(part)
 
     def table(name: str, ref: str, at: Point, fields: dict[str, Any]) -> dict[str, Any]:
-        # A footprint on the bottom is that of the library turned over around its x axis.
-        x, y = turned((at[0], -at[1] if part.side == "bottom" else at[1]), part.rotation_deg)
+        # A footprint on the bottom is that of the library turned over around its x axis; the file's pads are, too.
+        x, y = turned((pads[0] + at[0], pads[1] + (-at[1] if part.side == "bottom" else at[1])), part.rotation_deg)
         place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
         angle = view.angle(part.rotation_deg + more_deg)
         return {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle} | fields
@@ -183,10 +212,25 @@ def _tables(
     return [(kind, table(str(own.pop("name", part.ref)), part.ref, offset, own))]
 
 
+def _pads_middle(part: PlacedPart) -> Point:
+    """Where a part's body is, from its position: the middle of its pads where these lie aside. [mm]"""
+    if (aside_mm := math.hypot(*part.pads_middle_mm)) <= ANCHOR_MM:
+        return 0.0, 0.0
+    log.warning(
+        "%s: the middle of its pads lies %.2f mm from its footprint's position, and is taken; "
+        "parts.%s.offset_mm = [0, 0] takes the position.",
+        part.ref,
+        aside_mm,
+        part.ref,
+    )
+    return part.pads_middle_mm
+
+
 def proposal(placed: Sequence[PlacedPart]) -> str:
     """A map of the parts that look like LEDs and photodiodes, by library and reference, as a line of a scene file."""
     shipped = sorted(path.stem for path in (data_dir("assets") / "parts").glob("*.toml"))
-    lines = [f"{part.ref} = {{ {use} }}" for part in placed if part.ref and (use := _looks_like(part, shipped))]
+    fitted = [part for part in placed if part.ref and part.populated]
+    lines = [f"{part.ref} = {{ {use} }}" for part in fitted if (use := _looks_like(part, shipped))]
     if not lines:
         refs = ", ".join(part.ref for part in placed if part.ref)
         return f'parts = {{ REF = {{ led = "PART" }} }}, with REF one of {refs}'

@@ -101,7 +101,8 @@ def _board(tree: list[Any]) -> KicadBoard:
         # Since version 8 properties, before it texts: a field of the user's own may have a name in other letters.
         ref, value = (texts.get(name, texts.get(name.lower(), "")) for name in ("Reference", "Value"))
         side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] in back else "top"
-        part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side)
+        populated = "dnp" not in next(_all(item, "attr"), [])
+        part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side, _pads_middle(item, angle), populated)
         footprints.append(part)
         for line in filter(None, (_edge(one, "fp_") for one in item)):
             moved = (turned(point, angle) for point in line)
@@ -111,6 +112,21 @@ def _board(tree: list[Any]) -> KicadBoard:
     # KiCad writes an origin that nobody set as 0 0, the corner of the page, or not at all.
     auxiliary, grid = ((o[0], -o[1]) if len(o) == 2 and any(o) else None for o in origins.values())
     return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid)
+
+
+def _pads_middle(footprint: list[Any], angle_deg: float) -> Point:
+    """Middle of the box around a footprint's pads, before its rotation; its position where it has none. [mm]"""
+    corners = []
+    for pad in _all(footprint, "pad"):
+        x, y, pad_deg = (*_numbers(pad, "at"), 0.0)[:3]
+        width, height = (*_numbers(pad, "size"), 0.0, 0.0)[:2]
+        c, s = (abs(f(math.radians(pad_deg - angle_deg))) for f in (math.cos, math.sin))
+        half = np.array([width * c + height * s, width * s + height * c]) / 2
+        corners += [np.array([x, -y]) - half, np.array([x, -y]) + half]
+    if not corners:
+        return 0.0, 0.0
+    a, b = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2
+    return float(a), float(b)
 
 
 def _edge(item: Any, kind: str) -> Polygon:
@@ -124,6 +140,8 @@ def _edge(item: Any, kind: str) -> Polygon:
         return _point(item, "start"), _point(item, "end")
     if shape == "rect":
         (a, b), (c, d) = _point(item, "start"), _point(item, "end")
+        if radius := next(iter(_numbers(item, "radius")), 0.0):  # since KiCad 10
+            return _rounded(min(a, c), min(b, d), max(a, c), max(b, d), radius)
         return (a, b), (c, b), (c, d), (a, d), (a, b)
     if shape == "circle":
         center, through = _point(item, "center"), _point(item, "end")
@@ -141,6 +159,16 @@ def _edge(item: Any, kind: str) -> Polygon:
                 line.append((float(one[1]), -float(one[2])))
         return _bezier(line) if shape == "curve" else (*line, line[0])
     return ()
+
+
+def _rounded(left: float, low: float, right: float, high: float, radius: float) -> Polygon:
+    """A rectangle with rounded corners, against the clock from its lower right one."""
+    line: list[Point] = []
+    for quarter, x, y in ((-1, right - radius, low + radius), (0, right - radius, high - radius)):
+        dx, dy = turned((radius, 0.0), 90.0 * quarter)
+        line += _arc((x, y), (x + dx, y + dy), math.tau / 4)
+    line += [(left + right - x, low + high - y) for x, y in line]
+    return (*line, line[0])
 
 
 def _arc(center: Point, start: Point, sweep_rad: float) -> Polygon:

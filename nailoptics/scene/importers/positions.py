@@ -45,6 +45,9 @@ FARTHEST_MM = 1e6
 SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
 # What a scene may say of a file that does not tell its unit.
 FileUnit = Literal["mm", "mil", "inch"]
+# The angle of a part on the bottom: seen from the top, as KiCad writes it, or from below, as JLCPCB and others ask for.
+BottomRotation = Literal["kicad", "assembler"]
+ASSEMBLER_HEADER = re.compile(r"designator\W.*mid\s*x", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class PlacedPart:
     """A part on a board, in the file's own coordinates: x to the right, y up, seen from the top. [mm]
 
     rotation_deg : Against the clock, seen from the top, on either side. [deg]
+    pads_middle_mm : Middle of its pads, from its position, before its rotation. [mm]
+    populated : Whether it is fitted; False of parts marked DNP.
     """
 
     ref: str
@@ -60,6 +65,8 @@ class PlacedPart:
     position_mm: tuple[float, float]
     rotation_deg: float
     side: str
+    pads_middle_mm: tuple[float, float] = (0.0, 0.0)
+    populated: bool = True
 
     @property
     def kind(self) -> str:
@@ -68,7 +75,9 @@ class PlacedPart:
         return "" if match is None else "photodiode" if match[2] else "led"
 
 
-def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = "mm") -> tuple[PlacedPart, ...]:
+def read_positions(
+    path: Path, *, negate_x_on_bottom: bool = False, unit: str = "mm", rotation_on_bottom: BottomRotation = "kicad"
+) -> tuple[PlacedPart, ...]:
     """Read a position file, both sides, in the order of the file.
 
     Columns may be parted by commas, semicolons, tabs or, in a .pos, blanks; lengths are in the unit that stands in the
@@ -77,6 +86,7 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = 
 
     negate_x_on_bottom : the file was exported with "use negative X coordinates for footprints on bottom layer"; turn
         the sign of X back on that side.
+    rotation_on_bottom : an assembler's angle on the bottom is 180 degrees less KiCad's.
 
     Raises: InputError with file, line and what is wrong.
     """
@@ -97,6 +107,8 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = 
             raise InputError(f'{where}: Side = "{cells["Side"]}"; must be top or bottom.')
         if side == "bottom" and negate_x_on_bottom:
             x = -x
+        if side == "bottom" and rotation_on_bottom == "assembler":
+            turn = (180.0 - turn) % 360.0
         ref, value, package = (of_plain_cell(cells.get(name, "")) for name in ("Ref", "Val", "Package"))
         parts.append(PlacedPart(ref, value, package, (x, y), turn, side))
     if not parts:
@@ -106,7 +118,11 @@ def read_positions(path: Path, *, negate_x_on_bottom: bool = False, unit: str = 
 
 def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
     """What a scene's table that names a position file says of how it is to be read."""
-    return {"unit": table.get("positions_unit") or "mm", "negate_x_on_bottom": table.get("negate_x_on_bottom", False)}
+    return {
+        "unit": table.get("positions_unit") or "mm",
+        "negate_x_on_bottom": table.get("negate_x_on_bottom", False),
+        "rotation_on_bottom": table.get("rotation_on_bottom") or "kicad",
+    }
 
 
 def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
@@ -125,6 +141,25 @@ def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used
         "%s: X on the bottom %s, and is read as it stands: add negate_x_on_bottom = true if it is, or the layout is "
         "mirrored; false if it is not.",
         table["positions"],
+        why,
+    )
+
+
+def warn_of_rotation(table: Mapping[str, Any], path: Path, turned_parts: Sequence[PlacedPart]) -> None:
+    """Say in a line how angles on the bottom side are read, where the scene does not say it and it matters.
+
+    turned_parts : those that do not look the same at 180 degrees less their angle.
+    """
+    refs = [part.ref for part in turned_parts if part.side == "bottom"]
+    if table.get("rotation_on_bottom") or not refs:
+        return
+    text = read_text(path, "a position file", any_encoding=True)
+    why = "its header is that of an assembler" if ASSEMBLER_HEADER.search(text) else "assemblers write it otherwise"
+    log.warning(
+        "%s: the rotation of %s on the bottom is read as KiCad writes it, but %s: set rotation_on_bottom to "
+        '"assembler" (180 degrees less the angle) or "kicad".',
+        table["positions"],
+        ", ".join(refs),
         why,
     )
 

@@ -109,9 +109,9 @@ class PhotonMapCache:
         return self._of(board).arrivals.get((digit, led), [])
 
     @property
-    def has_traced(self) -> bool:
-        """Whether there is light of every LED on every finger of some board."""
-        return any(one.photons for one in self._traced.values())
+    def boards_traced(self) -> int:
+        """Boards with a map of every LED on every finger."""
+        return sum(board.photons > 0 for board in self._traced.values())
 
     def extend(self, board: Scene, photons: int) -> None:
         """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""

@@ -17,7 +17,7 @@ from ...light import backend as backends
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
-from ...scene import FingerCase, Placement, Scene, load_scene
+from ...scene import FingerCase, Placement, Scene, digest, load_scene
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
@@ -70,7 +70,10 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, objective, searching, report_progress)
-    judging.stop = partial(_judged_enough, judging, bool(searched), report_progress)
+    # A search leaves little time to the user's layouts: these and its best are judged in any case.
+    listed = sum(layout.origin == "given" for layout in layouts)
+    least = len({digest(layout.board) for layout in layouts[: listed + 1]}) if searched else 0
+    judging.stop = partial(_judged_enough, judging, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     for layout in layouts:
@@ -119,8 +122,8 @@ def _candidates(
         log.warning(
             "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
         )
-    # The search's best is judged even where time is over.
-    layouts = search.shortlist(straight, rules, searched) + layouts + ([paper] if paper else [])
+    # The user's layouts and the search's best are judged even where time is over.
+    layouts = layouts + search.shortlist(straight, rules, searched) + ([paper] if paper else [])
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:
@@ -131,13 +134,9 @@ def _candidates(
     return layouts, searched
 
 
-def _judged_enough(cache: PhotonMapCache, searched: bool, report_progress: StageProgress) -> bool:
-    """Whether judging ends: time is over, or the user has interrupted.
-
-    searched : whether a search has a layout; that one is judged in any case, and so is one where the user interrupts.
-    """
-    over = report_progress.is_over(JUDGE_SHARE)
-    return over and (cache.has_traced or not (searched or report_progress.interrupted))
+def _judged_enough(cache: PhotonMapCache, least: int, report_progress: StageProgress) -> bool:
+    """Whether judging ends: time is over, or the user has interrupted, and `least` boards have been traced."""
+    return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= (1 if report_progress.interrupted else least)
 
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:

@@ -84,6 +84,17 @@ def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, 
     assert best.startswith("# Cut off: max_seconds ended") and "max_seconds =" not in best
 
 
+@pytest.mark.slow
+def test_listed_layouts_and_the_best_are_judged_when_a_search_took_the_time(chosen_jit, monkeypatch):
+    clock = itertools.count()
+    monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
+    searched = parse_scene(SCENE.replace("search = false", "search = true"))
+    with pytest.raises(NotReachedError, match="^max_seconds ended with") as caught:
+        place.place(searched, max_seconds=60)
+    result = caught.value.result
+    assert {"near", "far"} < set(result.layout.values) and "searched" in result.origin.values
+
+
 def test_no_time_at_all_is_one_line(chosen_jit, scene):
     with pytest.raises(NotReachedError, match="before one layout was traced") as caught:
         place.place(scene, max_seconds=1e-9)
