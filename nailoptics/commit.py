@@ -1,6 +1,7 @@
 """Which versions and, where it is known, which commit this code is of."""
 
 import json
+import subprocess
 from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
@@ -30,27 +31,16 @@ def commit() -> str | None:
     try:
         if _BUILT_FROM.is_file():
             return _BUILT_FROM.read_text(encoding="utf-8").strip()
-        return _of_clone(_ROOT) if (_ROOT / "pyproject.toml").is_file() else _of_install()
-    except (OSError, ValueError, LookupError, metadata.PackageNotFoundError):
+        return _of_clone(_ROOT) if (_ROOT / ".git").exists() else _of_install()
+    except (OSError, subprocess.SubprocessError, ValueError, LookupError, metadata.PackageNotFoundError):
         return None
 
 
-def _of_clone(root: Path) -> str | None:
-    """The commit that a clone is at, read without git."""
-    folder = root / ".git"
-    if folder.is_file():  # a work tree beside its clone
-        folder = root / folder.read_text(encoding="utf-8").removeprefix("gitdir:").strip()
-    head = (folder / "HEAD").read_text(encoding="utf-8").strip()
-    if not head.startswith("ref:"):
-        return head
-    name = head.removeprefix("ref:").strip()
-    common = folder / "commondir"
-    shared = folder / common.read_text(encoding="utf-8").strip() if common.is_file() else folder
-    for place in (folder, shared):
-        if (place / name).is_file():
-            return (place / name).read_text(encoding="utf-8").strip()
-    packed = (line.split() for line in (shared / "packed-refs").read_text(encoding="utf-8").splitlines())
-    return next((words[0] for words in packed if words[1:] == [name]), None)
+def _of_clone(root: Path) -> str:
+    """The commit that a clone, or a work tree beside it, is at."""
+    # Git mistrusts folders of other users, such as those that a container mounts.
+    command = ["git", "-c", "safe.directory=*", "-C", str(root), "rev-parse", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def _of_install() -> str | None:

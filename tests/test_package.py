@@ -161,24 +161,20 @@ def test_the_version_is_that_of_the_citation():
     assert f"\nversion: {nailoptics.__version__}\n" in text and "\ncff-version: 1.2.0\n" in f"\n{text}"
 
 
-def test_the_commit_of_a_clone_is_read_from_its_files(tmp_path):
-    """Of a branch, of a branch that is packed, of a detached head, and of a work tree beside its clone."""
-    shas = [digit * 40 for digit in "abc"]
-    git, tree = tmp_path / "clone" / ".git", tmp_path / "tree"
-    own = git / "worktrees" / "tree"
-    for folder in (git / "refs" / "heads", own, tree):
-        folder.mkdir(parents=True)
-    (git / "HEAD").write_text("ref: refs/heads/main\n")
-    (git / "refs" / "heads" / "main").write_text(f"{shas[0]}\n")
-    (git / "packed-refs").write_text(f"# pack-refs with: peeled\n{shas[1]} refs/heads/old\n")
-    (tree / ".git").write_text(f"gitdir: {own}\n")
-    (own / "commondir").write_text("../..\n")
-    (own / "HEAD").write_text("ref: refs/heads/main\n")
-    assert [commit._of_clone(one) for one in (git.parent, tree)] == [shas[0]] * 2
-    (git / "HEAD").write_text("ref: refs/heads/old\n")
-    assert commit._of_clone(git.parent) == shas[1]
-    (git / "HEAD").write_text(f"{shas[2]}\n")
-    assert commit._of_clone(git.parent) == shas[2]
+def test_the_commit_is_that_of_the_clone_or_of_its_work_tree(tmp_path):
+    clone, tree = tmp_path / "clone", tmp_path / "tree"
+
+    def git(*words):
+        person = ("-c", "user.name=a", "-c", "user.email=a@b")
+        return subprocess.run(["git", "-C", clone, *person, *words], check=True, capture_output=True, text=True).stdout
+
+    clone.mkdir()
+    git("init", "-q")
+    for message in "ab":
+        git("commit", "-q", "--allow-empty", "-m", message)
+    git("worktree", "add", "-q", "--detach", tree, "HEAD~1")
+    assert commit._of_clone(clone) == git("rev-parse", "HEAD").strip()
+    assert commit._of_clone(tree) == git("rev-parse", "HEAD~1").strip() != commit._of_clone(clone)
 
 
 def test_the_licence_is_the_one_that_the_package_names():

@@ -114,13 +114,16 @@ def figure(drawing: "Figure", caption: str, *, narrow: bool = False) -> Html:
 
 
 def table(rows: Sequence[Mapping[str, object]], *, kind: str = "", groups: Sequence[str] | None = None) -> Html:
-    """A table of records with the same keys, which are the heads; the first cell of each heads its row.
+    """A table of records with the same keys, which are the heads, units below; the first cell of each heads its row.
 
     kind : its class in the style sheet.
     groups : what each row belongs to; where that is not the same for all, each group has a heading.
     """
     opening, head = f'<table class="{kind}">' if kind else "<table>", list(rows[0]) if rows else []
-    lines = [f'<div class="scroll">{opening}<thead><tr>', *(f"<th>{_head(title)}</th>" for title in head)]
+    lines = [
+        f'<div class="scroll">{opening}<thead><tr>',
+        *(f"<th>{escaped(title).replace(' [', '<br>[')}</th>" for title in head),
+    ]
     lines.append("</tr></thead><tbody>")
     shown = groups[0] if groups and len(set(groups)) == 1 else None
     for i, row in enumerate(rows):
@@ -130,11 +133,6 @@ def table(rows: Sequence[Mapping[str, object]], *, kind: str = "", groups: Seque
         first, *rest = map(escaped, row.values())
         lines.append(f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>")
     return Html("\n".join([*lines, "</tbody></table></div>"]))
-
-
-def _head(title: str) -> str:
-    """The head of a column, its unit on a line of its own."""
-    return escaped(title).replace(" [", "<br>[")
 
 
 def escaped(text: object) -> Html:

@@ -1,7 +1,7 @@
 """The style of all figures: colours with one meaning each, fonts, and SVG that follows the page's light or dark."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO, StringIO
@@ -109,12 +109,6 @@ def panels(
             hspace=rows * room_in.down / (down - (rows - 1) * room_in.down),
         )
     return figure, figure.subplots(rows, columns, **how)
-
-
-def longest_in(words: Iterable[object], *, size_pt: float = 8.5) -> float:
-    """Width that the longest of some words takes, a little more than less. [inch]"""
-    # Letters of DejaVu Sans are 0.5 to 0.55 of their size wide on average.
-    return max((len(str(word)) for word in words), default=0) * 0.6 * size_pt / 72
 
 
 def estimate(

@@ -115,12 +115,14 @@ def spread_section(result: xr.Dataset) -> str:
     if "prior" not in result.dims:
         return ""
     rows = _rows(result)
-    lines = [
-        {"Parameter": row["name"], "95 % range": f"{significant(row['low'])} to {significant(row['high'])}"}
-        | {f"{KINDS[kind]}, largest std [%]": _percent(row, f"{kind}_spread") for kind in _kinds(result)}
-        | {"Method": row["how"]}
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        line = {"Parameter": row["name"], "95 % range": f"{significant(row['low'])} to {significant(row['high'])}"}
+        for kind in _kinds(result):
+            traced = math.isfinite(row[f"{kind}_spread"])
+            std = estimated(row, f"{kind}_spread", 100) if traced else "not traced"
+            line[f"{KINDS[kind]}, largest std [%]"] = std
+        lines.append(line | {"Method": row["how"]})
     sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
     note = (
         "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
@@ -128,7 +130,3 @@ def spread_section(result: xr.Dataset) -> str:
         f"{sources}."
     )
     return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), small(note))
-
-
-def _percent(row: dict[str, Any], name: str) -> str:
-    return estimated(row, name, 100) if math.isfinite(row[name]) else "not traced"

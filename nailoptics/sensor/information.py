@@ -15,11 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ..hemodynamics.for_scene import (
-    blood_by_arterial_pressure,
-    contact_at,
-    steady_blood_at,
-)
+from ..hemodynamics.for_scene import blood_by_arterial_pressure, contact_at, steady_blood_at
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Electronics, Led, Photodiode, Scene
 from ..scene.body import Drift

@@ -78,7 +78,8 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
     by_led = [result.isel(led=[i]) for i in range(result.sizes["led"])]
-    layout = [figure(maps.top_view(best), BOARD, narrow=True), table(_photodiodes(result), groups=_groups(result))]
+    groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
+    layout = [figure(maps.top_view(best), BOARD, narrow=True), table(_photodiodes(result), groups=groups)]
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout.append(subheading("Sensitivity of each photodiode"))
@@ -305,10 +306,6 @@ def _check(result: xr.Dataset) -> str:
         "Layouts are evaluated on photon maps of the bare board. The best was verified by a trace with its photodiodes "
         f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map."
     )
-
-
-def _groups(result: xr.Dataset) -> list[str]:
-    return [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
 
 
 def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:

@@ -100,7 +100,9 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
     leds = result.sizes["led"]
     per_led = 3.6 if leds > 1 else 4.2
     columns = _legend_columns(result.sizes["photodiode"])
-    legend_in = columns * (0.5 + style.longest_in(f"{name}  -1.23 mV" for name in result.photodiode.values))
+    letters = max(len(f"{name}  -1.23 mV") for name in result.photodiode.values)
+    # Letters of DejaVu Sans are 0.5 to 0.55 of their size wide on average; those of a legend are 8.5 points.
+    legend_in = columns * (0.5 + letters * 0.6 * 8.5 / 72)
     room = style.Room(left=0.7, right=min(0.1 + legend_in, 4.5), top=0.1, down=0.4)
     how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
     figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)

@@ -158,12 +158,9 @@ def contact_sheet(results: xr.Dataset) -> "Figure":
             if one.state.item() == "done":
                 panel.imshow(one.photograph.values[k])
                 panel.set_title(f"{float(one.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
-        words = [f"{name} = {_short(one[name].item())}" for name in axes]
+        values = {name: one[name].item() for name in axes}
+        words = [f"{name} = {f'{x:.4g}' if isinstance(x, float) else str(x)[:28]}" for name, x in values.items()]
         if one.state.item() != "done":
             words.append(str(one.state.item()))
         row[0].text(-0.05, 0.5, style.plain("\n".join(words)), transform=row[0].transAxes, ha="right", va="center")
     return figure
-
-
-def _short(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)[:28]

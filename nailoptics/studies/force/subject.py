@@ -14,18 +14,7 @@ from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.base import Fraction
 from ...scene.importers.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
-from .person import (
-    MOST_GAIN,
-    NAMES,
-    PRIORS,
-    SPREAD_LN,
-    TABLE,
-    Array,
-    NominalFinger,
-    Numbers,
-    Person,
-    within,
-)
+from .person import MOST_GAIN, NAMES, PRIORS, SPREAD_LN, TABLE, Array, NominalFinger, Numbers, Person, within
 from .reading_table import POWERS, ReadingTable
 
 # No calibration finds more: factors on the scene's constants, and newtons for each volt of a regression.

@@ -17,13 +17,7 @@ from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_o
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
 from ..prior_uncertainty import at_value
-from .disturbances import (
-    CalibratedOximeter,
-    ambient_leakage,
-    melanin_bound,
-    path_warnings,
-    sensitivity_curves,
-)
+from .disturbances import CalibratedOximeter, ambient_leakage, melanin_bound, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
     calibrate_curve,

@@ -119,7 +119,11 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "kernelResolutionError": math.hypot(KERNEL_ERROR, KERNEL_CHANGE_ERROR),
         "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
-        "restRange": _rest_range(scene),
+        # Blood at rest, from the least to the most that can be chosen.
+        "restRange": [
+            scene.blood.rest_blood_fraction * (factor if scene.blood.venous_so2 is None else 1.0)
+            for factor in BLOOD_RANGE
+        ],
         "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
@@ -152,12 +156,6 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
             "depthMm": exploration.colours[0].fluence.depth_mm.values,
         },
     }
-
-
-def _rest_range(scene: Scene) -> tuple[float, float]:
-    """Blood at rest, from the least to the most that can be chosen."""
-    low, high = (x if scene.blood.venous_so2 is None else 1.0 for x in BLOOD_RANGE)
-    return low * scene.blood.rest_blood_fraction, high * scene.blood.rest_blood_fraction
 
 
 def _bare(schema: Any, *, names: bool = False) -> Any:
