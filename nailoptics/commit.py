@@ -40,7 +40,7 @@ def _of_clone(root: Path) -> str:
     """The commit that a clone, or a work tree beside it, is at."""
     # Git mistrusts folders of other users, such as those that a container mounts.
     command = ["git", "-c", "safe.directory=*", "-C", str(root), "rev-parse", "HEAD"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout.strip()
 
 
 def _of_install() -> str | None:
