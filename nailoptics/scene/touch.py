@@ -93,7 +93,7 @@ class Touch(Table):
     given they do not grow. [N]"""
     distal_onset_n: Annotated[float, Field(ge=0, le=100)] | None = None
     """Force from which the contact reaches the distal pulp: only what exceeds it has the shares that are stated, the
-    rest presses proximally. With 0.8 a white band begins past 1 N, as in the paper's Fig. 2; 0 if not given. [N]"""
+    rest presses proximally. With 0.6 a white band begins past 1 N, as in the paper's Fig. 2; 0 if not given. [N]"""
     site: Literal["proximal", "distal", "even"] | None = None
     """Side of the touch: sets proximal_share to 1, 0 or 0.5."""
     proximal_share: Fraction = 0.5

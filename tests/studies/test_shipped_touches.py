@@ -5,7 +5,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
-from nailoptics.hemodynamics.for_scene import blood_over_touch
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
 from nailoptics.scene import load_scene, parse_scene, to_toml
 from nailoptics.scene.sweep import load_sweep
 
@@ -37,7 +37,20 @@ def test_slow_cycles_repeat_themselves_and_show_hysteresis():
 def test_the_white_band_widens_step_by_step():
     run = blood_over_touch(scene("white_band"))
     bands = [float(run.white_band_mm.sel(time=t, method="nearest")) for t in (0.4, 1.9, 3.4, 4.9, 6.4)]
-    assert bands[0] == 0 and np.all(np.diff(bands) > 0) and bands[-1] < 12.0
+    assert bands[0] == bands[1] == 0 and np.all(np.diff(bands[1:]) > 0)
+    finger = scene("white_band").finger
+    assert bands[-1] < finger.nail_length_mm / 2 - finger.bone_end_mm + scene("white_band").blood.bone_edge_mm
+
+
+def test_the_nail_reddens_then_whitens_from_its_tip_as_in_fig_2():
+    """The paper's section II: threshold, whole nail redder up to 1 N, white tip past it, no change past 4 N."""
+    colour = scene("nail_colour")
+    blood = steady_blood(colour, [0.0, 0.3, 1.0, 2.0, 4.0, 16.0])
+    rest, threshold, one_newton, *_ = blood
+    assert np.all(one_newton > 1.1 * rest) and np.all(threshold > rest)
+    bands = blood_model(colour).white_band_mm(blood.T)
+    assert np.all(bands[:3] == 0) and np.all(np.diff(bands[2:]) > 0) and bands[5] < 1.5 * bands[4]
+    assert np.all(blood[:, :5] >= rest[:5]) and blood[5, :5] == pytest.approx(blood[4, :5], rel=0.01)
 
 
 def test_shear_widens_the_white_band_of_its_scene():
@@ -79,8 +92,12 @@ def test_sweeps_vary_the_vessels_and_the_touch_of_a_scene_under_one_light(name):
 
 @pytest.mark.jit
 def test_the_white_band_reaches_the_light(chosen_jit):
-    """Expected: where the band lies blood no longer dims, so that the most distal reading rises with each newton."""
-    asked = scene("white_band")
+    """Expected: where the band lies blood no longer dims, so that the most distal reading rises with each newton, if
+    no bone holds the band off the photodiodes."""
+    shielded = scene("white_band")
+    unshielded = {"blood": shielded.blood.model_copy(update={"decay_length": 0.15})}
+    unshielded["touch"] = shielded.touch.model_copy(update={"distal_onset_n": None})
+    asked = shielded.model_copy(update=unshielded)
     result = nail.simulate(asked, photons=20_000, seed=1)
     change = result.volts_change.isel(led=0, photodiode=-1)
     at = [float(change.sel(time=t, method="nearest")) for t in (1.9, 3.4, 4.9, 6.4)]
