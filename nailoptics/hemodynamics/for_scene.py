@@ -197,11 +197,13 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
             own = named.replace(**tuning.values(), **factors)
         except InputError as error:
             raise InputError(str(error).replace("hemodynamics.", "blood.tuning.")) from None
-    if (factor := scene.blood.wall_stiffness) != 1.0:
-        stiffness = each_bed(operator.mul, own.capillary_stiffness_n_per_m, factor)
-        own = own.replace(
-            capillary_stiffness_n_per_m=stiffness, vein_stiffness_n_per_m=factor * own.vein_stiffness_n_per_m
-        )
+    blood = scene.blood
+    factors = {
+        "capillary_stiffness_n_per_m": (blood.wall_stiffness, blood.wall_stiffness * blood.distal_stiffness),
+        "vein_stiffness_n_per_m": blood.wall_stiffness * blood.vein_stiffness,
+        "vein_length_m": blood.vein_resistance,
+    }
+    own = own.replace(**{name: each_bed(operator.mul, getattr(own, name), factor) for name, factor in factors.items()})
     if body is None:
         return own
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
@@ -238,6 +240,9 @@ def capillary_zones(scene: Scene) -> hemodynamics.Zones:
         if blood.decay_length is not None:
             law = {"decay_length": blood.decay_length}
         cut = hemodynamics.zones_between(edges, **law)
+    if (everywhere := blood.distal_reach) > 0.0:
+        reach = tuple((proximal, everywhere + (1.0 - everywhere) * distal) for proximal, distal in cut.reach)
+        cut = replace(cut, reach=reach)
     shears = touch.shear_n is not None or touch.recorded_shear_n is not None
     return hemodynamics.with_shear(cut) if shears else cut
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..scene import Scene
+from ..scene.vessels import FACTORS
 from .numbers import aligned
 
 _PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
@@ -34,10 +35,14 @@ def blood_words(scene: Scene) -> str:
     """The vessels of a scene, its zones and its oxygen."""
     blood = scene.blood
     words = f'vessels "{blood.parameters}"'
-    if blood.tuning is not None and blood.tuning.changed():
-        changes = [f"{name} = {_by_bed(value)}" for name, value in blood.tuning.values().items()]
+    changes = [f"{name} times {getattr(blood, name):g}" for name in FACTORS if getattr(blood, name) != 1.0]
+    if blood.tuning is not None:
+        changes += [f"{name} = {_by_bed(value)}" for name, value in blood.tuning.values().items()]
         changes += [f"{name} times {_by_bed(factor)}" for name, factor in (blood.tuning.factors or {}).items()]
+    if changes:
         words += f" with {', '.join(changes)}"
+    if blood.distal_reach:
+        words += f", {100 * blood.distal_reach:g} % of the distal pressure on the whole bed"
     zones = len(scene.zone_edges_mm) + 1
     if zones > 2 or blood.decay_length is not None:
         words += f", {zones} zones along the nail"

@@ -74,9 +74,11 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
             f"The scene is not at the mean of its priors ({', '.join(off)}): readings over them are shifted by {ends} "
             "on average, and vary about that."
         )
+    signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
+    lines.append(f"The sign of the change holds in 97.5 % of draws from these priors at {signs} of {count} readings.")
     lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
     lines.append(
-        "Not among these priors: constants of the vessels but for the stiffness of their walls, and the zone law."
+        "Not among these priors: how contact grows with force, and what differs between blood zones but beds and reach."
     )
     return lines
 

@@ -19,6 +19,8 @@ from .base import (
 )
 
 MOST_ZONES = 32
+# Fields of the blood that are factors on constants of the vessels, named set and tuning alike.
+FACTORS = ("wall_stiffness", "vein_stiffness", "distal_stiffness", "vein_resistance")
 
 
 def _of_each_bed(rule: str, holds: Callable[[float], bool]) -> BeforeValidator:
@@ -124,6 +126,12 @@ class Blood(Table):
     """Values of parameters that replace those of the named set, or factors on them."""
     wall_stiffness: Annotated[float, Field(ge=0.1, le=10)] = 1.0
     """Factor on the stiffness of all walls, of capillaries and vein."""
+    vein_stiffness: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    """Further factor on the stiffness of the vein's wall."""
+    distal_stiffness: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    """Further factor on the stiffness of the distal bed's capillaries."""
+    vein_resistance: Annotated[float, Field(ge=0.01, le=100)] = 1.0
+    """Factor on the resistance of the vein, which a longer one has."""
     rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
     pulp_blood_fraction: Fraction = USUAL_PULP_BLOOD_FRACTION
@@ -154,6 +162,9 @@ class Blood(Table):
     decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
     """Decay length of the distal pressure, in lengths of the nail, instead of the bone's shield: it decreases as
     exp(-d/decay_length) with the distance d from the tip."""
+    distal_reach: Fraction = 0.0
+    """Part of the distal pressure that acts on the whole bed, whatever shields it; 0 in the paper, where the bone keeps
+    all of it from the bed behind."""
 
     @model_validator(mode="after")
     def _zones_are_said_once_and_apart(self) -> Self:

@@ -117,10 +117,9 @@ def _spread(
     scene, ends = transfer.scene, [0, hold_end(result)]
 
     def states(one: Scene) -> np.ndarray:
-        same = all(
-            getattr(one.blood, name) == getattr(scene.blood, name)
-            for name in ("tuning", "wall_stiffness", "decay_length")
-        )
+        # Of the blood, these are the light's alone.
+        seen = {name: getattr(scene.blood, name) for name in ("rest_blood_fraction", "pulp_blood_fraction", "so2")}
+        same = one.blood.model_copy(update=seen) == scene.blood
         course = result if same and one.touch == scene.touch else blood_over_touch(one)
         # Eq. (7): blood goes with the blood at rest.
         part = one.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0

@@ -43,17 +43,23 @@ def with_priors(result, offset):
         for kind in ("reading", "change")
         for end in ("", "_stderr")
     }
-    data |= {"prior_offset": ("prior", [offset]), "prior_range": (("prior", "end"), [[0.5, 2.0]])}
+    data |= {
+        "keeps_sign": (pair, np.arange(8)[None] < 3),
+        "prior_offset": ("prior", [offset]),
+        "prior_range": (("prior", "end"), [[0.5, 2.0]]),
+    }
     data |= {f"prior_{name}": ("prior", [name]) for name in ("field", "how", "source")}
     return result.assign(data).assign_coords(prior=["plate absorption"])
 
 
-def test_the_spread_names_what_is_not_in_it_and_claims_no_sign(make):
-    """Rationale: constants of vessels and contact turn the sign of changes and have no prior. Expected: no sentence
-    says that a sign holds over all; the shift of a scene that is not at its priors' mean is reported."""
-    lines = conclusions(with_priors(make(section=False), 0.0))
-    assert not any("sign" in line or "all that" in line for line in lines)
-    assert lines[-1].startswith("Not among these priors: vessels") and not any("shifted" in line for line in lines)
+def test_the_spread_states_the_signs_that_hold_and_what_is_not_in_it(make):
+    """Expected: of eight readings, of which the first is saturated, the signs that hold are counted; the shift of a
+    scene that is not at its priors' mean is reported."""
+    result = make(section=False)
+    result.saturated[0, 0, 5] = True
+    lines = conclusions(with_priors(result, 0.0))
+    assert any("sign of the change holds" in line and line.endswith("at 2 of 7 readings.") for line in lines)
+    assert lines[-1].startswith("Not among these priors: how contact") and not any("shifted" in line for line in lines)
     (line,) = [one for one in conclusions(with_priors(make(section=False), -1.3)) if "shifted" in one]
     assert "(plate absorption)" in line and "+10 % to +80 %" in line
 

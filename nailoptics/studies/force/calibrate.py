@@ -172,7 +172,7 @@ def _nominal_finger(scene: Scene, model: Model) -> NominalFinger:
         contact_area_cm2=touch.contact_area_mm2 / 100.0,
         proximal_share=touch.proximal_share,
         # The paper's two zones do not share the distal pressure.
-        distal_reach=USUAL_DISTAL_REACH if model == "network" else 0.0,
+        distal_reach=scene.blood.distal_reach or (USUAL_DISTAL_REACH if model == "network" else 0.0),
         pulp=RIGID_PULP if model == "paper" else Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
         vessels=vessels(scene),
     )

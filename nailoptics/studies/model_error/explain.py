@@ -51,7 +51,7 @@ SCATTERING_FACTOR = 1.4
 class Effect(Change):
     """A change that was measured: by how much readings move.
 
-    of : "reading" where it moves the reading at rest, "signal" where it moves the change by touch alone.
+    of : "reading" where it may move the reading at rest by more than the tolerance, else "signal", the change by touch.
     change, stderr : change of that, of the reading at rest relative and of the signal as a part of the largest, of the
         photodiode named, which it surely moves most; the error counts that it was picked: its 95 % interval holds with
         Bonferroni's correction for all photodiodes.
@@ -204,17 +204,18 @@ def effect_of(
     *,
     tolerance: float,
     how: Literal["reweighted", "retraced", "derived"] = "derived",
-    of: Literal["reading", "signal"] = "reading",
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
-    of : what it is judged by; by the signal where no reading changes.
+    What surely moves no reading by more than the tolerance is judged by the signal, where that is known.
     """
     from scipy.special import ndtri
 
-    # Contact and vessels change no reading at rest.
-    of = "signal" if paired.signal is not None and not paired.reading.value.any() else of
-    judged = paired.reading if of == "reading" or paired.signal is None else paired.signal
+    of: Literal["reading", "signal"] = "reading"
+    judged = paired.reading
+    moves_blood = base.largest_modulation[0] > 0
+    if moves_blood and paired.signal is not None and (paired.reading.bound <= tolerance).all():
+        of, judged = "signal", paired.signal
     known = np.isfinite(judged.value) & np.isfinite(judged.stderr)
     # Where nothing was detected, anything may be.
     ratio, error = np.where(known, judged.value, np.nan), np.where(known, judged.stderr, np.nan)
@@ -277,7 +278,7 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         Estimates(np.zeros_like(signal), np.zeros_like(signal)),
     )
     paired = Difference(none, Estimates(signal, error, skew))
-    return effect_of(change, paired, base, tolerance=tolerance, of="signal")
+    return effect_of(change, paired, base, tolerance=tolerance)
 
 
 def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Effect:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -11,7 +12,7 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import NotReachedError
-from ...hemodynamics.for_scene import zones_of_photodiodes
+from ...hemodynamics.for_scene import blood_over_touch, zones_of_photodiodes
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.diffusion import DiffusionModel
@@ -21,6 +22,7 @@ from ...options import BackendName, Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import jackknife
 from ...variables import Variables, variable
+from ..prior_uncertainty import read_by_groups
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 from .paired import (
     Estimates,
@@ -47,6 +49,9 @@ CHEAPER: dict[str, Changes] = {
     "no bone either": {"light": {"left_out": ["bone", "epidermis", "kapton"]}},
 }
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+# Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
+COURSES: dict[str, dict[str, Any]] = {"walls with mass": {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
+FEWER_SAMPLES = 10
 DIFFUSION_CALL = "nailoptics.light.diffusion.DiffusionModel(scene).readings(blood)"
 LITERATURE_CALL = "nailoptics.studies.model_error.tradeoff.literature_changes(scene, name, blood)"
 # Mean path of detected light over the distance from source to detector: adult forearm, 807 nm, distances of
@@ -260,18 +265,20 @@ def tradeoff(
     for other in backends.findings():
         if other.usable and other.name not in (options.backend, "scalar"):
             traced[f"{REFERENCE}, {other.name}"] = full, other.name
-    tracer = PairedTracer(1 + len(traced), options, progress)
+    tracer = PairedTracer(2 + len(traced), options, progress)
     base = tracer.trace(full)
     light, unmet = base.transfer, None
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
     levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, options.seed), diffusion(base)]
+    levels += courses(scene, base, options.seed)
     if any(led.fwhm_nm for led in full.leds):
         # The same photons, so the same cost, whatever the noise of its error.
         levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
     try:
         for name, (one, backend) in traced.items():
             levels.append(measured(scene, name, base, tracer.trace(one, backend=backend)))
+        levels.append(other_zones(scene, base, tracer))
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
     about = light.attributes() | ({"cut_off": unmet} if unmet else {})
@@ -393,6 +400,45 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         errors = np.stack([jackknife(value) for value in values])
         signal = bias_of(base, Estimates(values[:, 0], errors), shared=stderr / unit)
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
+
+
+def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
+    """Other ways to follow the blood, and fewer samples: signals where blood, linear between samples, is off most.
+
+    seed : of the groups of photons, from which errors come.
+    """
+    full, (unit, stderr) = base.transfer.scene, base.largest_modulation
+    usual, usual_s = timed(partial(blood_over_touch, full))
+    blood = usual.blood_fraction.values
+    fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
+    ways: dict[str, tuple[dict[str, Any], Changes | None]] = {name: (how, None) for name, how in COURSES.items()}
+    if usual.sizes["time"] > 2 * FEWER_SAMPLES:
+        ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
+    for name, (how, changes) in ways.items():
+        one = revised(full, changes or {})
+        course, seconds = timed(partial(blood_over_touch, one, **how))
+        other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
+        farthest = int(np.abs(other - blood).max(0).argmax())
+        states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
+        rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states, seed), -1, 0)
+        off = (wrong - right) / rest / unit
+        signal = bias_of(base, Estimates(off[0], jackknife(off)), shared=stderr / unit)
+        yield replace(
+            measured(scene, name, base, base),
+            signal=signal,
+            setup_seconds=base.setup_seconds + seconds - usual_s,
+            changes=changes,
+            call=f"nailoptics.hemodynamics.for_scene.blood_over_touch(scene, **{how})" if how else "",
+        )
+
+
+def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Level:
+    """The scene with eight blood zones, or with two if it has more: other blood under a touch, none at rest."""
+    two = len(scene.zone_edges_mm) == 1
+    changes: Changes = {"blood": {"zones": 8 if two else None, "zone_edges_mm": (0.0,)}}
+    other = tracer.trace(revised(base.transfer.scene, changes))
+    level = measured(scene, "eight zones" if two else "two zones", base, other)
+    return replace(level, reading=Bias(0.0, 0.0, 0.0), signal=signal_bias(base, other.modulation), changes=changes)
 
 
 def diffusion(base: PairedReadings) -> Level:
