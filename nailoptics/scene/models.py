@@ -49,6 +49,10 @@ class Viewing(Table):
     """Camera position of a photograph, from the nail's centre: across, towards the tip, and above. [mm]"""
 
 
+# Beyond this a mean free path is below an atom, and single precision ends soon after. [mm^-1]
+Coefficient = Annotated[float, Field(ge=0, le=1e9)]
+
+
 class Layer(Table):
     """One layer of a phantom, laterally infinite."""
 
@@ -56,9 +60,9 @@ class Layer(Table):
     """Name of the layer, unique in the phantom."""
     thickness_mm: Annotated[float, Field(gt=0, allow_inf_nan=True)]
     """Thickness; inf closes the stack. [mm]"""
-    mu_a_per_mm: NonNegative
+    mu_a_per_mm: Coefficient
     """Absorption coefficient. [mm^-1]"""
-    mu_s_per_mm: NonNegative
+    mu_s_per_mm: Coefficient
     """Scattering coefficient. [mm^-1]"""
     g: Annotated[float, Field(ge=-0.9999, le=0.9999)] = 0.0
     """Anisotropy of Henyey-Greenstein scattering."""

@@ -96,6 +96,7 @@ def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
         (FINGER + "[accuracy]\nmax_seconds = -1", "accuracy.max_seconds", "-1"),
         (FINGER + '[light]\nengine = "photon"', "light.engine", '"photon"'),
         (PHANTOM.replace("= inf", "= 0.0"), "phantom.layers[0].thickness_mm", "0.0"),
+        (PHANTOM.replace("mu_a_per_mm = 0.1", "mu_a_per_mm = 1e39"), "phantom.layers[0].mu_a_per_mm", "1e+39"),
         (PHANTOM.replace("mu_s_per_mm = 1.0", "mu_s_per_mm = -1.0"), "phantom.layers[0].mu_s_per_mm", "-1.0"),
         (PHANTOM.replace("mu_s_per_mm", "g = 1.0\nmu_s_per_mm"), "phantom.layers[0].g", "1.0"),
         (PHANTOM.replace("mu_s_per_mm", "n = 0.9\nmu_s_per_mm"), "phantom.layers[0].n", "0.9"),
