@@ -720,7 +720,7 @@ def doctor(*, json_: Json = False) -> None:
         f"volpath runs on {stock.name}: stock Mitsuba, the reference of simulate, trace and batch",
         "backends found on this machine, and the engines that each can run:",
         *lines,
-        *dict.fromkeys(one.advice for one in (chosen, stock) if one.advice),
+        *dict.fromkeys(backend.advice for backend in (chosen, stock) if backend.advice),
     ]
     _finish(summary, lines, {}, json_)
 
@@ -810,7 +810,7 @@ def _finish(
         print(to_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}}))
     else:
         # A study's own table has several lines; a text or a path, and what is called so, one.
-        shown = [terminal.escaped(str(one), lines=not isinstance(one, str | Path)) for one in (*text, *paths.values())]
+        shown = [terminal.escaped(str(row), lines=not isinstance(row, str | Path)) for row in (*text, *paths.values())]
         if unmet:
             shown.insert(0, terminal.escaped(f"Cut off: {unmet}"))
         print(*shown, sep="\n")

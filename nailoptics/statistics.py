@@ -81,8 +81,8 @@ def left_out(groups: Array) -> Array:
 
 def jackknife(replicates: Array) -> Array:
     """Standard error of what was made from all groups and without each, (1 + n, ...) float (Efron, Stein 1981)."""
-    each = replicates[1:]
-    return np.asarray(np.sqrt((len(each) - 1) / len(each) * ((each - each.mean(0)) ** 2).sum(0)))
+    left_out = replicates[1:]
+    return np.asarray(np.sqrt((len(left_out) - 1) / len(left_out) * ((left_out - left_out.mean(0)) ** 2).sum(0)))
 
 
 def seed_of(seed: int, *key: int) -> int:

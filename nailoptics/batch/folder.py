@@ -326,7 +326,7 @@ def _joined(scenes: dict[int, xr.Dataset], count: int) -> xr.Dataset:
             f"the scenes of this batch make no one dataset: {str(error).splitlines()[0]}; sweep scenes with the same "
             "names, as many of each and, for course, the same times."
         ) from None
-    empty = {name: {"b": False, "U": "", "u": 0}.get(one.dtype.kind, np.nan) for name, one in joined.items()}
+    empty = {name: {"b": False, "U": "", "u": 0}.get(variable.dtype.kind, np.nan) for name, variable in joined.items()}
     return joined.reindex({_SCENE: range(count)}, fill_value=empty)
 
 

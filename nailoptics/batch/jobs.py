@@ -98,11 +98,11 @@ def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     planned, study = [], settings.study
     for scene, traced in zip(sweep.scenes, traced_absorption(sweep.scenes), strict=True):
         # Another study of the same scene is another result.
-        own = digest(scene)
-        own = own if study == "simulate" else hashlib.sha256(f"{study} {own}".encode()).hexdigest()
+        scene_id = digest(scene)
+        scene_id = scene_id if study == "simulate" else hashlib.sha256(f"{study} {scene_id}".encode()).hexdigest()
         key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
         stores_none = by_volpath(scene, settings.options.backend) and not STUDIES[study].own_light
-        planned.append(Planned(own, own if stores_none else key, scene, None if stores_none else traced))
+        planned.append(Planned(scene_id, scene_id if stores_none else key, scene, None if stores_none else traced))
     return planned
 
 

@@ -153,8 +153,9 @@ class LocalSlots:
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
         if now:
-            for worker in [one for e in self.executors for one in (getattr(e, "_processes", None) or {}).values()]:
-                worker.terminate()
+            for executor in self.executors:
+                for process in (getattr(executor, "_processes", None) or {}).values():
+                    process.terminate()
         for executor in self.executors:
             executor.shutdown(wait=True, cancel_futures=True)
 

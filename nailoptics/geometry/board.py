@@ -54,8 +54,8 @@ class BentBoard:
         )
         self.regions = region_names(layout)
         regions = [*range(len(REGIONS), len(self.regions)), *[SILICON] * len(layout.unwired)]
-        each = zip(regions, [*layout.leds, *layout.photodiode_areas, *layout.unwired], stands_out, strict=True)
-        self.parts = [(region, r, round(1e-3 * height, 3)) for region, r, height in each]
+        areas = zip(regions, [*layout.leds, *layout.photodiode_areas, *layout.unwired], stands_out, strict=True)
+        self.parts = [(region, r, round(1e-3 * height, 3)) for region, r, height in areas]
         self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r, _ in self.parts for s in r.strips())]
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:

@@ -132,8 +132,8 @@ def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of
     parts = _tree(_distinct(_lattice(corners[close], pieces[close])[0]))
     lowest, highest = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
     for start in range(0, len(cells), PLANES_AT_ONCE):
-        own = slice(start, start + PLANES_AT_ONCE)
-        pairs = _tree(centers[own]).sparse_distance_matrix(parts, within, output_type="ndarray")
+        chunk = slice(start, start + PLANES_AT_ONCE)
+        pairs = _tree(centers[chunk]).sparse_distance_matrix(parts, within, output_type="ndarray")
         cell = pairs["i"] + start
         height = np.einsum("ij,ij->i", parts.data[pairs["j"]] - centers[cell], normals[cell]) / PLANE_STEP_MM
         np.minimum.at(lowest, cell, height)

@@ -138,9 +138,9 @@ def _peaks(wave: Array, rate_hz: float, expected_hz: float) -> tuple[NDArray[np.
     """Places of the beats' peaks and their heights over the lowest since the one before."""
     from scipy import signal
 
-    apart = max(int(0.55 * rate_hz / expected_hz), 1)
-    usual = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * apart))))]))
-    peaks, properties = signal.find_peaks(wave, distance=apart, prominence=0.3 * usual)
+    gap = max(int(0.55 * rate_hz / expected_hz), 1)
+    usual = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * gap))))]))
+    peaks, properties = signal.find_peaks(wave, distance=gap, prominence=0.3 * usual)
     return peaks, np.asarray(properties["prominences"], float)
 
 

@@ -157,7 +157,7 @@ def _constants(parameters: Parameters, zones: Zones, unit: int | None, axes: int
         return rest_m[unit], share[unit], closing_pa[unit]
     if np.ptp(rest_m) == np.ptp(share) == np.ptp(closing_pa) == 0.0:
         return rest_m[0], share[0], closing_pa[0]
-    return tuple(one.reshape(-1, *(1,) * (axes - 1)) for one in (rest_m, share, closing_pa))
+    return tuple(constant.reshape(-1, *(1,) * (axes - 1)) for constant in (rest_m, share, closing_pa))
 
 
 @functools.lru_cache(64)

@@ -188,13 +188,13 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
     Raises: InputError if there is no such set, or a constant cannot be.
     """
     named, tuning, body = hemodynamics.parameters(scene.blood.parameters), scene.blood.tuning, scene.body
-    own = named
+    constants = named
     if tuning:
         factors = {
-            name: each_bed(operator.mul, one, getattr(named, name)) for name, one in (tuning.factors or {}).items()
+            name: each_bed(operator.mul, value, getattr(named, name)) for name, value in (tuning.factors or {}).items()
         }
         try:
-            own = named.replace(**tuning.values(), **factors)
+            constants = named.replace(**tuning.values(), **factors)
         except InputError as error:
             raise InputError(str(error).replace("hemodynamics.", "blood.tuning.")) from None
     blood = scene.blood
@@ -203,14 +203,15 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
         "vein_stiffness_n_per_m": blood.wall_stiffness * blood.vein_stiffness,
         "vein_length_m": blood.vein_resistance,
     }
-    own = own.replace(**{name: each_bed(operator.mul, getattr(own, name), factor) for name, factor in factors.items()})
+    scaled = {name: each_bed(operator.mul, getattr(constants, name), factor) for name, factor in factors.items()}
+    constants = constants.replace(**scaled)
     if body is None:
-        return own
+        return constants
     if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
         time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
-        return own.replace(arterial_pressure_pa=np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
+        return constants.replace(arterial_pressure_pa=np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
     stated_pa = body.heartbeat.mean_pressure_pa if body.heartbeat is not None else None
-    return own if stated_pa is None else own.replace(arterial_pressure_pa=stated_pa)
+    return constants if stated_pa is None else constants.replace(arterial_pressure_pa=stated_pa)
 
 
 def with_posture(parameters: hemodynamics.Parameters, body: Body | None) -> hemodynamics.Parameters:
@@ -284,8 +285,8 @@ class BloodModel:
 
     def fraction(self, diameter_m: np.ndarray, touch_pa: ArrayLike, *, unit: int | None = None) -> np.ndarray:
         """Blood fraction of each zone, or of one, by the diameter of its capillaries and the touch on them. [1]"""
-        own: dict[str, Any] = {"rest_blood_fraction": self.blood.rest_blood_fraction, "zones": self.zones, "unit": unit}
-        return hemodynamics.blood_fraction(self.rest, diameter_m, touch_pa=touch_pa, **own)
+        how: dict[str, Any] = {"rest_blood_fraction": self.blood.rest_blood_fraction, "zones": self.zones, "unit": unit}
+        return hemodynamics.blood_fraction(self.rest, diameter_m, touch_pa=touch_pa, **how)
 
     def steady(self, pressure_pa: np.ndarray) -> np.ndarray:
         """Blood fractions once pressures (M, n) have been held for long, (n, zones) float. [1]"""

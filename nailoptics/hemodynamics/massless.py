@@ -86,7 +86,7 @@ def _unroll(function: Callable[..., list[Any]], *shapes: tuple[int, ...]) -> Cal
         items = [_Symbol(f"{name}_{item}", lines) for item in range(math.prod(shape))]
         arguments.append(np.array(items, dtype=object).reshape(shape)[()])
         unpack.append(f"{items if shape else items[0]} = {name}")
-    result = str([np.asarray(one, dtype=object).tolist() for one in function(*arguments)])
+    result = str([np.asarray(output, dtype=object).tolist() for output in function(*arguments)])
     code_of = {symbol.name: code for code, symbol in lines.items()}
     uses = Counter(name for code in [*lines, result, result] for name in re.findall(r"\bv\d+", code))
 

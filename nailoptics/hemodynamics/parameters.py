@@ -21,7 +21,7 @@ def each_bed(function: Callable[..., Any], *values: Any) -> Any:
     """The function of constants: a pair where one of them is a pair, and else one value for both beds."""
     if not any(isinstance(value, tuple) for value in values):
         return function(*values)
-    return tuple(function(*one) for one in zip(*map(beds, values), strict=True))
+    return tuple(function(*pair) for pair in zip(*map(beds, values), strict=True))
 
 
 def beds(value: Any) -> tuple[Any, Any]:
@@ -68,7 +68,7 @@ class Parameters:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if is_of_beds(field.name) and isinstance(value, list | tuple) and len(value) == 2:
-                pair = tuple(_checked(field.name, one) for one in value)
+                pair = tuple(_checked(field.name, item) for item in value)
                 value = pair[0] if pair[0] == pair[1] else pair
             else:
                 value = _checked(field.name, value)

@@ -58,15 +58,15 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
     """
     p = parameters
     shape = np.broadcast_shapes(*(np.shape(value) for pair in vars(p).values() for value in beds(pair)))
-    each = (1.0,) * zones.count
+    ones = (1.0,) * zones.count
 
     def stack(capillary: Any, vein: Any, share: tuple[float, ...] = zones.share) -> np.ndarray:
-        units = [part * one for part, one in zip(share, zones.of_beds(capillary), strict=True)]
+        units = [part * factor for part, factor in zip(share, zones.of_beds(capillary), strict=True)]
         return np.stack([np.broadcast_to(value, shape) for value in (*units, vein)])
 
     area = stack(p.capillary_area_m2, p.vein_area_m2)
     damping = stack(p.capillary_damping_n_s_per_m, p.vein_damping_n_s_per_m)
-    diameter = stack(p.capillary_diameter_m, p.vein_diameter_m, each)
+    diameter = stack(p.capillary_diameter_m, p.vein_diameter_m, ones)
     capillary_flow = each_bed(
         lambda count, length_m: count * math.pi / (128.0 * length_m * p.viscosity_pa_s),
         p.capillary_count,
@@ -100,10 +100,10 @@ class MasslessNetwork:
         self.width, self.free, self.mobile = width, free, walls.mobile * free
         self.conductance = walls.flow_factor * (square * square)
         self.arteriole, self.vein = self.conductance[:-1], self.conductance[-1:]
-        own = self.arteriole + self.mobile[:-1] * walls.area[:-1]
-        self.total = own + walls.venule
+        outflow = self.arteriole + self.mobile[:-1] * walls.area[:-1]
+        self.total = outflow + walls.venule
         self.ratio = walls.venule / self.total
-        self.upstream = _sum(self.ratio * own)
+        self.upstream = _sum(self.ratio * outflow)
         self.node_total = self.upstream + self.mobile[-1:] * walls.area[-1:] + self.vein
 
     def rates(self, load: np.ndarray, high: Any, low: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -326,6 +326,6 @@ class CardiacOscillator:
         # All harmonics belong to one beat: when it is late, all are.
         late = np.concatenate([[0.0], (order[:, None] * across).ravel()])
         phase_variance = (2 * np.pi * INTERVAL_SPREAD) ** 2 * self.rate_hz * step_s
-        own = np.concatenate([[(1 - decay**2) * RATE_SPREAD**2], np.repeat(forgotten * self.spread**2 * height2, 2)])
-        noise = phase_variance * np.outer(late, late) + np.diag(own)
+        added = np.concatenate([[(1 - decay**2) * RATE_SPREAD**2], np.repeat(forgotten * self.spread**2 * height2, 2)])
+        noise = phase_variance * np.outer(late, late) + np.diag(added)
         return np.concatenate([[decay * state[0]], after.ravel()]), jacobian, noise

@@ -123,7 +123,7 @@ def findings() -> list[Backend]:
     """Every candidate of every backend, in the order they are tried, and why it is selected or not."""
     candidates: list[Backend] = []
     taken: Backend | None = None
-    for candidate in (one for name in NAMES for one in _look(name)):
+    for candidate in (finding for name in NAMES for finding in _look(name)):
         if candidate.usable:
             what = f"not needed, {taken.name} ({taken.library}) comes first" if taken else "selected"
             if taken and candidate.name == "scalar" and "volpath" not in taken.engines:
@@ -287,7 +287,7 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
         return (), f"gave no answer in {PROBE_TIMEOUT_S:g} s", False
     except OSError as error:
         return (), f"could not be tried: {error}", False
-    said = run.stderr.decode(errors="replace")
+    message = run.stderr.decode(errors="replace")
     answered = run.stdout.decode(errors="replace").split()
     engines = tuple(engine for engine in ENGINES if engine in answered)
     if run.returncode == 0 and engines == ENGINES:
@@ -301,9 +301,9 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
     if run.returncode < 0:
         return (), f"kills the process at its first kernel {code}", True
     # Dr.Jit's own words come first; the exception that follows them only says that there is no backend.
-    refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", said)
-    why = refusal.group(1) if refusal else _last_line(said)
-    missing = "ModuleNotFoundError" in said or not said
+    refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", message)
+    why = refusal.group(1) if refusal else _last_line(message)
+    missing = "ModuleNotFoundError" in message or not message
     return (), f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
 
 

@@ -162,7 +162,7 @@ class BoardTracer:
             arrived, _, left = self._onto_board(led, face, photons, seed)
             if scene.layout.photodiodes[photodiode].photodiode.angular_response is not None:
                 sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
-                arrived, left = (one.reweighted(sent[one.photon]) for one in (arrived, left))
+                arrived, left = (arrivals.reweighted(sent[arrivals.photon]) for arrivals in (arrived, left))
             return arrived.stored() | left.stored("left_")
 
         arrays = self._stored(led, f"back{photodiode}_{seed}-{photons}", trace)
@@ -376,9 +376,9 @@ class PhotonMap:
             self._table = np.ascontiguousarray(padded.cumsum(2).cumsum(3).transpose(2, 3, 1, 0))
         if not isinstance(rectangles, np.ndarray):
             strips = [r.strips() for r in rectangles]
-            edges = [(s.u_min, s.u_max, s.v_min, s.v_max) for each in strips for s in each]
-            each = self.over(np.array(edges).reshape(-1, 4))
-            return np.add.reduceat(each, np.cumsum([0, *map(len, strips[:-1])]), axis=1) if strips else each
+            edges = [(s.u_min, s.u_max, s.v_min, s.v_max) for patch_strips in strips for s in patch_strips]
+            per_strip = self.over(np.array(edges).reshape(-1, 4))
+            return np.add.reduceat(per_strip, np.cumsum([0, *map(len, strips[:-1])]), axis=1) if strips else per_strip
         low_u, high_u, low_v, high_v = rectangles.T
         corner = self._corner
         sums = corner(high_u, high_v) - corner(low_u, high_v) - corner(high_u, low_v) + corner(low_u, low_v)
@@ -403,13 +403,13 @@ class PhotonMap:
 
     def per_mm2(self) -> tuple[np.ndarray, np.ndarray]:
         """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""
-        each = self.blocks_per_mm2()
-        return each.mean(1), each.std(1, ddof=1) / np.sqrt(self.blocks)
+        blocks = self.blocks_per_mm2()
+        return blocks.mean(1), blocks.std(1, ddof=1) / np.sqrt(self.blocks)
 
 
 def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:
     """Maps of several LEDs on one board as a Dataset over led, zone, u and v."""
-    mean, stderr = (np.stack(both) for both in zip(*(one.per_mm2() for one in maps), strict=True))
+    mean, stderr = (np.stack(both) for both in zip(*(light_map.per_mm2() for light_map in maps), strict=True))
     data: Variables = {}
     for name, column, dims, text in (
         ("irradiance", 0, ("led", "u", "v"), "irradiance of the board's underside"),

@@ -286,7 +286,7 @@ def _light_by_volpath(
     corners = volpath.corner_states(states)
     traced = volpath.read_leds(scene, options, progress, corners)
     fraction, stderr, ratio, ratio_stderr = (
-        np.stack([getattr(one, name) for one in traced])
+        np.stack([getattr(reading, name) for reading in traced])
         for name in ("fraction", "fraction_stderr", "ratio", "ratio_stderr")
     )
     rest = fraction[:, :, 0]
@@ -300,7 +300,7 @@ def _light_by_volpath(
         ),
         mean_path=mean_path,
         mean_path_stderr=mean_path_stderr,
-        attributes=provenance(scene, photons=sum(one.paths for one in traced), **made)
+        attributes=provenance(scene, photons=sum(reading.paths for reading in traced), **made)
         | {
             "cpu_seconds": time.process_time() - cpu,
             "wall_seconds": time.perf_counter() - begin,
@@ -312,7 +312,7 @@ def _light_by_volpath(
 
 def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
     """Why volpath's readings fall short of what is required, if they do."""
-    short = (NotReachedError(one.unmet_reason, interrupted=one.interrupted) for one in traced if one.unmet_reason)
+    short = (NotReachedError(r.unmet_reason, interrupted=r.interrupted) for r in traced if r.unmet_reason)
     return next(short, None)
 
 
@@ -345,11 +345,11 @@ def _rest_by_volpath(
     rest = None if scene.phantom is not None else np.full((1, zones), blood)
     traced = volpath.read_leds(scene, options, progress, rest)
     rows = []
-    for led, one in zip(scene.leds, traced, strict=True):
-        values = zip(photodiode_names(scene), one.fraction[:, 0], one.fraction_stderr[:, 0], strict=True)
-        rows += [_row(led, *value, one.paths) for value in values]
-    energy = mean_of_leds([one.energy for one in traced if one.energy]) if scene.phantom is not None else None
-    photons = sum(one.paths for one in traced)
+    for led, r in zip(scene.leds, traced, strict=True):
+        values = zip(photodiode_names(scene), r.fraction[:, 0], r.fraction_stderr[:, 0], strict=True)
+        rows += [_row(led, *value, r.paths) for value in values]
+    energy = mean_of_leds([r.energy for r in traced if r.energy]) if scene.phantom is not None else None
+    photons = sum(r.paths for r in traced)
     return RestReadings(rows, energy, photons, "volpath", options.backend, 0.0, 0.0), _unmet(traced)
 
 

@@ -113,13 +113,13 @@ class DiffusiveStack:
         """
         diffusion, last = self.diffusion_mm[:, None], len(self.n) - 1
         decay = np.sqrt(self.mu_a_per_mm[:, None] / diffusion + frequency_per_mm**2)
-        own = diffusion * self.n[:, None] ** 2 * decay
+        source = diffusion * self.n[:, None] ** 2 * decay
         # Flux per fluence / n^2: own of each medium, then at the top and at the bottom of each layer.
-        top, bottom = own.copy(), own.copy()
+        top, bottom = source.copy(), source.copy()
         for i in reversed(range(last)):
             bottom[i] = top[i + 1] / (1 + self._steps[i] * top[i + 1])
             slope = np.tanh(decay[i] * self.thickness_mm[i])
-            top[i] = own[i] * (bottom[i] + own[i] * slope) / (own[i] + bottom[i] * slope)
+            top[i] = source[i] * (bottom[i] + source[i] * slope) / (source[i] + bottom[i] * slope)
 
         def fall(i: int, x: float) -> Array:
             """Fluence at x below a layer's top, as a part of that there."""
@@ -128,7 +128,7 @@ class DiffusiveStack:
             passed, rest, whole = (
                 np.exp(-decay[i] * length) for length in (x, self.thickness_mm[i] - x, self.thickness_mm[i])
             )
-            ratio = bottom[i] / own[i]
+            ratio = bottom[i] / source[i]
             part = (1 + rest**2) + ratio * (1 - rest**2)
             return np.asarray(passed * part / ((1 + whole**2) + ratio * (1 - whole**2)))
 
@@ -184,7 +184,7 @@ class DiffusionModel:
             self.scene, self.scene.leds[led].wavelength_nm, blood_fraction=np.repeat(box.nodes, len(beds), 1)
         )
         logarithm = np.log([self._read(led, bed) for bed in mu_a[:, 0, beds[0]]])
-        return np.exp([box.weights(one) @ curve for one, curve in zip(blood.T, logarithm.T, strict=True)])
+        return np.exp([box.weights(state) @ curve for state, curve in zip(blood.T, logarithm.T, strict=True)])
 
     def _stack(self, wavelength_nm: float) -> DiffusiveStack:
         """The layers with the blood at rest."""

@@ -131,9 +131,9 @@ def absorption(
     shape = np.broadcast_shapes(fraction.shape[:-1], saturation.shape[:-1])
     for absorber in absorbing(scene):
         region = _optics_of(scene, absorber.region)
-        own = saturation if absorber.zone is None or pooled is None else pooled[..., absorber.zone, None]
+        zone_so2 = saturation if absorber.zone is None or pooled is None else pooled[..., absorber.zone, None]
         melanin, dermis = scene.finger.melanin_fraction, scene.finger.dermis
-        mixed = tissue.absorption(region, wavelength, so2=own, melanin_fraction=melanin, dermis_absorption=dermis)
+        mixed = tissue.absorption(region, wavelength, so2=zone_so2, melanin_fraction=melanin, dermis_absorption=dermis)
         # Only the pulp outside the bed's zones carries blood.
         blood = scene.blood.pulp_blood_fraction if absorber.zone is None else fraction[..., absorber.zone, None]
         base = _factor(scene, region, "absorption") * np.asarray(mixed.base_per_mm)

@@ -75,11 +75,11 @@ def _part(
     triangles[inward] = triangles[inward][:, ::-1]
     used, flat = np.unique(triangles, return_inverse=True)
     points = mesh.vertices[used]
-    own = on_nail if kind == "nail" else ~on_nail
-    places = tile_mm[own]
+    members = on_nail if kind == "nail" else ~on_nail
+    places = tile_mm[members]
     # A smooth surface through the tiles, which have noise; beyond them the colour of the nearest.
     at = np.clip(np.stack([np.abs(points[:, 0]), points[:, 1]], -1), places.min(0), places.max(0))
-    smooth = RBFInterpolator(places, colours[own], neighbors=min(24, len(places)), smoothing=2.0, kernel="linear")
+    smooth = RBFInterpolator(places, colours[members], neighbors=min(24, len(places)), smoothing=2.0, kernel="linear")
     colour = np.clip(smooth(at), 0.0, 1.0)
     surface, base = mi.Properties(), {"type": "mesh_attribute", "name": "vertex_color"}
     bsdf = {"type": "principled", "base_color": base, "roughness": ROUGHNESS[kind], "specular": 0.5}

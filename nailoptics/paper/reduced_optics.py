@@ -89,7 +89,7 @@ def fit_curve(
         return level + slope * middle, slope, (moved + slope[:, None] * away) ** 2 @ share
 
     def at(curvature: float, curved: bool) -> FittedCurve:
-        value, slope, _ = (float(one[0]) for one in linear(np.array([curvature])))
+        value, slope, _ = (float(column[0]) for column in linear(np.array([curvature])))
         return FittedCurve(centre, value, slope, curvature, curved)
 
     scale = scale or float(x.max()) or 1.0

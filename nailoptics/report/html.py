@@ -81,14 +81,14 @@ def document(
 def _policy(scripts: Iterable[str]) -> str:
     """What a browser may do on a page: run these scripts and show what is in the page itself."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
-    allowed = " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     inside = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
     return f"{inside}; base-uri 'none'; form-action 'none'"
 
 
 def section(heading: str, *content: str) -> Html:
     """A part of a page under a heading; text that is no HTML is a paragraph, and what is empty is left out."""
-    parts = [one if isinstance(one, Html) else paragraph(one) for one in content if one]
+    parts = [item if isinstance(item, Html) else paragraph(item) for item in content if item]
     return Html("\n".join([f"<section><h2>{escaped(heading)}</h2>", *parts, "</section>"]))
 
 

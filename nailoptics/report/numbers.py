@@ -78,19 +78,19 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
     return f"({text}){tail}" if tail else text
 
 
-def estimated(one: Any, name: str, scale: float = 1.0) -> str:
+def estimated(record: Any, name: str, scale: float = 1.0) -> str:
     """An estimate of a dataset or a record, times a scale, ± its standard error."""
-    return with_error(*(scale * float(one[f"{name}{end}"]) for end in ("", "_stderr")))
+    return with_error(*(scale * float(record[f"{name}{end}"]) for end in ("", "_stderr")))
 
 
-def plain(one: Any, *names: str, **renamed: str) -> dict[str, Any]:
+def plain(data: Any, *names: str, **renamed: str) -> dict[str, Any]:
     """Variables of a dataset as plain numbers, texts and lists of them, by their names or, renamed, by a key."""
-    return {key: one[name].values.tolist() for key, name in ({name: name for name in names} | renamed).items()}
+    return {key: data[name].values.tolist() for key, name in ({name: name for name in names} | renamed).items()}
 
 
-def with_stderr(one: Any, name: str) -> dict[str, Any]:
+def with_stderr(data: Any, name: str) -> dict[str, Any]:
     """An estimate of a dataset as a summary has it."""
-    return plain(one, value=name, stderr=f"{name}_stderr")
+    return plain(data, value=name, stderr=f"{name}_stderr")
 
 
 def unit_of(field: str) -> str:
@@ -99,7 +99,7 @@ def unit_of(field: str) -> str:
     words = head.split("_")
     ends = ("_".join(words[-count:]) for count in (2, 1) if count < len(words))
     above = next((UNITS[end] for end in ends if end in UNITS), "1")
-    return "/".join([above, *(UNITS.get(one, one) for one in below)])
+    return "/".join([above, *(UNITS.get(word, word) for word in below)])
 
 
 def polynomial(coefficients: Iterable[float], variable: str) -> str:

@@ -33,11 +33,11 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
     # Without the rest of the result, which would be cut as often.
     priors = result[[name for name in result.data_vars if str(name).startswith("prior_")]]
     priors = priors.isel(layout=0) if "layout" in priors.dims else priors
-    for name, one in ((name, priors.sel(prior=name)) for name in priors.prior.values):
-        row = {"name": str(name)} | plain(one, field="prior_field", how="prior_how", source="prior_source")
-        row |= {"low": float(one.prior_range[0]), "high": float(one.prior_range[1]), "offset": float(one.prior_offset)}
+    for name, p in ((name, priors.sel(prior=name)) for name in priors.prior.values):
+        row = {"name": str(name)} | plain(p, field="prior_field", how="prior_how", source="prior_source")
+        row |= {"low": float(p.prior_range[0]), "high": float(p.prior_range[1]), "offset": float(p.prior_offset)}
         for kind in _kinds(result):
-            spread = one[[f"prior_{kind}_spread", f"prior_{kind}_spread_stderr"]]
+            spread = p[[f"prior_{kind}_spread", f"prior_{kind}_spread_stderr"]]
             at = np.nan_to_num(spread[f"prior_{kind}_spread"].values, nan=-1.0).argmax()
             row |= {str(key).removeprefix("prior_"): float(values.values.flat[at]) for key, values in spread.items()}
         rows.append(row)
@@ -65,7 +65,7 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     usable = ~result.saturated.any("time")
     words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
     names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
-    spreads = (_range(one.where(usable)) for one in (result.reading_spread, result.change_spread))
+    spreads = (_range(spread.where(usable)) for spread in (result.reading_spread, result.change_spread))
     lines = [words.format(*spreads, " and ".join(names))]
     if off := [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE]:
         shift = result.reading_shift.where(usable).values

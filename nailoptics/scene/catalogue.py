@@ -207,5 +207,5 @@ def _find_part(name: str, beside: Path | None) -> Path:
         if is_there(path := folder / f"{name}.toml"):
             return path
     known = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
-    own = "" if beside is None else f", or put your own {short(name)}.toml into {beside}"
-    raise InputError(f'part "{short(name)}" is unknown; choose one of {known}{own}')
+    hint = "" if beside is None else f", or put your own {short(name)}.toml into {beside}"
+    raise InputError(f'part "{short(name)}" is unknown; choose one of {known}{hint}')

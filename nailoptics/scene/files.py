@@ -26,7 +26,7 @@ def load_scene(path: str | Path) -> Scene:
     if not is_there(path):
         path = shipped_scene(given) or path
         if not is_there(path) and path.parent == Path() and not path.suffix:
-            known = ", ".join(sorted(one.stem for one in data_dir("scenes").glob("*.toml")))
+            known = ", ".join(sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
             raise InputError(f"{given}: there is no such file and no shipped scene of that name; shipped: {known}.")
     return parse_scene(read_text(path, "the path of a scene file (TOML)"), folder=path.parent, name=str(path))
 

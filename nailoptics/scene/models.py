@@ -328,8 +328,8 @@ def _with_map(placement: object, parts: object) -> object:
     if not isinstance(placement, dict) or not isinstance(placement.get("candidates"), tuple):
         return placement
 
-    def lacks(one: object) -> bool:
-        return isinstance(one, dict) and bool({"positions", "kicad"} & one.keys()) and "parts" not in one
+    def lacks(item: object) -> bool:
+        return isinstance(item, dict) and bool({"positions", "kicad"} & item.keys()) and "parts" not in item
 
     given = placement["candidates"]
-    return placement | {"candidates": tuple(one | {"parts": parts} if lacks(one) else one for one in given)}
+    return placement | {"candidates": tuple(item | {"parts": parts} if lacks(item) else item for item in given)}

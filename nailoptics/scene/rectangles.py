@@ -61,7 +61,7 @@ class Rectangle:
         """How deep the two rectangles overlap; negative is the gap between them along an edge of either. [mm]"""
         depths = []
         for angle in {self.rotation_deg, other.rotation_deg}:
-            here, there = (np.array([turned(corner, -angle) for corner in one.corners_mm]) for one in (self, other))
+            here, there = (np.array([turned(corner, -angle) for corner in box.corners_mm]) for box in (self, other))
             depths += list(np.minimum(here.max(0), there.max(0)) - np.maximum(here.min(0), there.min(0)))
         return float(min(depths))
 

@@ -260,7 +260,7 @@ def _with(item: Any, steps: list[str | int], value: Any, path: str) -> Any:
         return item | {step: _with(item.get(step, {}) if rest else None, rest, value, path)}
     if not isinstance(item, tuple):
         raise InputError(f'axis path "{path}" goes on at {step!r} where the base scene has a value; correct the path.')
-    names = [one.get("name", one.get("part", one.get("array"))) if isinstance(one, dict) else None for one in item]
+    names = [row.get("name", row.get("part", row.get("array"))) if isinstance(row, dict) else None for row in item]
     if step not in names and not (isinstance(step, int) and step < len(item)):
         known = ", ".join([f"0 to {len(item) - 1}", *(name for name in names if isinstance(name, str))])
         raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")

@@ -36,8 +36,8 @@ def _of_each_bed(rule: str, holds: Callable[[float], bool]) -> BeforeValidator:
 
 
 _Numbers = float | tuple[float, float]
-PerBed = Annotated[_Numbers, _of_each_bed("greater than 0", lambda one: 0 < one < math.inf)]
-SharePerBed = Annotated[_Numbers, _of_each_bed("of 0 or more and less than 1", lambda one: 0 <= one < 1)]
+PerBed = Annotated[_Numbers, _of_each_bed("greater than 0", lambda value: 0 < value < math.inf)]
+SharePerBed = Annotated[_Numbers, _of_each_bed("of 0 or more and less than 1", lambda value: 0 <= value < 1)]
 
 
 class Tuning(Table):
@@ -105,8 +105,8 @@ class Tuning(Table):
 
     def __hash__(self) -> int:
         # Pydantic's own hash of a frozen model cannot take the dictionary of factors.
-        own = self.model_dump(exclude={"factors"})
-        return hash((frozenset(own.items()), frozenset((self.factors or {}).items())))
+        values = self.model_dump(exclude={"factors"})
+        return hash((frozenset(values.items()), frozenset((self.factors or {}).items())))
 
     def changed(self) -> tuple[str, ...]:
         """Names of the constants that a value or a factor changes."""

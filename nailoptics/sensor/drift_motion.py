@@ -135,7 +135,7 @@ def motion_artefact(
     """
     exponent = np.zeros((1, 1, 1))
     data: Variables = {}
-    traced = {one.motion: one for one in moved}
+    traced = {shift.motion: shift for shift in moved}
     for name in _MOTIONS:
         if f"sensor_{name}_um" not in worn:
             continue
@@ -143,11 +143,11 @@ def motion_artefact(
             raise InputError(
                 f"body.motion.{name}_um: light under a sensor that moves is traced by simulate alone; leave it out."
             )
-        one = traced[name]
-        there = one.light.readings_at(blood)
+        shift = traced[name]
+        there = shift.light.readings_at(blood)
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_um = np.log(there.fraction / in_place.fraction) / one.distance_um
-            stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / one.distance_um
+            per_um = np.log(there.fraction / in_place.fraction) / shift.distance_um
+            stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / shift.distance_um
         exponent = exponent + np.where(np.isfinite(per_um), per_um, 0.0) * worn[f"sensor_{name}_um"].values
         text = f"change of a reading at the start by a {name} of the sensor, relative"
         over = ("led", "photodiode")

@@ -74,7 +74,7 @@ def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Ph
     if isinstance(photodiodes, Photodiode):
         return np.asarray(value(photodiodes))
     # Thousands of places have one and the same photodiode.
-    by_id = {key: value(one) for key, one in {id(photodiode): photodiode for photodiode in photodiodes}.items()}
+    by_id = {key: value(element) for key, element in {id(photodiode): photodiode for photodiode in photodiodes}.items()}
     return np.array([by_id[id(photodiode)] for photodiode in photodiodes])
 
 
@@ -130,9 +130,9 @@ def stage_noise(
     return noise_budget(
         current_a,
         amplifier,
-        dark_current_na=_of_each(photodiode, lambda one: 1e9 * one.dark_current_a(amplifier.temperature_k)),
-        shunt_ohm=_of_each(photodiode, lambda one: 1e6 * one.shunt_mohm),
-        capacitance_pf=_of_each(photodiode, lambda one: one.capacitance_pf),
+        dark_current_na=_of_each(photodiode, lambda p: 1e9 * p.dark_current_a(amplifier.temperature_k)),
+        shunt_ohm=_of_each(photodiode, lambda p: 1e6 * p.shunt_mohm),
+        capacitance_pf=_of_each(photodiode, lambda p: p.capacitance_pf),
     )
 
 
@@ -161,9 +161,9 @@ def read(
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
     power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
-    current = power_w * _of_each(photodiode, lambda one: float(photodiode_responsivity_a_per_w(one, led.wavelength_nm)))
+    current = power_w * _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
     current = current + not_negative("ambient_a", ambient_a)
-    dark_a = _of_each(photodiode, lambda one: one.dark_current_a(amplifier.temperature_k))
+    dark_a = _of_each(photodiode, lambda p: p.dark_current_a(amplifier.temperature_k))
     amplified = np.asarray((current + dark_a) * amplifier.feedback_ohm)
     volts, saturated = converted(amplified, amplifier)
     noise_v2 = np.asarray(sum(stage_noise(current, photodiode, amplifier)))
@@ -173,5 +173,5 @@ def read(
 def volts_per_fraction(led: Led, photodiode: Photodiode | Sequence[Photodiode], amplifier: Electronics) -> Array:
     """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
     () or (photodiodes,) float. [V]"""
-    per_w = _of_each(photodiode, lambda one: float(photodiode_responsivity_a_per_w(one, led.wavelength_nm)))
+    per_w = _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
     return np.asarray(led.flux_mw * 1e-3 * per_w * amplifier.feedback_ohm)

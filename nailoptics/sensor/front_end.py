@@ -121,7 +121,7 @@ class SampledFrontEnd:
             electronics.read(part, self.scene.leds[led], self.photodiode, amplifier, ambient_a=self.ambient_a)
             for part, led in lights
         ]
-        return electronics.converted(np.stack([one.amplified_v for one in settled], -1) @ self.mixing.T, amplifier)
+        return electronics.converted(np.stack([slot.amplified_v for slot in settled], -1) @ self.mixing.T, amplifier)
 
     def photocurrent_a(self, fraction: ArrayLike, led: int) -> Array:
         """Photocurrent of one LED's light from its detected fraction, of any shape. [A]"""

@@ -71,11 +71,11 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
         body.motion,
         since_rest_s / 60,
     )
-    each, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
+    led_drift, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
     leds = len(scene.leds)
     return PhysiologicalNoise(
         blood=covariance_root(_blood_covariance(scene, force_n) if body.moves else np.zeros((2, 2))),
-        led_gain=covariance_root(each**2 * np.eye(leds) + all_leds**2),
+        led_gain=covariance_root(led_drift**2 * np.eye(leds) + all_leds**2),
         reading_gain=float(drift.reading_per_rt_min * np.sqrt(minutes)),
     )
 
@@ -243,8 +243,8 @@ def fisher_information(read: Response, *, electronics_alone: bool = False) -> Ar
 
 def total_information(by_led: Iterable[Response], *, electronics_alone: bool = False) -> Array:
     """What all photodiodes tell together under all LEDs, from (..., photodiodes) each; as `fisher_information`."""
-    each = [fisher_information(read, electronics_alone=electronics_alone).sum(-2) for read in by_led]
-    return np.sum(each, axis=0)
+    informations = [fisher_information(read, electronics_alone=electronics_alone).sum(-2) for read in by_led]
+    return np.sum(informations, axis=0)
 
 
 def pressure_information(information: Array) -> Array:
@@ -260,8 +260,8 @@ def pressure_information(information: Array) -> Array:
     matrix = np.empty((*information.shape[:-1], count, count))
     matrix[..., rows, columns] = matrix[..., columns, rows] = information
     for last in range(count - 1, 1, -1):
-        beside, own = matrix[..., :last, last], 1.0 + matrix[..., last, last]
-        matrix = matrix[..., :last, :last] - beside[..., :, None] * beside[..., None, :] / own[..., None, None]
+        beside, variance = matrix[..., :last, last], 1.0 + matrix[..., last, last]
+        matrix = matrix[..., :last, :last] - beside[..., :, None] * beside[..., None, :] / variance[..., None, None]
     return matrix[..., [0, 0, 1], [0, 1, 1]]
 
 
@@ -285,15 +285,15 @@ def share_resolution(information: Array, point: OperatingPoint) -> Array:
 
 def _stderr_of(information: Array, per_pa: Array) -> Array:
     """Standard deviation of what changes with both pressures as given, (2,) float, to first order."""
-    one, both, two = _with_prior(information)
+    first, both, two = _with_prior(information)
     a, b = per_pa
-    return np.sqrt((a**2 * two - 2 * a * b * both + b**2 * one) / (one * two - both**2))
+    return np.sqrt((a**2 * two - 2 * a * b * both + b**2 * first) / (first * two - both**2))
 
 
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
-    (a, b), one, both, two = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
-    return 1 / np.sqrt(a * a * one + 2 * a * b * both + b * b * two)
+    (a, b), first, both, two = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
+    return 1 / np.sqrt(a * a * first + 2 * a * b * both + b * b * two)
 
 
 def physiological_noise_force_n(point: OperatingPoint) -> float:
@@ -309,14 +309,14 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
 
 def pressure_resolution_pa(information: Array) -> Array:
     """Standard deviation of the proximal and of the distal pressure, (..., 2) float. [Pa]"""
-    one, both, two = _with_prior(information)
-    return np.sqrt(np.stack([two, one], -1) / (one * two - both**2)[..., None])
+    first, both, two = _with_prior(information)
+    return np.sqrt(np.stack([two, first], -1) / (first * two - both**2)[..., None])
 
 
 def _with_prior(information: Array) -> tuple[Array, Array, Array]:
     """The entries 11, 12, 22 with what is known before any reading."""
-    prior, (one, both, two) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
-    return one + prior, both, two + prior
+    prior, (first, both, two) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
+    return first + prior, both, two + prior
 
 
 def condition_number(read: Response) -> float:

@@ -69,20 +69,20 @@ def over_priors(scene: Scene, priors: Sequence[Prior], answer: Callable[[Scene],
     answer : of a scene, by all photons and without each group of them, (1 + groups, ...) float. Where another value
         takes a trace, that of the middle node is on the parabola through the ends and the scene's own.
     """
-    own = answer(scene)
+    base = answer(scene)
     nodes = []
     for prior in priors:
         ends = nodes_of(prior)[::2]
         low, high = (answer(at_value(scene, prior.field, value)) for value in ends)
         offset = offset_of(scene, prior)
         if abs(offset) < MOST_OFFSET and not only_absorbs(scene, prior):
-            middle = own * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
+            middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
             middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
         else:
             middle = answer(at_value(scene, prior.field, nodes_of(prior)[1]))
         nodes.append([low, middle, high])
-    by_prior = np.array(nodes).reshape(len(priors), len(NODES), *own.shape)
-    return PriorSensitivity(tuple(priors), by_prior, own, scene.priors.correlation(priors))
+    by_prior = np.array(nodes).reshape(len(priors), len(NODES), *base.shape)
+    return PriorSensitivity(tuple(priors), by_prior, base, scene.priors.correlation(priors))
 
 
 def offset_of(scene: Scene, prior: Prior) -> float:
@@ -132,17 +132,19 @@ class PriorSensitivity:
     @cached_property
     def own_answer(self) -> np.ndarray:
         """The answer of the scene as it is, by all photons and without each group, (1 + groups, ...) float."""
-        return np.stack([self.answer(own[None], own)[0] for own in self.own])
+        return np.stack([self.answer(base[None], base)[0] for base in self.own])
 
     @property
     def by_prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviation that each prior makes alone, and its standard error, (priors, ...) float each."""
         variances = []
-        for group, own in enumerate(self.own):
-            each = (
-                np.stack([self.answer(node, own) for node in self.nodes[:, :, group]], 1) if self.priors else own[None]
+        for group, base in enumerate(self.own):
+            spread = (
+                np.stack([self.answer(node, base) for node in self.nodes[:, :, group]], 1)
+                if self.priors
+                else base[None]
             )
-            variances.append(np.tensordot(WEIGHTS, each**2, 1) - np.tensordot(WEIGHTS, each, 1) ** 2)
+            variances.append(np.tensordot(WEIGHTS, spread**2, 1) - np.tensordot(WEIGHTS, spread, 1) ** 2)
         return _root(np.stack(variances))
 
     @property
@@ -168,14 +170,14 @@ class PriorSensitivity:
 
     def draws(self, group: int) -> np.ndarray:
         """Answers at draws of the joint priors, without one group of photons (0: by all), (DRAWS, ...) float."""
-        own = self.own[group]
+        base = self.own[group]
         # The logarithm of a reading that saw no light is not known, whatever the prior.
         nodes = np.where(np.isfinite(self.nodes[:, :, group]), self.nodes[:, :, group], np.nan)
         low, middle, high = np.moveaxis(nodes, 1, 0)
         slope, bend = (high - low) / (NODES[2] - NODES[0]), (high + low - 2 * middle) / (2 * NODES[2] ** 2)
         values = np.tensordot(self._standard, slope, 1) + np.tensordot(self._standard**2, bend, 1)
-        values += own + (middle - own).sum(0)
-        return np.asarray(self.answer(values, own))
+        values += base + (middle - base).sum(0)
+        return np.asarray(self.answer(values, base))
 
     @cached_property
     def _standard(self) -> np.ndarray:
@@ -196,9 +198,9 @@ class PriorSensitivity:
         words = f"mean of {text} {over}, less that of the scene"
         data |= variable(f"{name}_shift", dims, shift, words, stderr=shift_error)
         gap = np.full((untraced, *total.shape), np.nan)
-        each, errors = (np.concatenate([values, gap]) for values in self.by_prior)
+        stds, errors = (np.concatenate([values, gap]) for values in self.by_prior)
         words = f"standard deviation of {text} over one prior alone"
-        return data | variable(f"prior_{name}_spread", ("prior", *dims), each, words, stderr=errors)
+        return data | variable(f"prior_{name}_spread", ("prior", *dims), stds, words, stderr=errors)
 
 
 def _root(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,7 +228,7 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
     offsets = [offset_of(scene, prior) for prior in priors]
     text = "the scene's value less the mean of its prior, in standard deviations"
     data |= variable("prior_offset", "prior", offsets, text)
-    how = ["reweighted" if only_absorbs(scene, one) else "retraced" for one in evaluated]
+    how = ["reweighted" if only_absorbs(scene, prior) else "retraced" for prior in evaluated]
     data |= variable("prior_how", "prior", [*how, *["not traced"] * len(untraced)], "how it was evaluated")
     names = ("prior", [prior.name for prior in priors], {"long_name": "prior of a parameter of the finger"})
     return xr.Dataset(data, {"prior": names})
@@ -276,28 +278,28 @@ def readings_over_priors(
     """
     scene = transfer.scene
     priors = sorted(scene.priors.of_finger(scene.touch), key=lambda prior: not only_absorbs(scene, prior))
-    own = [prior for prior in priors if not only_absorbs(scene, prior)]
-    evaluated = priors if own_traces else priors[: len(priors) - len(own)]
-    limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(own), 1)
+    needing_traces = [prior for prior in priors if not only_absorbs(scene, prior)]
+    evaluated = priors if own_traces else priors[: len(priors) - len(needing_traces)]
+    limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(needing_traces), 1)
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
-    def retraced(one: Scene) -> np.ndarray:
-        return _quantities(read_by_groups(_fresh(one, fewer, progress), one, states(one), options.seed))
+    def retraced(varied: Scene) -> np.ndarray:
+        return _quantities(read_by_groups(_fresh(varied, fewer, progress), varied, states(varied), options.seed))
 
-    def reread(one: Scene) -> np.ndarray:
-        return _quantities(read_by_groups(transfer, one, states(one), options.seed))
+    def reread(varied: Scene) -> np.ndarray:
+        return _quantities(read_by_groups(transfer, varied, states(varied), options.seed))
 
     base = reread(scene)
     # Of as many photons with the same random numbers, so that what all have in common cancels.
-    twin = retraced(scene) if own_traces and own else base
+    twin = retraced(scene) if own_traces and needing_traces else base
 
-    def answer(one: Scene) -> np.ndarray:
-        return reread(one) if light_digest(one) == light_digest(scene) else base + retraced(one) - twin
+    def answer(varied: Scene) -> np.ndarray:
+        return reread(varied) if light_digest(varied) == light_digest(scene) else base + retraced(varied) - twin
 
     result = over_priors(scene, evaluated, answer)
-    level, change, signal = (replace(result, answer=one) for one in (_level, _change, _signal))
-    return ReadingUncertainty(level, change, signal, untraced=() if own_traces else tuple(own))
+    level, change, signal = (replace(result, answer=reduced) for reduced in (_level, _change, _signal))
+    return ReadingUncertainty(level, change, signal, untraced=() if own_traces else tuple(needing_traces))
 
 
 def _quantities(read: np.ndarray) -> np.ndarray:
@@ -307,21 +309,21 @@ def _quantities(read: np.ndarray) -> np.ndarray:
         return np.stack([first, second - first], -1)
 
 
-def _level(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _level(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     """Logarithm of the first reading."""
     return np.asarray(values[..., 0])
 
 
-def _signal(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _signal(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     """The change to the second reading, as a part of the first."""
     return np.asarray(np.expm1(values[..., 1]))
 
 
-def _change(values: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(
-            np.exp(values[..., 0] - own[..., 0]) * np.expm1(values[..., 1]) / np.abs(np.expm1(own[..., 1]))
+            np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1]) / np.abs(np.expm1(base[..., 1]))
         )
 
 

@@ -77,8 +77,8 @@ def simulate(
         result = result.merge(section(scene, light, options))
     if scene.priors.spread and light.transfer is not None:
         # A trace that was cut short is followed by none.
-        own = scene.priors.own_traces is not False and not unmet
-        result = result.merge(_spread(result, light.transfer, options, progress, own_traces=own))
+        own_traces = scene.priors.own_traces is not False and not unmet
+        result = result.merge(_spread(result, light.transfer, options, progress, own_traces=own_traces))
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     if unmet:
         result.attrs["cut_off"] = str(unmet)
@@ -116,13 +116,13 @@ def _spread(
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     scene, ends = transfer.scene, [0, hold_end(result)]
 
-    def states(one: Scene) -> np.ndarray:
+    def states(varied: Scene) -> np.ndarray:
         # Of the blood, these are the light's alone.
         seen = {name: getattr(scene.blood, name) for name in ("rest_blood_fraction", "pulp_blood_fraction", "so2")}
-        same = one.blood.model_copy(update=seen) == scene.blood
-        course = result if same and one.touch == scene.touch else blood_over_touch(one)
+        same = varied.blood.model_copy(update=seen) == scene.blood
+        course = result if same and varied.touch == scene.touch else blood_over_touch(varied)
         # Eq. (7): blood goes with the blood at rest.
-        part = one.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0
+        part = varied.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0
         return np.asarray(part * course.blood_fraction.values[:, ends].T)
 
     over_priors = readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)
@@ -148,7 +148,7 @@ def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: S
     gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
     gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
     fraction, stderr, change_stderr = (
-        np.multiply(motion, one, out=one) for one in (readings.fraction, readings.stderr, readings.change_stderr)
+        np.multiply(motion, x, out=x) for x in (readings.fraction, readings.stderr, readings.change_stderr)
     )
     del readings
     gain = np.broadcast_to(gain, fraction.shape)
@@ -210,8 +210,8 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
     notes = np.full(shape, "", dtype=object)
     data: Variables = {}
     for model, name, fit, constants in REDUCED_OPTICS:
-        fits = [[fit(*one) for one in zip(diameter_m, volts, strict=True)] for volts in result.volts]
-        rows = [[one.predict(width_m) for one, width_m in zip(each, diameter_m, strict=True)] for each in fits]
+        fits = [[fit(*pair) for pair in zip(diameter_m, volts, strict=True)] for volts in result.volts]
+        rows = [[fit.predict(width_m) for fit, width_m in zip(of_led, diameter_m, strict=True)] for of_led in fits]
         curves = np.array(rows, result.volts.dtype)
         data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
         errors = np.full((*shape, len(constants)), np.nan)
@@ -220,11 +220,11 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
                 errors[i, j] = fits[i][j].stderr(diameter_m[j][few], replicates_v[i, j])
             notes[i, j] = notes[i, j] or fits[i][j].remark(errors[i, j])
         for k, (field, (unit, words)) in enumerate(constants.items()):
-            values = [[one.constants[field] for one in each] for each in fits]
+            values = [[fit.constants[field] for fit in of_led] for of_led in fits]
             data |= variable(f"{model}_{field}", pair, values, f"{words}, in {name}", units=unit, stderr=errors[..., k])
         missed = f"voltage that {name} misses"
         for field, text in (("residual_rms_v", f"{missed}, rms"), ("residual_max_v", f"{missed}, at most")):
-            values = [[getattr(one, field) for one in each] for each in fits]
+            values = [[getattr(fit, field) for fit in of_led] for of_led in fits]
             data |= variable(f"{model}_{field}", pair, values, text, units="V")
     data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})
     return xr.Dataset(data)

@@ -154,7 +154,7 @@ class LedSource:
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
-        return any(os.path.exists(one.path(f"{number}-{photons}")) for one in self.stored)
+        return any(os.path.exists(store.path(f"{number}-{photons}")) for store in self.stored)
 
     def batch(self, number: int, photons: int) -> LedTrace:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
@@ -163,12 +163,12 @@ class LedSource:
 
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             batch = self.engine().batch(self.led, photons=photons, seed=seed)
-            about = {"events": batch.events} | {one: getattr(batch, one) for one in SUMS}
+            about = {"events": batch.events} | {name: getattr(batch, name) for name in SUMS}
             return about, {column: getattr(batch, column) for column in COLUMNS[:3]}
 
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
             columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS[:3]}
-            columns |= {one: {part: (a, b) for part, (a, b) in about[one].items()} for one in SUMS}
+            columns |= {name: {part: (a, b) for part, (a, b) in about[name].items()} for name in SUMS}
             batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
             batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))
             return batch

@@ -56,10 +56,10 @@ def run_until(
     """
     sampled = False
     try:
-        for one in needed:
-            if is_late(one):
+        for item in needed:
+            if is_late(item):
                 return Ending.OUT_OF_TIME
-            sample(one)
+            sample(item)
             sampled = True
             report()
     except KeyboardInterrupt:

@@ -182,7 +182,7 @@ def bounded(traces: Sequence[LedTrace]) -> list[LedTrace]:
 
 
 def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
-    names, none = dict.fromkeys(name for one in sums for name in one), (0.0, 0.0)
+    names, none = dict.fromkeys(name for parts in sums for name in parts), (0.0, 0.0)
     return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
 
 

@@ -110,9 +110,9 @@ class _Course:
                 for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
                     total[j] += values.sum(0)
                 if at_rest is not None:
-                    own = at_rest[chunk]
-                    rest[:, j, 0] += own.sum(), own @ own
-                    products[:, j] += own @ weight, own @ change
+                    weights = at_rest[chunk]
+                    rest[:, j, 0] += weights.sum(), weights @ weights
+                    products[:, j] += weights @ weight, weights @ change
             for k, unseen in ((0, 1.0), (2, 0.0)):
                 total, square = sums[k], sums[k + 1]
                 if full is not None:
@@ -138,7 +138,7 @@ class _Course:
         along = (states - centre) @ directions
         nearest, farthest = along.min(0), along.max(0)
         spans = farthest - nearest
-        counts = [_nodes_needed(self.transfer, *one) for one in zip(directions.T, spans, strict=True)]
+        counts = [_nodes_needed(self.transfer, *direction) for direction in zip(directions.T, spans, strict=True)]
         if min(len(which), math.prod(counts)) > NODES_AT_ONCE:
             # Half of them lie in far fewer directions: a short piece of a course is nearly straight.
             upper = along[:, 0] > nearest[0] + spans[0] / 2

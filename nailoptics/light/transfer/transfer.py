@@ -207,10 +207,10 @@ class Transfer:
             ("absorbed", "region", "light absorbed in a region or by its surface", "region that absorbs light"),
         ):
             by_led = [t.fractions(getattr(t, name)) for t in self.traces]
-            places = list(dict.fromkeys(place for one in by_led for place in one))
+            places = list(dict.fromkeys(place for ends in by_led for place in ends))
             # A region that absorbs nothing at an LED's wavelength has no tally there.
             value, stderr = np.transpose(
-                [[one.get(place, (0.0, 0.0)) for place in places] for one in by_led], (2, 0, 1)
+                [[ends.get(place, (0.0, 0.0)) for place in places] for ends in by_led], (2, 0, 1)
             )
             data |= variable(f"{name}_fraction", ("led", axis), value, f"{text}, per emitted power", stderr=stderr)
             data[axis] = ((axis,), np.array(places), {"long_name": about})

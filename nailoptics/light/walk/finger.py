@@ -109,10 +109,10 @@ class FingerTracer:
         """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
         the cosines of their angles to it, (photons,) float."""
         (rng, _), index = sampling.lanes(photons, seed), dr.arange(mi.UInt32, photons)
-        lane, own = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
-        own.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
-        own.state = sampling.loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _, cos = Emitter(face, sampling.LAMBERTIAN, mi.UInt32(0)).emit(own, index)
+        lane, stream = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
+        stream.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
+        stream.state = sampling.loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
+        p, _, cos = Emitter(face, sampling.LAMBERTIAN, mi.UInt32(0)).emit(stream, index)
         return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float)
 
     @staticmethod

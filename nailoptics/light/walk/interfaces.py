@@ -102,7 +102,7 @@ class Regions:
         # What absorbs light as it passes, of which a tally is kept, and what swallows it, by outcome;
         # dies and photodiodes count together.
         absorbs = [i in there and not media.opaque[i] and media.mu_a[i] > 0 for i in range(len(names))]
-        self.absorbing = tuple(name for name, one in zip(names, absorbs, strict=True) if one)
+        self.absorbing = tuple(name for name, absorbed in zip(names, absorbs, strict=True) if absorbed)
         self.tally = mi.UInt32(np.where(absorbs, np.cumsum(absorbs) - 1, len(names)))
         self.swallows = {
             end: "photodiodes" if i in detectors else "leds" if i in dies else names[i]

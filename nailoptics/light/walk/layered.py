@@ -46,12 +46,12 @@ class LayeredTracer:
         for end in (sampling.TOP, sampling.BOTTOM) if self.escaping else ():
             left = np.flatnonzero(walked.outcome == end)
             detected.append((left, walked.weight[left]))
-        photon, weight = (np.concatenate(one) for one in zip((top[:0], walked.weight[:0]), *detected, strict=True))
+        photon, weight = (np.concatenate(part) for part in zip((top[:0], walked.weight[:0]), *detected, strict=True))
         return LedTrace(
             photons=photons,
             mu_a=optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0],
             seeds=(seed,),
-            photodiode=np.repeat(np.arange(len(detected), dtype=np.uint16), [len(one) for one, _ in detected]),
+            photodiode=np.repeat(np.arange(len(detected), dtype=np.uint16), [len(photons) for photons, _ in detected]),
             weight=weight,
             path_mm=np.ascontiguousarray(walked.path_mm[:, photon].T),
             energy=energy,
@@ -67,8 +67,8 @@ def pair_sums(detected: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, tu
     detected : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
     """
     sums = {}
-    for (i, (one, weight)), (j, (other, weight_too)) in combinations(enumerate(detected), 2):
-        both, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    for (i, (photons, weight)), (j, (other, weight_too)) in combinations(enumerate(detected), 2):
+        both, here, there = np.intersect1d(photons, other, assume_unique=True, return_indices=True)
         if len(both):
             product = weight[here] * weight_too[there]
             sums[f"{i} {j}"] = float(product.sum()), float((product**2).sum())

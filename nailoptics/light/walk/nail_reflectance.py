@@ -122,7 +122,7 @@ class NailReflectance:
                 count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
                 parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
                 total += count
-            index, weight, path, cosine = (np.concatenate(one) for one in zip(*parts, strict=True))
+            index, weight, path, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
             return {}, {
                 "rays": np.bincount(table, minlength=len(patches)) * (total // len(table)),
                 "patch": table[index % len(table)].astype(np.uint16),
@@ -149,8 +149,8 @@ class NailReflectance:
         paths = len(optics.TISSUES) + len(self.zones.edges_mm)
         ends = PhotonEnds(count, paths=paths, media=len(regions.absorbing))
         walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
-        rng, each = lanes(count, seed)
-        walked = ends.evaluated(walk.run(rng, each, dr.arange(mi.UInt32, dr.width(each))))
+        rng, per_lane = lanes(count, seed)
+        walked = ends.evaluated(walk.run(rng, per_lane, dr.arange(mi.UInt32, dr.width(per_lane))))
         back = np.flatnonzero(walked.outcome == TOP)
         path = FingerTracer.by_zone(walked.path_mm[:, back]).astype(np.float16)
         return back, walked.weight[back], path, walked.cosine[back]

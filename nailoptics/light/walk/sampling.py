@@ -165,8 +165,8 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
     """
     width = min(photons, CPU_LANES if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else GPU_LANES)
     # Opaque, or each number of photons would have a kernel of its own.
-    each, over = (dr.opaque(mi.UInt32, number) for number in divmod(photons, width))
-    count = each + dr.select(dr.arange(mi.UInt32, width) < over, mi.UInt32(1), mi.UInt32(0))
+    per_lane, over = (dr.opaque(mi.UInt32, number) for number in divmod(photons, width))
+    count = per_lane + dr.select(dr.arange(mi.UInt32, width) < over, mi.UInt32(1), mi.UInt32(0))
     rng: Any = mi.PCG32(size=width, initstate=dr.opaque(mi.UInt64, seed))  # type: ignore[operator]
     return rng, count
 

@@ -77,9 +77,9 @@ def _at_rest(result: xr.Dataset) -> list[dict[str, str]]:
     return rows
 
 
-def _lab(one: xr.Dataset, name: str) -> dict[str, str]:
+def _lab(colour: xr.Dataset, name: str) -> dict[str, str]:
     """L*, a* and b* with their standard errors."""
-    return {str(band): estimated(one.sel(band=band), name) for band in one.band.values}
+    return {str(band): estimated(colour.sel(band=band), name) for band in colour.band.values}
 
 
 def _nail_width_mm(result: xr.Dataset) -> float:
@@ -104,10 +104,10 @@ def _unknowns(result: xr.Dataset) -> str:
     rows = []
     nail = result.sel(site="nail")
     for i in np.argsort(-nail.prior_lab_spread.values.max(1)):
-        one = nail.isel(prior=int(i))
-        low, high = one.prior_range.values
-        row = {"Prior": str(one.prior.item()), "Range": f"{low:g} to {high:g}"}
-        rows.append(row | _lab(one, "prior_lab_spread"))
+        prior = nail.isel(prior=int(i))
+        low, high = prior.prior_range.values
+        row = {"Prior": str(prior.prior.item()), "Range": f"{low:g} to {high:g}"}
+        rows.append(row | _lab(prior, "prior_lab_spread"))
     sources = "; ".join(f"{measured_colour.name}: {measured_colour.source}" for measured_colour in measured_colours())
     text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
     drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers, of people.")
@@ -222,8 +222,8 @@ def _along_figure(result: xr.Dataset) -> "Figure":
     forces = result.force_n.values
     for k, (panel, words) in enumerate(zip(axes, ("lightness L*", "redness a*", "yellowness b*"), strict=True)):
         for s, force in enumerate(forces):
-            colour, one = colormaps["viridis"](0.9 * s / max(len(forces) - 1, 1)), result.isel(state=s, band=k)
-            style.estimate(panel, one.v_mm, one.lab, one.lab_stderr, color=colour, label=f"{force:g} N", alpha=0.15)
+            colour, at = colormaps["viridis"](0.9 * s / max(len(forces) - 1, 1)), result.isel(state=s, band=k)
+            style.estimate(panel, at.v_mm, at.lab, at.lab_stderr, color=colour, label=f"{force:g} N", alpha=0.15)
         panel.plot(result.v_mm, result.lab_without_blood.values[:, k], ":", color=style.MUTED, label="no blood")
         panel.set_title(f"{words} [1]")
     axes[-1].set_xlabel("place along the nail, towards the tip [mm]; the outermost two are skin")
@@ -300,8 +300,8 @@ def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
             panel.set_title(f"{float(result.time[t]):.1f} s    {float(result.press_force_n[t]):.1f} N", loc="center")
             figure.savefig(picture := BytesIO(), dpi=100)
             frames.append(Image.open(picture).convert("RGB"))
-    data, each = BytesIO(), round(1000 / FRAMES_PER_S)
-    frames[0].save(data, format="GIF", save_all=True, append_images=frames[1:], duration=each, loop=0)
+    data, duration_ms = BytesIO(), round(1000 / FRAMES_PER_S)
+    frames[0].save(data, format="GIF", save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
     return data.getvalue()
 
 
@@ -309,10 +309,10 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     """Colours by force and place, with the largest standard errors, refill and spread over priors."""
     names, states = ("v_mm", "lab", "lab_stderr", "srgb", "delta_e_2000", "delta_e_2000_stderr"), []
     for s in range(result.sizes["state"]):
-        one = result.isel(state=s)
-        places = [plain(one.isel(place=p), *names) for p in range(result.sizes["place"])]
-        band = plain(one, "white_band_mm", white_band_stderr_mm="white_band_mm_stderr")
-        states.append(plain(one, "force_n") | {"places": places} | band)
+        state = result.isel(state=s)
+        places = [plain(state.isel(place=p), *names) for p in range(result.sizes["place"])]
+        band = plain(state, "white_band_mm", white_band_stderr_mm="white_band_mm_stderr")
+        states.append(plain(state, "force_n") | {"places": places} | band)
     summed: dict[str, Any] = {
         **{name: result.attrs[name] for name in ("illuminant", "observer")},
         "states": states,
@@ -348,8 +348,8 @@ def lines(summary: dict[str, Any]) -> list[str]:
     if summary["refill_s"] is not None:
         lines.append(f"colour as at rest {summary['refill_s']:.3g} +- {summary['refill_stderr_s']:.1g} s after release")
     if "lab_spread" in summary:
-        each = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
-        lines.append(f"standard deviation of the nail's L*, a*, b* over the priors of the finger: {each}")
+        stds = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
+        lines.append(f"standard deviation of the nail's L*, a*, b* over the priors of the finger: {stds}")
     return lines
 
 

@@ -71,8 +71,8 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
         words += f"over the {taylor.sweep}"
         cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
     if "blood" in result.sweep.values:
-        one = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
-        low, high = (significant(100 * float(f(one.limit)), 2) for f in (np.min, np.max))
+        fitted = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
+        low, high = (significant(100 * float(f(fitted.limit)), 2) for f in (np.min, np.max))
         cards.append((f"{low} – {high} %", "blood fraction up to which Taylor (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     # A part that no time was left to trace is not known.
@@ -87,16 +87,16 @@ def _limits(result: xr.Dataset, led: int) -> list[dict[str, str]]:
     """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
     rows, withins = [], result.within.values
     for j in _photodiode_order(result):
-        one = result.isel(led=led, photodiode=j)
-        first, last = one.isel(sweep=0), one.isel(sweep=-1).sel(way="fitted", model="taylor")
+        pair = result.isel(led=led, photodiode=j)
+        first, last = pair.isel(sweep=0), pair.isel(sweep=-1).sel(way="fitted", model="taylor")
         row = {
-            "Photodiode": str(one.photodiode.values),
+            "Photodiode": str(pair.photodiode.values),
             "Swing [% of reading]": estimated(first, "relative_swing", 100),
         }
         row["Mean path in own zone [mm]"] = estimated(first, "path_mm")
         for sweep, model, within in product(map(str, result.sweep.values), FORMULAS, withins):
             unit = "N" if sweep == "force" else "%"
-            at = one.sel(sweep=sweep, way="fitted", model=model, within=within)
+            at = pair.sel(sweep=sweep, way="fitted", model=model, within=within)
             head = f"{FORMULAS[model]} to {100 * within:g} %, {sweep} [{unit}]"
             row[head] = _interval(at, "limit", _display_scale(sweep))
         ends = (significant(float(f(first.bed_alpha_d2)), 2) for f in (np.min, np.max))
@@ -108,9 +108,9 @@ def _limits(result: xr.Dataset, led: int) -> list[dict[str, str]]:
     return rows
 
 
-def _interval(one: xr.Dataset, name: str, by: float) -> str:
-    value, low, high = (by * float(one[f"{name}{suffix}"]) for suffix in ("", "_low", "_high"))
-    if not bool(one.limit_ends):
+def _interval(limits: xr.Dataset, name: str, by: float) -> str:
+    value, low, high = (by * float(limits[f"{name}{suffix}"]) for suffix in ("", "_low", "_high"))
+    if not bool(limits.limit_ends):
         return "all" if name == "limit" else f"> {significant(value, 2)}"
     low, high = max(min(low, high), 0.0), max(low, high)
     shown, ends = significant(value, 2), f"({significant(low, 2)}–{significant(high, 2)})"
@@ -155,13 +155,13 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
     figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
-            one = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
-            x = one.setting.values * _display_scale(sweep)
+            fitted = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
+            x = fitted.setting.values * _display_scale(sweep)
             for colour, j in zip(style.place_colours(len(places)), places, strict=True):
-                error, stderr = 100 * one.range_error.values[j], 100 * one.range_error_stderr.values[j]
+                error, stderr = 100 * fitted.range_error.values[j], 100 * fitted.range_error_stderr.values[j]
                 low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
                 axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-                axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(one.photodiode.values[j]))
+                axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(fitted.photodiode.values[j]))
             left = axes.get_yaxis_transform()
             for tolerance in (1, 5):
                 axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
@@ -183,9 +183,9 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
     rows, height_in = np.arange(len(places)), 1.3 + 0.42 * len(places)
     figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)
     for axes, way in zip(panels[0], result.way.values, strict=True):
-        one = result.sel(sweep=sweep, way=way).isel(led=led, photodiode=places)
-        error = one.error.sel(model="taylor", drop=True)
-        worst = one[["part_error", "part_error_stderr"]].isel(point=abs(error).fillna(0.0).argmax("point"))
+        parts = result.sel(sweep=sweep, way=way).isel(led=led, photodiode=places)
+        error = parts.error.sel(model="taylor", drop=True)
+        worst = parts[["part_error", "part_error_stderr"]].isel(point=abs(error).fillna(0.0).argmax("point"))
         for row in rows[1::2]:
             axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5, lw=0)
         for k, part in enumerate(map(str, result.part.values)):
@@ -215,8 +215,8 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
 @style.drawing()
 def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
-    places, one = _photodiode_order(result), result.sel(sweep=sweep).isel(led=led)
-    x = one.setting.values * _display_scale(sweep)
+    places, changes = _photodiode_order(result), result.sel(sweep=sweep).isel(led=led)
+    x = changes.setting.values * _display_scale(sweep)
     models = (
         ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
         ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "Beer–Lambert (8), no fit, both zones"),
@@ -225,16 +225,16 @@ def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
     figure, panels = style.tiles(len(places), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
     for k, (axes, j, colour) in enumerate(zip(panels, places, style.place_colours(len(places)), strict=True)):
-        traced = one.reading.values[j]
+        traced = changes.reading.values[j]
         axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
         for way, model, ink, dashes, label in models:
-            values = one.sel(way=way, model=model).model_reading.values[j]
+            values = changes.sel(way=way, model=model).model_reading.values[j]
             axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
         axes.set(title=style.plain(result.photodiode.values[j]), xlim=(x[0], x[-1]))
         axes.set(
             xlabel=X_LABELS[sweep] if k + COLUMNS >= len(places) else "", ylabel="" if k % COLUMNS else "change [%]"
         )
-        style.remark(axes, f"swing {significant(100 * float(one.swing[j] / traced[0]), 2)} %")
+        style.remark(axes, f"swing {significant(100 * float(changes.swing[j] / traced[0]), 2)} %")
     style.legend_above(figure, panels[0], ncols=4)
     return figure
 
@@ -250,20 +250,20 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     return {"comparisons": rows, "claim": paper_claim(result)} | run_summary(result.attrs)
 
 
-def _row(one: xr.Dataset) -> dict[str, Any]:
+def _row(pair: xr.Dataset) -> dict[str, Any]:
     """One photodiode under one LED over one sweep."""
-    row = plain(one, *_DIMS)
-    row |= {"swing_of_reading": float(one.swing / one.reading[0]), "path_mm": with_stderr(one, "path_mm")}
+    row = plain(pair, *_DIMS)
+    row |= {"swing_of_reading": float(pair.swing / pair.reading[0]), "path_mm": with_stderr(pair, "path_mm")}
     for name, (end, at) in product(_ALPHA_D2, (("start", 0), ("end", -1))):
-        row[f"{name}_{end}"] = with_stderr(one.isel(point=at), name)
-    for way, model in product(one.way.values, one.model.values):
-        here = one.sel(way=way, model=model)
-        limits = {f"{within:g}": _limit(here.sel(within=within)) for within in one.within.values}
+        row[f"{name}_{end}"] = with_stderr(pair.isel(point=at), name)
+    for way, model in product(pair.way.values, pair.model.values):
+        here = pair.sel(way=way, model=model)
+        limits = {f"{within:g}": _limit(here.sel(within=within)) for within in pair.within.values}
         row[f"{model}_{way}"] = {"error_of_swing": with_stderr(here.isel(point=-1), "range_error"), "holds_to": limits}
-    for way in one.way.values:
-        worst = int(np.abs(one.error.sel(way=way, model="taylor").values).argmax())
-        parts = one.sel(way=way).isel(point=worst)
-        row[f"parts_{way}"] = {str(p): with_stderr(parts.sel(part=p), "part_error") for p in one.part.values}
+    for way in pair.way.values:
+        worst = int(np.abs(pair.error.sel(way=way, model="taylor").values).argmax())
+        parts = pair.sel(way=way).isel(point=worst)
+        row[f"parts_{way}"] = {str(p): with_stderr(parts.sel(part=p), "part_error") for p in pair.part.values}
     return row
 
 

@@ -70,32 +70,32 @@ def _title(known: list[Effect]) -> str:
     """The largest effect on a reading; of those that certainly matter, where any does."""
     if not known:
         return "Too few photons to rank the effects on the readings"
-    largest = next((one for one in known if one.matters == "yes"), known[0])
+    largest = next((effect for effect in known if effect.matters == "yes"), known[0])
     what = "the signal of " if largest.of == "signal" else ""
     return f"{largest.name} changes {what}{largest.photodiode} by {_change(largest)}\u00a0%"
 
 
-def _change(one: Effect) -> str:
-    return with_error(100 * one.change, 100 * one.stderr, sign=True)
+def _change(effect: Effect) -> str:
+    return with_error(100 * effect.change, 100 * effect.stderr, sign=True)
 
 
 def _cards(result: Explanation, known: list[Effect]) -> list[tuple[str, str]]:
     """The largest of each kind, and the effect of leaving out all that is not needed."""
     cards = []
     for kind in KINDS:
-        if ofkind := [one for one in known if _kind(one) == kind]:
-            one = ofkind[0]
-            cards.append((f"{_change(one)} %", f"{one.name}, the largest {kind}: on {one.photodiode}"))
+        if ofkind := [effect for effect in known if _kind(effect) == kind]:
+            largest = ofkind[0]
+            cards.append((f"{_change(largest)} %", f"{largest.name}, the largest {kind}: on {largest.photodiode}"))
     if result.together:
         words = "upper bound, on any reading, of leaving out everything that is not needed"
         cards.append((f"{significant(100 * result.together.bound, 2)} %", words))
     return cards
 
 
-def _kind(one: Effect) -> str:
+def _kind(effect: Effect) -> str:
     """What an effect is: unknown, modelled, or left out."""
     unknown, modelled, left_out = KINDS
-    return unknown if one.unknown else modelled if one.modelled else left_out
+    return unknown if effect.unknown else modelled if effect.modelled else left_out
 
 
 @style.drawing()
@@ -114,7 +114,7 @@ def draw(result: Explanation) -> "Figure":
     axes.axvline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
     axes.set(xscale="log", xlim=(LEAST, MOST), ylim=(len(shown) - 0.4, -0.6), xlabel="change of a reading [%]")
     style.plain_log(axes.xaxis)
-    axes.set_yticks(range(len(shown)), [style.plain(one.name) for one in shown])
+    axes.set_yticks(range(len(shown)), [style.plain(effect.name) for effect in shown])
     axes.grid(axis="y", visible=False)
     for kind, colour in KINDS.items():
         axes.plot([], [], "o", color=colour, ms=5, label=kind)
@@ -125,14 +125,14 @@ def draw(result: Explanation) -> "Figure":
 def _rows(result: Explanation) -> list[dict[str, str]]:
     """All effects, the largest first, and that of leaving out all that is not needed, on the page and the terminal."""
     rows = []
-    for one in (*result.effects, *([result.together] if result.together else [])):
-        known = math.isfinite(one.change)
-        of = one.photodiode + (" (signal)" if one.of == "signal" else "")
-        signal = "–" if one.modulation_bound is None else significant(100 * one.modulation_bound, 2)
-        row = {"Effect": one.name, "In scene": "unknown" if one.unknown else "yes" if one.modelled else "no"}
-        row |= {"Change of reading [%]": _change(one) if known else "not known", "of": of if known else "–"}
-        row["Upper bound [%]"] = significant(100 * one.bound, 2) if math.isfinite(one.bound) else "–"
-        row |= {"Signal, upper bound [%]": signal, "Matters": one.matters, "Changed to": one.changed_to}
+    for effect in (*result.effects, *([result.together] if result.together else [])):
+        known = math.isfinite(effect.change)
+        of = effect.photodiode + (" (signal)" if effect.of == "signal" else "")
+        signal = "–" if effect.modulation_bound is None else significant(100 * effect.modulation_bound, 2)
+        row = {"Effect": effect.name, "In scene": "unknown" if effect.unknown else "yes" if effect.modelled else "no"}
+        row |= {"Change of reading [%]": _change(effect) if known else "not known", "of": of if known else "–"}
+        row["Upper bound [%]"] = significant(100 * effect.bound, 2) if math.isfinite(effect.bound) else "–"
+        row |= {"Signal, upper bound [%]": signal, "Matters": effect.matters, "Changed to": effect.changed_to}
         rows.append(row)
     return rows
 
@@ -147,7 +147,7 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
         most = significant(100 * result.together.bound, 2)
         out.append((f"Leaving all of it out at once changes no reading by more than {most} % (95 % confidence).", ""))
     if result.missing:
-        names = (one.name + (" (of the signal)" if one.of == "signal" else "") for one in result.missing)
+        names = (effect.name + (" (of the signal)" if effect.of == "signal" else "") for effect in result.missing)
         out.append((f"Left out, though it matters: {', '.join(names)}.", ""))
     if unsure := [effect.name for effect in result.effects if effect.matters == "cannot tell"]:
         out.append((f"Undecided, more photons are needed: {', '.join(unsure)}.", ""))
@@ -159,15 +159,15 @@ def summary(result: Explanation) -> dict[str, Any]:
     made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
     return {
         "effects": [_effect(effect) for effect in result.effects],
-        "not_needed": [one.name for one in result.needless],
-        "missing": [one.name for one in result.missing],
+        "not_needed": [effect.name for effect in result.needless],
+        "missing": [effect.name for effect in result.missing],
         "together": result.together and _effect(result.together),
         "cut_off": result.attributes.get("cut_off"),
     } | made
 
 
-def _effect(one: Effect) -> dict[str, Any]:
-    return vars(one) | {"matters": one.matters, "lines": lines_of(one.changes)}
+def _effect(effect: Effect) -> dict[str, Any]:
+    return vars(effect) | {"matters": effect.matters, "lines": lines_of(effect.changes)}
 
 
 def lines(result: Explanation) -> list[str]:

@@ -80,12 +80,12 @@ def _factors(summary: dict[str, Any]) -> list[dict[str, str]]:
     return [
         {
             "Factor on the scene's": name.replace("_", " "),
-            "Value": with_error(one["value"], one["stderr"]),
-            "Before, about 1": one["prior"].removeprefix("lognormal about 1, "),
-            "Known by": "recording" if one["informed"] else "prior",
-            "What it is": one["what"],
+            "Value": with_error(factor["value"], factor["stderr"]),
+            "Before, about 1": factor["prior"].removeprefix("lognormal about 1, "),
+            "Known by": "recording" if factor["informed"] else "prior",
+            "What it is": factor["what"],
         }
-        for name, one in summary["parameters"].items()
+        for name, factor in summary["parameters"].items()
     ]
 
 
@@ -95,13 +95,13 @@ def _readings(result: xr.Dataset, summary: dict[str, Any]) -> list[dict[str, str
     return [
         {
             "Reading": name,
-            "Gain": estimated(one, "gain"),
-            "Offset [mV]": with_error(1e3 * one["offset_v"], 1e3 * one["offset_stderr_v"]),
-            "Residual, rms [mV]": significant(1e3 * one["residual_rms_v"], 2),
-            "Noise, rms [µV]": significant(1e6 * one["noise_v"], 2),
+            "Gain": estimated(reading, "gain"),
+            "Offset [mV]": with_error(1e3 * reading["offset_v"], 1e3 * reading["offset_stderr_v"]),
+            "Residual, rms [mV]": significant(1e3 * reading["residual_rms_v"], 2),
+            "Noise, rms [µV]": significant(1e6 * reading["noise_v"], 2),
             f"Largest, of {limit_v:g} V [V]": significant(float(np.nanmax(result.volts.sel(reading=name))), 3),
         }
-        for name, one in summary["readings"].items()
+        for name, reading in summary["readings"].items()
     ]
 
 
@@ -125,11 +125,11 @@ def prediction_page(result: xr.Dataset) -> str:
         cards = [(f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"), inside, *cards]
     events = [
         {
-            "Event": one["kind"],
-            "At [s]": significant(one["time_s"], 4),
-            "After the known force [ms]": significant(1e3 * one["latency_s"], 2),
+            "Event": event["kind"],
+            "At [s]": significant(event["time_s"], 4),
+            "After the known force [ms]": significant(1e3 * event["latency_s"], 2),
         }
-        for one in summary["events"]
+        for event in summary["events"]
     ]
     return document(
         kicker="prediction",
@@ -203,9 +203,9 @@ def profiles_figure(result: xr.Dataset) -> "Figure":
     names = list(result.attrs["bent_factors"])
     figure, panels = style.tiles(len(names), PROFILES_PER_ROW, 7.2, 1.9, extra_in=0.3)
     for panel, name in zip(panels, names, strict=True):
-        one = result.sel(factor=name)
-        panel.plot(one.profile_factor, one.profile_quadratic, color=style.MUTED, linewidth=1.0)
-        panel.plot(one.profile_factor, one.profile_deviance, ".-", color=style.ZONES[1])
+        factor = result.sel(factor=name)
+        panel.plot(factor.profile_factor, factor.profile_quadratic, color=style.MUTED, linewidth=1.0)
+        panel.plot(factor.profile_factor, factor.profile_deviance, ".-", color=style.ZONES[1])
         panel.axhline(Z95**2, color=style.INK, linewidth=0.7)
         panel.set(
             ylim=(0.0, MOST_DEVIANCE), title=style.plain(name.replace("_", " ")), xlabel="factor on the scene's [1]"
@@ -270,7 +270,7 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     bent = set(result.attrs["bent_factors"])
     return {
         "readings": subject.reading_table(),
-        "parameters": {name: one | {"quadratic": name not in bent} for name, one in subject.factor_table().items()},
+        "parameters": {name: row | {"quadratic": name not in bent} for name, row in subject.factor_table().items()},
         "chi2_per_dof": subject.quality.chi2_per_dof,
         "rms_n": subject.quality.rms_n,
         "half_width_n": result.attrs["half_width_n"],
@@ -289,7 +289,7 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
         "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
-        "events": [dict(zip(EVENT, one, strict=True)) for one in zip(*events, strict=True)],
+        "events": [dict(zip(EVENT, event, strict=True)) for event in zip(*events, strict=True)],
     }
 
 

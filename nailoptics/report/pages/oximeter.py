@@ -50,7 +50,7 @@ def oximeter_page(result: xr.Dataset) -> str:
     """The page of an oximeter."""
     best = result.sel(photodiode=result.attrs["best"])
     a, b = best.linear.values.tolist()
-    red, infrared = (f"{significant(1e2 * one, 2)} %" for one in best.perfusion_index.values.tolist())
+    red, infrared = (f"{significant(1e2 * index, 2)} %" for index in best.perfusion_index.values.tolist())
     cards = [
         (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
         (significant(float(best.ratio_at_rest), 3), f"R at a saturation of {100 * result.attrs['so2']:g} %"),
@@ -95,14 +95,14 @@ def _board(result: xr.Dataset) -> str:
 def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
     rows = []
     for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        intercept, slope = map(with_error, one.linear.values, one.linear_stderr.values)
+        line = result.sel(photodiode=name)
+        intercept, slope = map(with_error, line.linear.values, line.linear_stderr.values)
         row = {"Photodiode": name, "Intercept": intercept, "Slope": slope}
-        row["Line's residual [%]"] = significant(float(one.linear_miss), 2)
-        row["Quadratic"] = polynomial(one.quadratic.values, "R")
-        row["Its residual [%]"] = significant(float(one.quadratic_miss), 2)
-        row[f"R({result.attrs['so2']:g})"] = estimated(one, "ratio_at_rest")
-        rows.append(row | {"Path ratio": estimated(one, "path_ratio")})
+        row["Line's residual [%]"] = significant(float(line.linear_miss), 2)
+        row["Quadratic"] = polynomial(line.quadratic.values, "R")
+        row["Its residual [%]"] = significant(float(line.quadratic_miss), 2)
+        row[f"R({result.attrs['so2']:g})"] = estimated(line, "ratio_at_rest")
+        rows.append(row | {"Path ratio": estimated(line, "path_ratio")})
     return rows
 
 
@@ -110,8 +110,8 @@ def _errors(result: xr.Dataset) -> list[dict[str, str]]:
     heads = [*(f"{cause} [%]" for cause in result.cause.values), "All, 8 s [%]", "All, one beat [%]"]
     rows = []
     for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        values = [*one.spo2_stderr_by_cause.values, one.spo2_stderr, one.spo2_stderr_beat]
+        errors = result.sel(photodiode=name)
+        values = [*errors.spo2_stderr_by_cause.values, errors.spo2_stderr, errors.spo2_stderr_beat]
         cells = (significant(float(value), 2) for value in values)
         rows.append({"Photodiode": name} | dict(zip(heads, cells, strict=True)))
     return rows
@@ -156,12 +156,12 @@ def recording_page(result: xr.Dataset) -> str:
 def _recorded(summary: dict[str, Any]) -> list[dict[str, str]]:
     """What a recording says by each photodiode, on the page and in the terminal."""
     rows = []
-    for name, one in summary["readings"].items():
-        ends = "–" if one["spo2"] is None else f"{one['spo2_low']:.1f} to {one['spo2_high']:.1f}"
-        row = {"Photodiode": name, "SpO2 [%]": _known(one["spo2"]), "95 % interval": ends, "R": _known(one["ratio"])}
-        row |= {f"Perfusion, {led} [%]": _known(part, 100) for led, part in one["perfusion_index"].items()}
-        row |= {"Pulse [1/min]": _known(one["rate_per_min"]), "Motion [%]": f"{100 * one['motion']:.0f}"}
-        rows.append(row | {"Still windows": f"{one['still']} of {one['windows']}"})
+    for name, r in summary["readings"].items():
+        ends = "–" if r["spo2"] is None else f"{r['spo2_low']:.1f} to {r['spo2_high']:.1f}"
+        row = {"Photodiode": name, "SpO2 [%]": _known(r["spo2"]), "95 % interval": ends, "R": _known(r["ratio"])}
+        row |= {f"Perfusion, {led} [%]": _known(part, 100) for led, part in r["perfusion_index"].items()}
+        row |= {"Pulse [1/min]": _known(r["rate_per_min"]), "Motion [%]": f"{100 * r['motion']:.0f}"}
+        rows.append(row | {"Still windows": f"{r['still']} of {r['windows']}"})
     return rows
 
 
@@ -203,10 +203,10 @@ def _calibration_figure(result: xr.Dataset, axes: "Axes | None" = None) -> "Figu
     assert axes is not None
     percent = 100 * result.so2.values
     for name, colour in zip(result.photodiode.values, style.place_colours(result.sizes["photodiode"]), strict=True):
-        one = result.sel(photodiode=name)
-        low, high = one.ratio - Z95 * one.ratio_stderr, one.ratio + Z95 * one.ratio_stderr
+        line = result.sel(photodiode=name)
+        low, high = line.ratio - Z95 * line.ratio_stderr, line.ratio + Z95 * line.ratio_stderr
         axes.fill_betweenx(percent, low, high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(one.ratio, percent, color=colour, label=style.plain(name))
+        axes.plot(line.ratio, percent, color=colour, label=style.plain(name))
     ratio = np.linspace(0.2, float(result.ratio.max()), 2)
     for (a, b), label, dashes in ((TEXTBOOK, "textbook", (4, 3)), (MEASURED, "measured on fingers", (1, 2))):
         text = f"{label}: {a:g} − {-b:g} R"
@@ -260,16 +260,16 @@ def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str
 @style.drawing()
 def _over_time_figure(result: xr.Dataset) -> "Figure":
     """SpO2 with its interval, pulse rate and motion over a recording, of the best photodiode."""
-    one = result.sel(photodiode=result.attrs["best"])
+    best = result.sel(photodiode=result.attrs["best"])
     figure, (oxygen, rate, moved) = style.panels(7.2, 4.8, 3, sharex=True, gridspec_kw={"height_ratios": [3, 1.5, 1]})
     colour = style.ZONES[0]
-    oxygen.fill_between(one.time, one.spo2_low, one.spo2_high, color=colour, alpha=0.2, linewidth=0, label="95 %")
-    oxygen.plot(one.time, one.spo2, color=colour, marker=".", label="SpO2")
+    oxygen.fill_between(best.time, best.spo2_low, best.spo2_high, color=colour, alpha=0.2, linewidth=0, label="95 %")
+    oxygen.plot(best.time, best.spo2, color=colour, marker=".", label="SpO2")
     oxygen.set_ylabel("SpO2 [%]")
     style.legend_above(figure, oxygen, ncols=2)
-    rate.plot(one.time, one.rate_per_min, color=style.INK, marker=".")
+    rate.plot(best.time, best.rate_per_min, color=style.INK, marker=".")
     rate.set(ylabel="pulse [1/min]")
-    moved.fill_between(one.time, 0.0, 100 * one.motion, color=style.MUTED, alpha=0.5, step="mid", linewidth=0)
+    moved.fill_between(best.time, 0.0, 100 * best.motion, color=style.MUTED, alpha=0.5, step="mid", linewidth=0)
     moved.set(ylim=(0, 100), ylabel="moved [%]", xlabel="middle of the window [s]")
     return figure
 
@@ -279,38 +279,38 @@ def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
     readings = {}
     by_led = {"perfusion_index": "led", "perfusion_index_stderr": "led", "spo2_stderr_by_cause": "cause"}
     for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        row = plain(one, "so2", "ratio", "ratio_stderr", "path_ratio", "path_ratio_stderr", "spo2_stderr")
-        row |= plain(one, "spo2_stderr_beat", "melanin_bound", "saturated")
-        row["ratio_at_rest"] = {"so2": float(result.attrs["so2"])} | with_stderr(one, "ratio_at_rest")
+        data = result.sel(photodiode=name)
+        row = plain(data, "so2", "ratio", "ratio_stderr", "path_ratio", "path_ratio_stderr", "spo2_stderr")
+        row |= plain(data, "spo2_stderr_beat", "melanin_bound", "saturated")
+        row["ratio_at_rest"] = {"so2": float(result.attrs["so2"])} | with_stderr(data, "ratio_at_rest")
         line = ("intercept", "slope", "intercept_stderr", "slope_stderr")
-        row["fit"] = dict(zip(line, [*one.linear.values.tolist(), *one.linear_stderr.values.tolist()], strict=True))
-        row["fit"] |= plain(one, "quadratic", miss="linear_miss")
+        row["fit"] = dict(zip(line, [*data.linear.values.tolist(), *data.linear_stderr.values.tolist()], strict=True))
+        row["fit"] |= plain(data, "quadratic", miss="linear_miss")
         for key, dim in by_led.items():
-            row[key] = dict(zip(one[dim].values.tolist(), one[key].values.tolist(), strict=True))
+            row[key] = dict(zip(data[dim].values.tolist(), data[key].values.tolist(), strict=True))
         row["disturbances"] = {
-            key: plain(one, values=key, spo2_off=f"off_by_{key}", stderr=f"off_by_{key}_stderr")
+            key: plain(data, values=key, spo2_off=f"off_by_{key}", stderr=f"off_by_{key}_stderr")
             for key in result.attrs["disturbances"]
         }
         readings[str(name)] = row
-    own = {name: result.attrs[name] for name in ("best", "warnings")}
-    return {"readings": readings} | own | run_summary(result.attrs)
+    chosen = {name: result.attrs[name] for name in ("best", "warnings")}
+    return {"readings": readings} | chosen | run_summary(result.attrs)
 
 
 def recording_summary(result: xr.Dataset) -> dict[str, Any]:
     """Medians over the windows without motion of an oximeter's recording, SpO2 in percent."""
     readings = {}
     for name in result.photodiode.values:
-        one = result.sel(photodiode=name)
-        there = np.isfinite(one.spo2.values)
+        data = result.sel(photodiode=name)
+        there = np.isfinite(data.spo2.values)
         row: dict[str, Any] = {
-            "windows": int(one.sizes["time"]),
+            "windows": int(data.sizes["time"]),
             "still": int(there.sum()),
-            "motion": float(one.motion.mean()),
+            "motion": float(data.motion.mean()),
         }
         for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
-            row[key] = _median(one[key].values)
-        row["perfusion_index"] = {k: _median(one[f"perfusion_index_{k}"].values[there]) for k in ("red", "infrared")}
+            row[key] = _median(data[key].values)
+        row["perfusion_index"] = {k: _median(data[f"perfusion_index_{k}"].values[there]) for k in ("red", "infrared")}
         readings[str(name)] = row
     best = result.attrs["best"]
     return {
@@ -334,9 +334,9 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
-    for name, one in best["disturbances"].items():
-        worst = max(one["spo2_off"], key=abs)
-        lines.append(f"  {name} from {one['values'][0]:g} to {one['values'][-1]:g}: bias at most {worst:+.2f} %")
+    for name, curve in best["disturbances"].items():
+        worst = max(curve["spo2_off"], key=abs)
+        lines.append(f"  {name} from {curve['values'][0]:g} to {curve['values'][-1]:g}: bias at most {worst:+.2f} %")
     return lines
 
 

@@ -149,9 +149,9 @@ CROSSES_BETWEEN_NM = (797.0, 825.0)
 def crossing_nm() -> float:
     """Where blood absorbs alike with and without oxygen, near 800 nm, in the shipped table. [nm]"""
     wavelength = np.arange(700.0, 900.0, 0.1)
-    apart = tissue.blood_mu_a_per_mm(wavelength, 1.0) - tissue.blood_mu_a_per_mm(wavelength, 0.0)
-    after = int(np.flatnonzero(np.diff(np.sign(apart)))[0])
-    share = apart[after] / (apart[after] - apart[after + 1])
+    difference = tissue.blood_mu_a_per_mm(wavelength, 1.0) - tissue.blood_mu_a_per_mm(wavelength, 0.0)
+    after = int(np.flatnonzero(np.diff(np.sign(difference)))[0])
+    share = difference[after] / (difference[after] - difference[after + 1])
     return float(wavelength[after] + 0.1 * share)
 
 

@@ -83,7 +83,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout.append(subheading("Sensitivity of each photodiode"))
-        layout += [_of_led(figures.banana_figure(best, one), BANANAS, one, best) for one in by_led]
+        layout += [_of_led(figures.banana_figure(best, of_led), BANANAS, of_led, best) for of_led in by_led]
         layout += [subheading("Ambient light"), table(_ambient(result)), small(AMBIENT)]
         checked = _check(result)
     text = document(
@@ -102,7 +102,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
             _physiological_noise(best, result),
             _how_many(best, result),
             section("The best layout", *layout),
-            section("Maps of this board", *(part for one in by_led for part in _maps(best, one))),
+            section("Maps of this board", *(part for of_led in by_led for part in _maps(best, of_led))),
             spread_section(result),
         ],
         attributes=result.attrs,
@@ -110,32 +110,32 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     write_text(Path(path), text)
 
 
-def _led_words(scene: Scene, one: xr.Dataset) -> str:
+def _led_words(scene: Scene, of_led: xr.Dataset) -> str:
     """Which LED a result of one LED is about."""
-    led = next(led for led in scene.leds if led.name == str(one.led.values[0]))
+    led = next(led for led in scene.leds if led.name == str(of_led.led.values[0]))
     return f"LED {led.name}, {led.wavelength_nm:.0f} nm"
 
 
-def _of_led(drawing: "Figure", caption: str, one: xr.Dataset, scene: Scene, *, narrow: bool = False) -> Html:
+def _of_led(drawing: "Figure", caption: str, of_led: xr.Dataset, scene: Scene, *, narrow: bool = False) -> Html:
     """A figure of one LED; of several LEDs each is named."""
-    named = f"{_led_words(scene, one)}. {caption}" if len(scene.leds) > 1 else caption
+    named = f"{_led_words(scene, of_led)}. {caption}" if len(scene.leds) > 1 else caption
     return figure(drawing, named, narrow=narrow)
 
 
-def _maps(best: Scene, one: xr.Dataset) -> list[Html]:
+def _maps(best: Scene, of_led: xr.Dataset) -> list[Html]:
     """All maps of one LED."""
-    narrow = figures.slender(one)
-    maps = [subheading(_led_words(best, one))] if len(best.leds) > 1 else []
-    maps.append(_of_led(figures.map_figure(best, one), MAPS, one, best))
-    maps.append(_of_led(figures.sensitivity_figure(best, one), SENSITIVITY, one, best, narrow=narrow))
-    if "led_place_fraction" in one:
-        maps.append(_of_led(figures.led_figure(best, one), LED, one, best, narrow=narrow))
-        if str(one.led.values[0]) == best.leds[0].name:
-            ratio = estimated(one.attrs, "reciprocity_ratio")
+    narrow = figures.slender(of_led)
+    maps = [subheading(_led_words(best, of_led))] if len(best.leds) > 1 else []
+    maps.append(_of_led(figures.map_figure(best, of_led), MAPS, of_led, best))
+    maps.append(_of_led(figures.sensitivity_figure(best, of_led), SENSITIVITY, of_led, best, narrow=narrow))
+    if "led_place_fraction" in of_led:
+        maps.append(_of_led(figures.led_figure(best, of_led), LED, of_led, best, narrow=narrow))
+        if str(of_led.led.values[0]) == best.leds[0].name:
+            ratio = estimated(of_led.attrs, "reciprocity_ratio")
             text = "For the LED at its position, light traced back from all photodiodes predicts"
             maps.append(small(f"{text} {ratio} times their reading in an independent trace."))
-    if one.sizes["led_site"]:
-        maps.append(_of_led(figures.sites_figure(one), TRIED, one, best, narrow=True))
+    if of_led.sizes["led_site"]:
+        maps.append(_of_led(figures.sites_figure(of_led), TRIED, of_led, best, narrow=True))
     return maps
 
 
@@ -199,14 +199,14 @@ def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
         "SpO2 [%]": ("spo2_error_percent", 1.0),
     }
     known = {
-        head: one for head, one in optional.items() if any(math.isfinite(r.get(one[0], math.nan)) for r in ranking)
+        head: key for head, key in optional.items() if any(math.isfinite(r.get(key[0], math.nan)) for r in ranking)
     }
     lines = []
     for row in ranking:
         rank = f"{row['rank']}{' (tied)' if row['tied'] else ''}"
         line = {"Layout": row["layout"], "Rank": rank}
         line["Resolution [mN]"] = estimated(row, "force_resolution_n", 1e3)
-        line |= {head: estimated(row, *one) for head, one in known.items()}
+        line |= {head: estimated(row, *key) for head, key in known.items()}
         if "electronics_rank" in row:
             line["Rank by electronics"] = str(row["electronics_rank"])
         line["Split known [mN]"] = significant(1e3 * row["fixed_ratio_resolution_n"])
@@ -227,7 +227,7 @@ def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
         return ""
     bandwidth_hz, requested = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
     sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
-    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(one)) for one in result.physiological_noise_force_n))
+    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(x)) for x in result.physiological_noise_force_n))
     text = (
         f"One sample is {sample}. It is evaluated without the samples before it, from which {body_words(best)} could "
         "be estimated, so that waves slower than its bandwidth count in full. Such waves change the blood of both "
@@ -277,8 +277,8 @@ def _how_many(best: Scene, result: xr.Dataset) -> str:
     counted = []
     for count in result.photodiode_count.values:
         at = {head: (result.sel(chosen_for=by, photodiode_count=count), name) for head, (name, by) in kinds.items()}
-        if all(math.isfinite(one[name] + one[f"{name}_stderr"]) for one, name in at.values()):
-            cells = {head: estimated(one, name, 1e3) for head, (one, name) in at.items()}
+        if all(math.isfinite(data[name] + data[f"{name}_stderr"]) for data, name in at.values()):
+            cells = {head: estimated(data, name, 1e3) for head, (data, name) in at.items()}
             counted.append({"Photodiodes": str(count)} | cells)
     drawn, name = figure(figures.count_figure(best, result), COUNT), next(iter(kinds.values()))
     return section("Number of photodiodes", _enough(result, *name), drawn, table(counted))
@@ -313,16 +313,16 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
     lines = []
     for led in result.led.values:
         for i, name in enumerate(chosen(result).layout.photodiode_names):
-            one = result.sel(led=led).isel(best_photodiode=i)
-            volts, noise_v = float(one.predicted_volts), float(one.predicted_noise_v)
-            line = {"Photodiode": name, "Reading [V]": estimated(one, "predicted_volts")}
+            reading = result.sel(led=led).isel(best_photodiode=i)
+            volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
+            line = {"Photodiode": name, "Reading [V]": estimated(reading, "predicted_volts")}
             line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
             line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
-            line["Shunted [%]"] = estimated(one, "predicted_shunted_fraction", 100)
+            line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
             # A hundredth of the bed's volume, in millivolts.
             for k, zone in enumerate(("Proximal", "Distal")):
-                line[f"{zone} blood [mV / %]"] = estimated(one.isel(blood_zone=k), "predicted_zone_v", 10)
-            line["Mean depth [mm]"] = estimated(one, "mean_depth_mm") if "mean_depth_mm" in one else "–"
+                line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
+            line["Mean depth [mm]"] = estimated(reading, "mean_depth_mm") if "mean_depth_mm" in reading else "–"
             lines.append(line)
     return lines
 

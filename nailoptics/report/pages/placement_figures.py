@@ -36,8 +36,8 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
         colour = style.ZONES[0] if str(result.layout.values[i]) == "paper" else style.ZONES[1]
         axes.plot([low, high], [i, i], color=colour, lw=2.2, solid_capstyle="butt")
         axes.plot([best], [i], "o", mfc=colour if bool(result.tied[i]) else "none", mec=colour, ms=6)
-        each = 1e3 * result.finger_resolution_n.values[i]
-        axes.plot(each, [i] * len(each), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
+        fingers_mn = 1e3 * result.finger_resolution_n.values[i]
+        axes.plot(fingers_mn, [i] * len(fingers_mn), "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
     if "electronics_resolution_n" in result:
         still = 1e3 * result.electronics_resolution_n.values[:count]
         axes.plot(still, range(count), "D", mfc="none", mec=style.MUTED, ms=4.5, label="electronics alone")
@@ -118,13 +118,13 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     light = _smooth(result.irradiance.isel(led=0).to_numpy())
     # Where few photons came, the ratio is noise and is left blank.
     light[_smooth(result.irradiance_stderr.isel(led=0).to_numpy()) > 0.7 * light] = np.nan
-    each = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
+    sensitivity = [_smooth(-result.sensitivity.isel(led=0, blood_zone=k).to_numpy()) for k in range(2)]
     with np.errstate(invalid="ignore", divide="ignore"):
-        fall = [np.where(light > 0, one / light, np.nan) for one in each]
+        fall = [np.where(light > 0, z / light, np.nan) for z in sensitivity]
     norm = Normalize(0.0, float(np.nanquantile(np.stack(fall), 0.99)))
     titles = ("Proximal blood [%/%]", "Distal blood [%/%]")
     figure, grid = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
-    _draw_maps(grid, scene, result, [(title, "u", one, "magma", norm) for title, one in zip(titles, fall, strict=True)])
+    _draw_maps(grid, scene, result, [(title, "u", z, "magma", norm) for title, z in zip(titles, fall, strict=True)])
     return figure
 
 
@@ -248,7 +248,7 @@ def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     return figure
 
 
-def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colours: list[tuple[str, int]]) -> None:
+def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, data: np.ndarray, colours: list[tuple[str, int]]) -> None:
     """Where all photodiodes look, and the densest places that hold half of what each of them sees.
 
     each : (photodiodes, x, y) float. What each sees in each cell.
@@ -256,7 +256,7 @@ def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, each: np.ndarray, colou
     from matplotlib.colors import to_rgb
     from scipy.ndimage import gaussian_filter
 
-    shares = [gaussian_filter(one / max(one.sum(), 1e-300), 1.0) for one in each]
+    shares = [gaussian_filter(cells / max(cells.sum(), 1e-300), 1.0) for cells in data]
     whole = np.mean(shares, axis=0)
     whole /= whole.max()
     shade = np.zeros((*whole.T.shape, 4))

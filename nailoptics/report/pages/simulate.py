@@ -263,7 +263,7 @@ def _paths(result: xr.Dataset, readings: "pd.DataFrame") -> list[dict[str, str]]
     heads = [f"{names.get(str(a), a)} [mm]" for a in mean.absorber.values]
     rows = []
     for r in readings.itertuples():
-        pairs = zip(*(one.sel(led=r.led, photodiode=r.photodiode).values for one in (mean, stderr)), strict=True)
+        pairs = zip(*(paths.sel(led=r.led, photodiode=r.photodiode).values for paths in (mean, stderr)), strict=True)
         # A path that is nothing beside a finger is not shown in powers of ten.
         cells = [
             "< 0.001" if 0 <= path + 2 * error < LEAST_PATH_MM else with_error(path, error) for path, error in pairs
@@ -289,18 +289,18 @@ def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, 
     }
     rows, marks = [], dict[str, str]()
     for r in readings.itertuples():
-        one = result.sel(led=r.led, photodiode=r.photodiode)
+        fit = result.sel(led=r.led, photodiode=r.photodiode)
         if r.saturated:
             rows.append({"Photodiode": f"{r.photodiode} saturated"} | dict.fromkeys(fields, "–"))
             continue
-        note, level_v = str(one.fit_note.item()), abs(float(one.taylor_v0_v))
+        note, level_v = str(fit.fit_note.item()), abs(float(fit.taylor_v0_v))
         mark = " [" + marks.setdefault(note, chr(ord("a") + len(marks) % 26)) + "]" if note else ""
         row = {"Photodiode": r.photodiode + mark}
-        straight = 0 < float(one.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT
+        straight = 0 < float(fit.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT
         for head, (field, unit) in fields.items():
             level = level_v / (largest_m2 if field.endswith("_per_m2") else 1.0) / unit
-            error = float(one.get(f"{field}_stderr", 0.0)) / unit
-            row[head] = with_error(float(one[field]) / unit, error, scale=level)
+            error = float(fit.get(f"{field}_stderr", 0.0)) / unit
+            row[head] = with_error(float(fit[field]) / unit, error, scale=level)
             if row[head].endswith("?") and field.startswith("beer_lambert"):
                 row[head] = "straight" if straight else "not known"
         rows.append(row)

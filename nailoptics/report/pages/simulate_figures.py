@@ -124,7 +124,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     photodiodes = coloured_along_nail(scene, result.sizes["photodiode"])
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
-    scale, letter = prefix(_largest(one for of_led in change for one in of_led))
+    scale, letter = prefix(_largest(course for of_led in change for course in of_led))
     thin = _thin(result)
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
@@ -159,29 +159,29 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     height_in, how = 0.8 + 2.2 * rows, {"sharex": True, "squeeze": False, "height_ratios": ratios}
     room = style.Room(left=0.85, top=0.55, across=0.85, down=0.25)
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
-    each = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
-    missed_v = [float(np.abs(model - traced).max()) for model, traced in each]
+    pairs = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
+    missed_v = [float(np.abs(model - traced).max()) for model, traced in pairs]
     missed_scale, missed_letter = prefix(max(*missed_v, _largest(result.volts_noise_rms[led])))
     thin, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
     for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
-        one = thin.isel(photodiode=j)
-        scale, letter = prefix(float(np.abs(one.volts).max()))
-        low, high = ((one.volts + k * one.volts_change_stderr) / scale for k in (-1, 1))
-        main.fill_between(one.time, low, high, color=colour, alpha=0.45, lw=0, label="error of the trace")
-        noise = one.volts_noise_rms / missed_scale
+        reading = thin.isel(photodiode=j)
+        scale, letter = prefix(float(np.abs(reading.volts).max()))
+        low, high = ((reading.volts + k * reading.volts_change_stderr) / scale for k in (-1, 1))
+        main.fill_between(reading.time, low, high, color=colour, alpha=0.45, lw=0, label="error of the trace")
+        noise = reading.volts_noise_rms / missed_scale
         below.axhline(0, color=style.MUTED, lw=0.7)
-        below.fill_between(one.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
-        _line(main, one.volts / scale, color=colour, label="traced light")
+        below.fill_between(reading.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
+        _line(main, reading.volts / scale, color=colour, label="traced light")
         for name, (label, look) in MODELS.items():
-            _line(main, one[f"volts_{name}"] / scale, label=label, **look)
-            _line(below, (one[f"volts_{name}"] - one.volts) / missed_scale, **look)
+            _line(main, reading[f"volts_{name}"] / scale, label=label, **look)
+            _line(below, (reading[f"volts_{name}"] - reading.volts) / missed_scale, **look)
         main.set_ylabel(f"volts [{letter}V]", fontsize=8)
         below.set_ylabel(f"residual\n[{missed_letter}V]", fontsize=8)
         level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
-        main.set_title(style.plain(one.photodiode.values), color=style.INK)
-        style.remark(main, "saturated" if one.saturated.any() else f"at rest {level} {letter}V")
+        main.set_title(style.plain(reading.photodiode.values), color=style.INK)
+        style.remark(main, "saturated" if reading.saturated.any() else f"at rest {level} {letter}V")
         _not_too_close(main)
     residuals = grid[1::2].ravel()
     limit = 1.15 * max(abs(y) for axes in residuals for y in axes.dataLim.intervaly if np.isfinite(y)) or 1.0

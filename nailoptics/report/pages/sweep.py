@@ -152,15 +152,15 @@ def contact_sheet(results: xr.Dataset) -> "Figure":
         name for name in results.coords if set(results[name].dims) & set(dims) and np.unique(results[name]).size > 1
     ]
     for index, row in zip(rows, panels, strict=True):
-        one = results.isel(dict(zip(dims, index, strict=True)))
+        scene = results.isel(dict(zip(dims, index, strict=True)))
         for k, panel in enumerate(row):
             panel.set_axis_off()
-            if one.state.item() == "done":
-                panel.imshow(one.photograph.values[k])
-                panel.set_title(f"{float(one.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
-        values = {name: one[name].item() for name in axes}
+            if scene.state.item() == "done":
+                panel.imshow(scene.photograph.values[k])
+                panel.set_title(f"{float(scene.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
+        values = {name: scene[name].item() for name in axes}
         words = [f"{name} = {f'{x:.4g}' if isinstance(x, float) else str(x)[:28]}" for name, x in values.items()]
-        if one.state.item() != "done":
-            words.append(str(one.state.item()))
+        if scene.state.item() != "done":
+            words.append(str(scene.state.item()))
         row[0].text(-0.05, 0.5, style.plain("\n".join(words)), transform=row[0].transAxes, ha="right", va="center")
     return figure

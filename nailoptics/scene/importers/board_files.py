@@ -94,8 +94,8 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     )
     tables: dict[str, list[dict[str, Any]]] = {"led": [], "photodiode": []}
     for part in mapped:
-        for kind, one in _tables(part, dict(uses[part.ref]), view, folder):
-            tables[kind].append(one)
+        for kind, fields in _tables(part, dict(uses[part.ref]), view, folder):
+            tables[kind].append(fields)
     outline = None
     if whole is not None:
         corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
@@ -151,7 +151,7 @@ def _origin(
     if outline is not None:
         named["outline"] = middle(outline)
     preferred = (origin,) if origin is not None else ("auxiliary", "outline")
-    point = next((point for one in preferred if (point := named.get(one)) is not None), None)
+    point = next((point for name in preferred if (point := named.get(name)) is not None), None)
     if point is None and origin is None:
         return _middle_of(mapped, name)
     if point is None:
@@ -202,8 +202,8 @@ def _tables(
         both = [("led", led) for led in module.leds] + [("photodiode", photodiode) for photodiode in module.photodiodes]
         name = str(own.get("name", part.ref))
         return [
-            (k, table(f"{name}.{one.name}", f"{part.ref}.{one.name}", one.position_mm, one.scene_fields()))
-            for k, one in both
+            (k, table(f"{name}.{die.name}", f"{part.ref}.{die.name}", die.position_mm, die.scene_fields()))
+            for k, die in both
         ]
     if isinstance(use[kind], str):
         own["part"] = use[kind]

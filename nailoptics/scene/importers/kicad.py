@@ -104,7 +104,7 @@ def _board(tree: list[Any]) -> KicadBoard:
         populated = "dnp" not in next(_all(item, "attr"), [])
         part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side, _pads_middle(item, angle), populated)
         footprints.append(part)
-        for line in filter(None, (_edge(one, "fp_") for one in item)):
+        for line in filter(None, (_edge(shape, "fp_") for shape in item)):
             moved = (turned(point, angle) for point in line)
             edges.append(tuple((a + x, b - y) for a, b in moved))
     setup = next(_all(tree, "setup"), [])

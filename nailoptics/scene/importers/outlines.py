@@ -183,11 +183,11 @@ def _border(areas: list["shapely.Polygon"], around: Sequence[Point]) -> "shapely
 
     points = MultiPoint(around)
     solid = [Polygon(area.exterior) for area in _outermost(areas)]
-    own = unary_union([area for area in solid if area.intersects(points)])
-    if own.geom_type == "Polygon" and not own.is_empty and own.covers(points):
-        return Polygon(own.exterior)
+    populated = unary_union([area for area in solid if area.intersects(points)])
+    if populated.geom_type == "Polygon" and not populated.is_empty and populated.covers(points):
+        return Polygon(populated.exterior)
     together = sorted(get_parts(unary_union(solid)), key=_corners_area, reverse=True)
-    return Polygon(next((one for one in together if one.covers(points)), together[0]).exterior)
+    return Polygon(next((area for area in together if area.covers(points)), together[0]).exterior)
 
 
 def _corners_area(polygon: "shapely.Polygon") -> float:
@@ -215,7 +215,7 @@ def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineStrin
     largest = max(loose, key=size, default=None)
     if largest is not None and (not areas or size(largest) > size(areas[0])):
         (x, y), *others = [
-            line.coords[k] for line in (largest, *(one for one in loose if one is not largest)) for k in (0, -1)
+            line.coords[k] for line in (largest, *(line for line in loose if line is not largest)) for k in (0, -1)
         ]
         raise InputError(
             f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is "

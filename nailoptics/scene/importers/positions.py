@@ -185,7 +185,7 @@ def _table(
             if all(name in at for name in NEEDED):
                 numbered = list(enumerate(lines, 1))[number + 1 :]
                 # PCB and pcb-rnd tell the unit below the names of the columns.
-                below = (_unit_told(one) for _, one in numbered if one.startswith("#"))
+                below = (_unit_told(line) for _, line in numbered if line.startswith("#"))
                 usual_mm = next(filter(None, below), usual_mm)
                 units = {name: _unit_of(header[k], path) or usual_mm for name, k in at.items() if name in LENGTHS}
                 rows = [(k, row) for k, line in numbered if (row := _cells(line, separator)) and any(row)]
@@ -215,7 +215,7 @@ def _columns(header: Sequence[str]) -> dict[str, int]:
     plain = [re.sub(r"\(.*\)|\[.*\]", "", cell.lower()) for cell in header]
     plain = [re.sub(r"(mm|mils?|inch|inches|deg|degrees)$", "", re.sub(r"[^a-z]", "", cell)) for cell in plain]
     columns = {
-        name: next((plain.index(one) for one in known if one in plain), None) for name, known in KNOWN_AS.items()
+        name: next((plain.index(title) for title in known if title in plain), None) for name, known in KNOWN_AS.items()
     }
     return {name: k for name, k in columns.items() if k is not None}
 

@@ -234,32 +234,32 @@ def read_oximeter_recording(
     if not there:
         example = title.format(leds[0], photodiodes[0])
         raise InputError(f"{name}: has no column such as {example!r} of this scene; give {OXIMETER_CSV}.")
-    titles = {light: [title.format(light, one) for one in there] for light in lights}
-    if not any(one in header for one in titles[DARK]):
+    titles = {light: [title.format(light, photodiode) for photodiode in there] for light in lights}
+    if not any(title in header for title in titles[DARK]):
         del titles[DARK]
-    for missing in (one for own in titles.values() for one in own if one not in header):
+    for missing in (title for columns_of in titles.values() for title in columns_of if title not in header):
         raise InputError(f"{name}: has no column {missing!r}; an oximeter needs both LEDs on each photodiode.")
     numbers = dict.fromkeys(
-        ["time_s", *(["slot"] if by_slot else []), *(one for own in titles.values() for one in own)]
+        ["time_s", *(["slot"] if by_slot else []), *(title for columns_of in titles.values() for title in columns_of)]
     )
     codes = {"slot": {light: float(k) for k, light in enumerate(lights)}}
     line, columns = number_columns(rows, {number: header.index(number) for number in numbers}, name, codes=codes)
     series: dict[str, tuple[Array, Array]] = {}
-    for k, (light, own) in enumerate(titles.items()):
+    for k, (light, columns_of) in enumerate(titles.items()):
         lit = columns["slot"] == k if by_slot else np.ones(len(line), bool)
         if by_slot and not lit.any() and light == DARK:
             continue
         check_columns({"time_s": columns["time_s"][lit]}, f"{name}, {light}", line[lit])
         delay_s = 0.0 if by_slot else delays_s.get(light, 0.0)
-        series[light] = columns["time_s"][lit] + delay_s, np.array([columns[one][lit] for one in own])
+        series[light] = columns["time_s"][lit] + delay_s, np.array([columns[title][lit] for title in columns_of])
     # Everything at the times of the red readings, which are a few milliseconds from the others.
     time_s, red = series[leds[0]]
     infrared, *dark = (
-        np.array([np.interp(time_s, own_s, one) for one in volts])
+        np.array([np.interp(time_s, own_s, series) for series in volts])
         for own_s, volts in (series[light] for light in lights[1:] if light in series)
     )
     for kind, volts in (("red", red), ("infrared", infrared)):
-        check_volts(volts, [f"{kind}:{one}" for one in there], name)
+        check_volts(volts, [f"{kind}:{photodiode}" for photodiode in there], name)
     dark_v = dark[0] if dark else np.zeros_like(red)
     return OximeterRecording(name, there, time_s, np.stack([red, infrared]), dark_v)
 

@@ -83,7 +83,7 @@ class MeasuredColour:
 def measured_colours() -> list[MeasuredColour]:
     """Published colours of skin, which a traced finger should lie among."""
     with asset_path("measured_colours.toml").open("rb") as file:
-        return [MeasuredColour(**one) for one in tomllib.load(file)["people"]]
+        return [MeasuredColour(**table) for table in tomllib.load(file)["people"]]
 
 
 def _science() -> Any:

@@ -193,16 +193,16 @@ def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, view
     half = scene.finger.nail_length_mm / 2
     part = _redness_left(middle[:, on_nail, :, 1], pale[:, on_nail, 1])
     band = white_band_mm(v_mm[on_nail], part, ends_mm=(-half, half))
-    each = ("place", "state")
+    dims = ("place", "state")
     text = "reflectance factor, seen from above"
     reflected = read[:, :ALONG, :-1]
-    data = estimated("reflectance", (*each, "wavelength"), reflected, text)
-    data |= estimated("lab", (*each, "band"), middle, "CIE 1976 L*a*b*")
+    data = estimated("reflectance", (*dims, "wavelength"), reflected, text)
+    data |= estimated("lab", (*dims, "band"), middle, "CIE 1976 L*a*b*")
     data |= variable("lab_without_blood", ("place", "band"), pale[0], "L*a*b* of a bed without blood")
-    data |= variable("colour_stderr", each, stderr_of_colour(middle), "standard error of the colour, as CIEDE2000")
-    data |= variable("srgb", (*each, "channel"), viewer.srgb(reflected[0]), "colour on a screen")
+    data |= variable("colour_stderr", dims, stderr_of_colour(middle), "standard error of the colour, as CIEDE2000")
+    data |= variable("srgb", (*dims, "channel"), viewer.srgb(reflected[0]), "colour on a screen")
     text = "colour difference to the first state, CIEDE2000"
-    data |= estimated("delta_e_2000", each, change, text)
+    data |= estimated("delta_e_2000", dims, change, text)
     text = "width of the band before the free edge that has lost more than half of its blood's redness"
     data |= estimated("white_band_mm", "state", band, text, units="mm")
     data |= variable("blood_fraction", ("zone", "state"), states.T, "blood fraction of the nail bed")
@@ -226,24 +226,24 @@ def spread_of_colours(
     """
     scene, sites = nail.scene, (ALONG // 2, 0)
     priors = sorted(scene.priors.of_finger(scene.touch), key=lambda prior: not only_absorbs(scene, prior))
-    own = light_digest(scene)
+    light_key = light_digest(scene)
 
-    def lab(light: ColourRays, one: Scene, chosen: tuple[int, ...]) -> Array:
-        states = steady_blood(one, viewing.forces_n[:1])
-        read = light.reflectance(states, viewing, scene=one, patches=chosen)
+    def lab(light: ColourRays, changed: Scene, chosen: tuple[int, ...]) -> Array:
+        states = steady_blood(changed, viewing.forces_n[:1])
+        read = light.reflectance(states, viewing, scene=changed, patches=chosen)
         return np.asarray(viewer.lab(read)[:, :, 0])
 
-    def walked(one: Scene) -> Array:
-        other = NailReflectance(one, backend=nail.backend, stores=nail.stores)
+    def walked(changed: Scene) -> Array:
+        other = NailReflectance(changed, backend=nail.backend, stores=nail.stores)
         patches = [rays.patches[site] for site in sites]
         light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
-        return lab(light, one, (0, 1))
+        return lab(light, changed, (0, 1))
 
     base = lab(rays, scene, sites)
     twin = walked(scene)
 
-    def answer(one: Scene) -> Array:
-        return lab(rays, one, sites) if light_digest(one) == own else base + walked(one) - twin
+    def answer(changed: Scene) -> Array:
+        return lab(rays, changed, sites) if light_digest(changed) == light_key else base + walked(changed) - twin
 
     answers = over_priors(scene, priors, answer)
     over = ("site", "band")
@@ -275,7 +275,7 @@ def press_and_release(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: V
     data |= variable("press_srgb", (*over, "channel"), viewer.srgb(read[0]), "colour on a screen, over a press")
     data |= variable("press_force_n", "time", moments.force_n.values, "force of the press", units="N")
     text = "capillary refill time: from release until the colour differs less from rest than an eye sees"
-    refill = np.array([capillary_refill_s(time_s, one) for one in lab])
+    refill = np.array([capillary_refill_s(time_s, course) for course in lab])
     with np.errstate(invalid="ignore"):  # a place that never returns, or whose change no eye sees
         data |= estimated("refill_s", "place", refill, text, units="s")
     return xr.Dataset(data, variable("time", "time", time_s, "time", units="s"))

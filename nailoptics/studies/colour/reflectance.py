@@ -49,7 +49,7 @@ class ColourRays:
     @property
     def photons(self) -> int:
         """Rays of all nodes together."""
-        return int(sum(one.rays.sum() for one in self.light))
+        return int(sum(cell.rays.sum() for cell in self.light))
 
     def with_more(self, other: "ColourRays") -> "ColourRays":
         """These rays and others of the same finger as one."""
@@ -57,7 +57,7 @@ class ColourRays:
 
     def one_in(self, part: int) -> "ColourRays":
         """One in so many of the rays of each group, by chance: for what needs less precision than all would give."""
-        return replace(self, light=tuple(_thinned(one, part) for one in self.light))
+        return replace(self, light=tuple(_thinned(cell, part) for cell in self.light))
 
     def reflectance(
         self,
@@ -77,8 +77,8 @@ class ColourRays:
         absorbing = self.scene if scene is None else scene
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
         chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
-        sums = [_sums(_weighted(one, viewing), mu_a, chosen) for one in self.light]
-        return left_out(sum(one * weight for one, weight in zip(sums, WEIGHTS, strict=True)))
+        sums = [_sums(_weighted(cell, viewing), mu_a, chosen) for cell in self.light]
+        return left_out(sum(total * weight for total, weight in zip(sums, WEIGHTS, strict=True)))
 
 
 def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:

@@ -57,16 +57,16 @@ def compare(
     scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
     deadline, unmet = time.perf_counter() + (options.max_seconds or math.inf), None
     results: list[xr.Dataset] = []
-    for k, one in enumerate(scenes):
+    for k, traced in enumerate(scenes):
         if results and time.perf_counter() > deadline:
             unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
             break
         # A quarter of the photons twice, for the scattering, is half as much again.
         limit_s = (deadline - time.perf_counter()) / (len(scenes) - k) / (1 + 2 * SCATTERING_SHARE)
         limited = replace(options, max_seconds=None if math.isinf(deadline) else max(limit_s, 1e-3))
-        transfer, why = as_far_as_reached(trace, one, progress=progress, **limited.fields)
+        transfer, why = as_far_as_reached(trace, traced, progress=progress, **limited.fields)
         unmet = unmet or (str(why) if why else None)
-        slopes = np.full((2, len(one.leds), len(transfer.photodiodes)), np.nan)
+        slopes = np.full((2, len(traced.leds), len(transfer.photodiodes)), np.nan)
         if time.perf_counter() < deadline:
             slopes = _scattering_slopes(transfer, limited, progress)
         elif not unmet:
@@ -119,8 +119,8 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
         changed = finger.model_copy(update={"bed_scattering": factor * finger.bed_scattering})
         scene = transfer.scene.model_copy(update={"finger": changed})
         # Streams of their own, which no neighbouring seed shares; a trace takes seeds below 2^63.
-        own = replace(fewer, seed=seed_of(options.seed, k) >> 1).fields
-        rest = as_far_as_reached(trace, scene, progress=progress, **own)[0].at()
+        sampling = replace(fewer, seed=seed_of(options.seed, k) >> 1).fields
+        rest = as_far_as_reached(trace, scene, progress=progress, **sampling)[0].at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values
         with np.errstate(invalid="ignore", divide="ignore"):
             log.append(np.where(value > 0, np.log(value), np.nan))
@@ -138,7 +138,7 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     scene = transfer.scene
     zone = zones_of_photodiodes(scene)
     errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
-    gathered = {name: np.stack([[one[name] for one in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
+    gathered = {name: np.stack([[row[name] for row in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
     data: Variables = {}
     for name, (dims, units, text) in _VARIABLES.items():
         dims = ("led", "sweep", *dims)
@@ -218,15 +218,15 @@ def _led_errors(
     rows = []
     # Where a photodiode saw nothing, or nothing changes, there is no answer: NaN.
     with np.errstate(invalid="ignore", divide="ignore"):
-        for j, own in enumerate(zone):
+        for j, bed in enumerate(zone):
             path = read.mean_path_mm[:, j]
             traced, *alone = np.split(read.reading[:, j], 1 + len(optics.bed_columns(scene)), axis=1)
             # The slope is known for the whole bed; each zone gets the part of it that the light's path has there.
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]
             scattered, surer = (traced * np.exp(value * denser_here) for value in (slope, slope + error))
-            one = TracedSweep(int(own), sweep.blood * over_line[:, None], path, traced, alone[own], scattered, surer)
-            rows.append(formula_errors(one, sweep))
+            pair = TracedSweep(int(bed), sweep.blood * over_line[:, None], path, traced, alone[bed], scattered, surer)
+            rows.append(formula_errors(pair, sweep))
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 

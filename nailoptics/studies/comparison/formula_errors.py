@@ -59,34 +59,34 @@ class TracedSweep:
         return np.asarray(np.ptp(self.traced, axis=1)[:, None])
 
 
-def formula_errors(one: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]:
+def formula_errors(pair: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]:
     """All that is known of the formulas' errors, by name of the variable, with standard errors as NAME_stderr."""
-    fit, x = _curve(one.own_mu_a, one.traced[0], curved=True), one.own_mu_a
-    readings = _readings(one, fit.replicates(x, one.traced))
-    part, part_stderr = _parts(one, readings)
+    fit, x = _curve(pair.own_mu_a, pair.traced[0], curved=True), pair.own_mu_a
+    readings = _readings(pair, fit.replicates(x, pair.traced))
+    part, part_stderr = _parts(pair, readings)
     replicates = {
-        "reading": one.traced,
-        "swing": one.swing[:, 0],
-        "relative_swing": one.swing[:, 0] / one.traced[:, 0],
-        "error": np.moveaxis((readings - one.traced) / one.swing, 2, 0),
-        "range_error": np.moveaxis(_range_errors(one, readings), 2, 0),
-        "alpha_d2": one.path_mm[:, one.own, None] * one.own_mu_a,
-        "bed_alpha_d2": one.path_mm @ one.mu_a.T,
-        "path_mm": one.path_mm[:, one.own],
-        "path_fitted_mm": fit.curvature_of_replicates(x, one.traced),
+        "reading": pair.traced,
+        "swing": pair.swing[:, 0],
+        "relative_swing": pair.swing[:, 0] / pair.traced[:, 0],
+        "error": np.moveaxis((readings - pair.traced) / pair.swing, 2, 0),
+        "range_error": np.moveaxis(_range_errors(pair, readings), 2, 0),
+        "alpha_d2": pair.path_mm[:, pair.own, None] * pair.own_mu_a,
+        "bed_alpha_d2": pair.path_mm @ pair.mu_a.T,
+        "path_mm": pair.path_mm[:, pair.own],
+        "path_fitted_mm": fit.curvature_of_replicates(x, pair.traced),
     }
     out = {name: values[0] for name, values in replicates.items()}
     out |= {f"{name}_stderr": jackknife(values) for name, values in replicates.items()}
     out |= {"model_reading": readings[:, :, 0], "part_error": part, "part_error_stderr": part_stderr}
-    return out | _limits(out, sweep, one.own)
+    return out | _limits(out, sweep, pair.own)
 
 
-def _readings(one: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
+def _readings(pair: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
     """Readings by (9) and (8): fitted, with the own zone's mean path, with both zones', (way, model, r, t) float."""
-    own = one.path_mm[:, one.own, None] * (one.own_mu_a - one.own_mu_a[0])
-    both = one.path_mm @ (one.mu_a - one.mu_a[0]).T
-    predicted = [[one.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own, both)]
-    return np.stack([[_line(one, one.traced), fitted_curve], *predicted])
+    own_depth = pair.path_mm[:, pair.own, None] * (pair.own_mu_a - pair.own_mu_a[0])
+    both = pair.path_mm @ (pair.mu_a - pair.mu_a[0]).T
+    predicted = [[pair.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own_depth, both)]
+    return np.stack([[_line(pair, pair.traced), fitted_curve], *predicted])
 
 
 def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> FittedCurve:
@@ -94,36 +94,36 @@ def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> FittedCurve:
     return fit_curve(x, y, curved=curved, scale=float(np.ptp(x)))
 
 
-def _line(one: TracedSweep, rows: np.ndarray) -> np.ndarray:
+def _line(pair: TracedSweep, rows: np.ndarray) -> np.ndarray:
     """Straight lines through rows over the absorption of the blood in its own zone, (r, t) float."""
-    return _curve(one.own_mu_a, rows[0], curved=False).replicates(one.own_mu_a, rows)
+    return _curve(pair.own_mu_a, rows[0], curved=False).replicates(pair.own_mu_a, rows)
 
 
-def _parts(one: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _parts(pair: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The error of (9), step by step from the formula to the trace, and standard errors, (way, part, t) float each."""
     (line, curve), (line_of_both, curve_of_both) = readings[1:]
-    chain = [curve, one.alone, one.traced, one.scattered]
-    missed = [_line(one, level) - level for level in chain]
+    chain = [curve, pair.alone, pair.traced, pair.scattered]
+    missed = [_line(pair, level) - level for level in chain]
     fitted = [missed[0], *(b - a for a, b in zip(missed, missed[1:], strict=False))]
-    predicted = [line - curve, curve - one.alone, one.alone - one.traced, one.traced - one.scattered]
-    none = np.zeros_like(one.traced)
-    knowing_both = [line_of_both - curve_of_both, curve_of_both - one.traced, none, predicted[3]]
-    part = np.stack([fitted, predicted, knowing_both]) / one.swing
+    predicted = [line - curve, curve - pair.alone, pair.alone - pair.traced, pair.traced - pair.scattered]
+    none = np.zeros_like(pair.traced)
+    knowing_both = [line_of_both - curve_of_both, curve_of_both - pair.traced, none, predicted[3]]
+    part = np.stack([fitted, predicted, knowing_both]) / pair.swing
     stderr = jackknife(np.moveaxis(part, 2, 0))
     # The slope comes from traces of its own, so its error is independent.
-    moved = (one.scattered - one.surer)[:1]
-    by_slope = np.concatenate([_line(one, -moved) + moved, moved, moved]) / one.swing[0]
+    moved = (pair.scattered - pair.surer)[:1]
+    by_slope = np.concatenate([_line(pair, -moved) + moved, moved, moved]) / pair.swing[0]
     stderr[:, 3] = np.hypot(stderr[:, 3], by_slope)
     return part[:, :, 0], stderr
 
 
-def _range_errors(one: TracedSweep, readings: np.ndarray) -> np.ndarray:
+def _range_errors(pair: TracedSweep, readings: np.ndarray) -> np.ndarray:
     """Largest error over the range from the start to each point, of the swing there, (way, model, r, t) float."""
-    fitted = [fitted_range_errors(one.own_mu_a, one.traced, curved=name == "beer_lambert") for name in MODELS]
-    return np.stack([fitted, *([range_errors(model, one.traced) for model in way] for way in readings[1:])])
+    fitted = [fitted_range_errors(pair.own_mu_a, pair.traced, curved=name == "beer_lambert") for name in MODELS]
+    return np.stack([fitted, *([range_errors(model, pair.traced) for model in way] for way in readings[1:])])
 
 
-def _limits(errors: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[str, np.ndarray]:
+def _limits(errors: dict[str, np.ndarray], sweep: StateSweep, own_zone: int) -> dict[str, np.ndarray]:
     """How far each model holds, in the sweep's setting, in blood and in alpha D^2, with 95 % intervals."""
     shape = (len(WAYS), len(MODELS), len(TOLERANCES))
     # Crossings are counted in points, then converted to each measure.
@@ -134,7 +134,7 @@ def _limits(errors: dict[str, np.ndarray], sweep: StateSweep, own: int) -> dict[
     out, exact = {"limit_ends": ends}, np.zeros(len(points))
     curves = {
         "limit": (sweep.setting, exact),
-        "limit_blood_fraction": (sweep.blood[:, own], exact),
+        "limit_blood_fraction": (sweep.blood[:, own_zone], exact),
         "limit_alpha_d2": (errors["alpha_d2"], errors["alpha_d2_stderr"]),
         "limit_bed_alpha_d2": (errors["bed_alpha_d2"], errors["bed_alpha_d2_stderr"]),
     }

@@ -175,8 +175,8 @@ class ColourSums:
         r, (u, v) = scene.layout.outline, left.place_mm.T
         edges = [[r.u_min, r.u_max], [r.v_min, r.v_max]]
         for k, source in enumerate(SOURCES):
-            each = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=self.area_mm2)
-            self.ambient_a[k] += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=each)[0]
+            currents_a = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=self.area_mm2)
+            self.ambient_a[k] += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=currents_a)[0]
 
     def ambient(self) -> tuple[tuple[Array, Array], Array]:
         """Middles (u, v) of cells, (a,), (b,) float [mm], and the photocurrent there by light from outside, per area,
@@ -205,16 +205,16 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
     touch = touch_table(base)
     bare, sources, polynomial = boards.bare_board(base), colours(base), _polynomial(base, touch)
-    own = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
+    scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
     sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
-    photons = [max(BLOCKS * LEAST_BATCH, usual if k < own else usual // 2) for k in range(len(sums))]
+    photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_colours else usual // 2) for k in range(len(sums))]
     fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
     cut_off = _trace(sums, photons, report)
     there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
     radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
     projection = PairProjection(basis, radial)
-    tables = [one.table(led, projection, light) for one, led, light in zip(sums, sources, fluence, strict=True)]
+    tables = [band.table(led, projection, light) for band, led, light in zip(sums, sources, fluence, strict=True)]
     attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(table.photons for table in tables)}
     attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
@@ -233,30 +233,32 @@ def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) ->
     """
 
     def batches() -> Iterator[tuple[ColourSums, int, int]]:
-        each, round_s = LEAST_BATCH, 0.0
-        while each == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
+        count, round_s = LEAST_BATCH, 0.0
+        while count == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
             begin_s = report.seconds
             sizes = [
-                min(each, one.tracer.batch_photons, math.ceil(most / BLOCKS - one.photons[0]))
-                for one, most in zip(sums, photons, strict=True)
+                min(count, band.tracer.batch_photons, math.ceil(most / BLOCKS - band.photons[0]))
+                for band, most in zip(sums, photons, strict=True)
             ]
             if max(sizes) <= 0:
                 return
-            for one, size in zip(sums, sizes, strict=True):
-                yield from ((one, block, size) for block in range(BLOCKS) if size > 0)
-            each, round_s = 2 * each, report.seconds - begin_s
+            for band, size in zip(sums, sizes, strict=True):
+                yield from ((band, block, size) for block in range(BLOCKS) if size > 0)
+            count, round_s = 2 * count, report.seconds - begin_s
 
     def sample(batch: tuple[ColourSums, int, int]) -> None:
-        one, block, size = batch
-        one.add(block, size)
-        done = sum(each.photons.sum() for each in sums) / sum(photons)
-        report(f"{one.tracer.scene.leds[0].wavelength_nm:g} nm", done)
+        band, block, size = batch
+        band.add(block, size)
+        done = sum(band.photons.sum() for band in sums) / sum(photons)
+        report(f"{band.tracer.scene.leds[0].wavelength_nm:g} nm", done)
 
     ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
     if not report.interrupted and ending is not Ending.INTERRUPTED:
         return ""
-    cut_off = f"interrupted with {sum(one.photons.sum() for one in sums):.0f} of {sum(photons)} photons."
-    if any((one.photons == 0).any() for one in sums):
+    cut_off = (
+        f"interrupted with {sum(colour_sums.photons.sum() for colour_sums in sums):.0f} of {sum(photons)} photons."
+    )
+    if any((colour_sums.photons == 0).any() for colour_sums in sums):
         raise KeyboardInterrupt(f"{cut_off} No page was written.")
     return cut_off
 
@@ -318,12 +320,12 @@ def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:
     return BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
 
 
-def _state_point(scene: Scene, one: float, two: float, so2: float) -> BloodPoint:
+def _state_point(scene: Scene, proximal: float, two: float, so2: float) -> BloodPoint:
     """The absorption of a blood state; venous blood stays as far below arterial as in the scene."""
     venous = scene.blood.venous_so2
     below = None if venous is None else max(0.0, so2 - (scene.blood.so2 - venous))
     blood = scene.blood.model_copy(update={"so2": so2, "venous_so2": below})
-    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[one, two])
+    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[proximal, two])
 
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.

@@ -132,8 +132,8 @@ class PairBasis:
             step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
             bend = np.diff(step / width[:, None], axis=0) * width.mean()
             precision = LINES / (before * after) / (softer**2 if k == len(self.axes) - 1 else 1.0)
-            own = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
-            total = total + kron(kron(identity(before), own), identity(after))
+            axis_penalty = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
+            total = total + kron(kron(identity(before), axis_penalty), identity(after))
         return total.tocsc()
 
     def sample(self) -> tuple[Array, Array, Array]:

@@ -76,7 +76,7 @@ def estimate_noise(
 
     rest_v : (R,) float. Readings at rest. [V]
     """
-    white_v = np.maximum(np.median([_white(one) for one in residual_v], axis=0), gain * table.noise_v)
+    white_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
     spectra, reading_drift2, led_drift2, rates_hz = [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
@@ -97,7 +97,7 @@ def estimate_noise(
         reading_drift2.append(share * _random_walk_variance(left / rest_v[:, None], time_s, untouched))
         led_drift2.append(_random_walk_variance(light, time_s, untouched))
     frequency = spectra[int(np.argmax([len(recording.time_s) for recording in recordings]))][0]
-    power = np.mean([np.interp(frequency, *one) for one in spectra], axis=0)
+    power = np.mean([np.interp(frequency, *spectrum) for spectrum in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
     return white_v, Noise(
         drift_per_min=_drift(reading_drift2, USUAL_DRIFT),

@@ -78,7 +78,7 @@ def calibrate(
     read = [
         recording if isinstance(recording, Recording) else read_sensor_recording(recording) for recording in recordings
     ]
-    given = [_checked(one.of(names), scene) for one in read]
+    given = [_checked(recording.of(names), scene) for recording in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
     (scene, table), unmet = as_far_as_reached(open_table, scene, model=model, progress=progress, **requested)
@@ -219,7 +219,7 @@ def _bridged(volts: Array) -> Array:
     if valid.all(0).any():
         return volts
     samples = np.arange(volts.shape[1])
-    return np.array([np.interp(samples, samples[at], one[at]) for one, at in zip(volts, valid, strict=True)])
+    return np.array([np.interp(samples, samples[at], series[at]) for series, at in zip(volts, valid, strict=True)])
 
 
 def regressions(volts: Array, force_n: Array) -> dict[str, Regression]:
@@ -306,8 +306,8 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> tuple[Subject,
     """
     every = joined(recordings)
     force_n, site = np.asarray(every.force_n), np.asarray(every.site)
-    each = [estimate_pressures(subject, recording.time_s, recording.volts) for recording in recordings]
-    estimates = PressureEstimate(*map(np.concatenate, zip(*each, strict=True)))
+    estimates_of = [estimate_pressures(subject, recording.time_s, recording.volts) for recording in recordings]
+    estimates = PressureEstimate(*map(np.concatenate, zip(*estimates_of, strict=True)))
     estimated = touch_pressure(estimates.touch.T)
     applied, closure = subject.person.pressures(force_n, site), subject.person.closure()
     curves = [
@@ -388,5 +388,5 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
         ("volts", reading, every.volts, "recorded voltage", "V"),
         ("volts_fitted", reading, np.concatenate(fitted.predicted_v, axis=1), "fitted voltage", "V"),
     ]
-    data = {name: one for *column, units in columns for name, one in variable(*column, units=units).items()}
+    data = {name: var for *column, units in columns for name, var in variable(*column, units=units).items()}
     return xr.Dataset(data, {"reading": list(every.names)})

@@ -89,7 +89,7 @@ class Fit:
         self.free = np.flatnonzero(free)
         self.most_ln = (FARTHEST_SPREADS * SPREAD_LN)[self.free]
         self.averaged = [_averaged(recording) for recording in self.recordings]
-        self.volts = np.concatenate([one.volts for one in self.averaged], axis=1)
+        self.volts = np.concatenate([recording.volts for recording in self.averaged], axis=1)
         self.valid = np.isfinite(self.volts)
         swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
         # Residual variance of each reading, weights of samples, and their integrated autocorrelation time in samples.
@@ -106,7 +106,7 @@ class Fit:
         for number, start in enumerate(starts):
             report(number / searches)
             results.append(self._search(start, FIRST_EVALUATIONS))
-        free_ln = min(results, key=lambda one: one[1])[0]
+        free_ln = min(results, key=lambda result: result[1])[0]
         for number in range(len(starts), searches):
             report(number / searches)
             self._reweight(free_ln)
@@ -168,11 +168,11 @@ class Fit:
 
     def _design(self, model: Array) -> Array:
         """Columns of the linear part, (R, S, T, 4 + K): volts, one, both slopes, time in each recording."""
-        samples, lengths = model.shape[-1], [len(one.time_s) for one in self.averaged]
+        samples, lengths = model.shape[-1], [len(recording.time_s) for recording in self.averaged]
         fixed = np.zeros((samples, 1 + len(lengths)))
         fixed[:, 0] = 1.0
-        for k, (one, end) in enumerate(zip(self.averaged, np.cumsum(lengths), strict=True)):
-            fixed[end - lengths[k] : end, 1 + k] = _ramp(one)
+        for k, (recording, end) in enumerate(zip(self.averaged, np.cumsum(lengths), strict=True)):
+            fixed[end - lengths[k] : end, 1 + k] = _ramp(recording)
         fixed = np.broadcast_to(fixed, (*model.shape[1:], fixed.shape[1]))
         volts, *slopes = model[..., None]
         return np.concatenate([volts, fixed[..., :1], *slopes, fixed[..., 1:]], axis=-1)
@@ -228,7 +228,7 @@ class Fit:
         all_solved, residual = self._linear_fit(model)
         solved, white, who = all_solved[:, 0], self._whiten(residual)[:, 0], self.finger.person(factors)
         table = self.table.steeper(solved[:, 2:4] / solved[:, :1], float(who.rest_blood))
-        response = [arterial_response(who, table, solved[:, 0], one) for one in self.averaged]
+        response = [arterial_response(who, table, solved[:, 0], recording) for recording in self.averaged]
         predicted = [
             solved[:, 1:2] + drift[:, None] * _ramp(recording) + np.einsum("rc,crt->rt", solved[:, [0, 2, 3]], parts)
             for recording, parts, drift in zip(

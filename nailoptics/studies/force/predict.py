@@ -131,7 +131,7 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
         volts = np.where(volts >= SATURATED * subject.light.range_v, np.nan, volts)
         estimate = kalman.update_sample(volts, None if last_s is None else time_s - last_s)
         last_s, force = time_s, interval.of(stacked([estimate]))
-        yield _csv_row(time_s, *(float(one[0]) for one in force[: len(FORCE_COLUMNS)]), estimate.outlier)
+        yield _csv_row(time_s, *(float(column[0]) for column in force[: len(FORCE_COLUMNS)]), estimate.outlier)
 
 
 def _cells(line: str) -> list[str]:
@@ -185,12 +185,12 @@ def _dataset(
         "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
         "known_force_n": (known_n, "known force", "N"),
     }
-    columns |= {f"force_{name}_n": (one, REGRESSIONS[name], "N") for name, one in regression_n.items()}
+    columns |= {f"force_{name}_n": (series, REGRESSIONS[name], "N") for name, series in regression_n.items()}
     data: Variables = {}
     for name, (values, text, units) in columns.items():
         data |= variable(name, "time", values, text, units=units)
     for side, *pressure in zip(SIDES, force.pressure, force.pressure_stderr, strict=True):
-        pressure_pa, stderr_pa = (N_PER_CM2 * one for one in pressure)
+        pressure_pa, stderr_pa = (N_PER_CM2 * column for column in pressure)
         text = f"{side} touch pressure"
         data |= variable(f"{side}_pressure_pa", "time", pressure_pa, text, units="Pa", stderr=stderr_pa)
     misfit = _misfit(subject, recording, estimates, force.force_n)
@@ -212,15 +212,15 @@ def _dataset(
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
     } | code_attributes()
-    attributes |= {f"rms_{name}_n": rms(one - known_n) for name, one in regression_n.items()}
+    attributes |= {f"rms_{name}_n": rms(series - known_n) for name, series in regression_n.items()}
     return xr.Dataset(data, variable("time", "time", recording.time_s, "time", units="s"), attributes)
 
 
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
     """When the switch acts on the estimated force, and how long after it would on the known one."""
-    switched, true = (events(time_s, one, **thresholds_n) for one in (force_n, np.nan_to_num(known_n)))
+    switched, true = (events(time_s, series, **thresholds_n) for series in (force_n, np.nan_to_num(known_n)))
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
-    true_s = [max((t for t, kind in true if kind == own and t <= at), default=np.nan) for at, own in switched]
+    true_s = [max((t for t, kind in true if kind == key and t <= at), default=np.nan) for at, key in switched]
     data = variable("event_time_s", "event", at_s, "when the switch acts", units="s")
     data |= variable("event_kind", "event", kinds, "press or release")
     text = "time from the known force to the switch"

@@ -80,7 +80,7 @@ def _columns(rows: Any) -> Any:
 
 
 def _possible_beat(beat: CardiacOscillator) -> CardiacOscillator:
-    if not (0.1 <= beat.rate_hz <= 10 and 1e-3 <= beat.spread <= 1 and all(1e-3 <= one <= 1e5 for one in beat.rms_pa)):
+    if not (0.1 <= beat.rate_hz <= 10 and 1e-3 <= beat.spread <= 1 and all(1e-3 <= rms <= 1e5 for rms in beat.rms_pa)):
         raise ValueError(f"{beat} is not that of a heart")
     return beat
 
@@ -146,10 +146,10 @@ class Correction:
 
     def apply(self, estimated: Array) -> Array:
         """Corrected pressures (2, *S) of estimated ones. [N/cm^2]"""
-        curves = [(one.estimated_n_per_cm2, one.applied_n_per_cm2) for one in (self.proximal, self.distal)]
+        curves = [(side.estimated_n_per_cm2, side.applied_n_per_cm2) for side in (self.proximal, self.distal)]
         # Past its end a curve goes on in proportion.
         sides = zip(estimated, curves, strict=True)
-        return np.stack([np.interp(one, *curve) * np.maximum(one / curve[0][-1], 1.0) for one, curve in sides])
+        return np.stack([np.interp(side, *curve) * np.maximum(side / curve[0][-1], 1.0) for side, curve in sides])
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -168,7 +168,7 @@ def _factor_values(table: Any) -> Any:
     """The factors of a file's table, which says more of each."""
     if isinstance(table, dict) and list(table) != list(NAMES):
         raise ValueError("must be those of this version")
-    return [one["value"] for one in table.values()] if isinstance(table, dict) else table
+    return [factor["value"] for factor in table.values()] if isinstance(table, dict) else table
 
 
 def _covariance(matrix: Array) -> Array:

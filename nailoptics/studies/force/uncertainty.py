@@ -41,7 +41,7 @@ def fit_correction(closure: float, time_s: Array, estimated: Array, applied: Arr
         # Past closure estimates do not depend on the force.
         below = np.maximum(estimated, applied) < FITTED_TO * closure
         correlated = max(1.0, CORRELATION_S / float(np.median(np.diff(time_s))))
-        hats = np.stack([np.interp(estimated[below], bends, one) for one in ones], axis=1)
+        hats = np.stack([np.interp(estimated[below], bends, basis) for basis in ones], axis=1)
         rows.append(hats * bends / NOISE / np.sqrt(correlated))
         target.append(applied[below] / NOISE / np.sqrt(correlated))
     factor = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)[0]

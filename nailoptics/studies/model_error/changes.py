@@ -57,8 +57,8 @@ def revised(scene: Scene, changes: Changes) -> Scene:
             continue
         changed = [{name: value for name, value in fields.items() if value is not None}] * len(tables[table])
         if PART_WIDTH["leds"].items() <= fields.items():
-            changed = [one | {"fwhm_nm": part_width_nm(led)} for one, led in zip(changed, scene.leds, strict=True)]
-        tables[table] = tuple(one | other for one, other in zip(tables[table], changed, strict=True))
+            changed = [table | {"fwhm_nm": part_width_nm(led)} for table, led in zip(changed, scene.leds, strict=True)]
+        tables[table] = tuple(table | other for table, other in zip(tables[table], changed, strict=True))
     return scene_of(tables)
 
 

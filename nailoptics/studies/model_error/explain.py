@@ -194,7 +194,7 @@ def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
         short = revised(scene, cut.changes)
         out.append((partial(returning, cut), short, swapped(short, proximal)))
     shape = shape_of(scene)
-    return sorted(out, key=lambda one: (len(one) > 1, any(shape_of(other) != shape for other in one[1:])))
+    return sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
 
 
 def effect_of(
@@ -324,7 +324,7 @@ def without_deep(base: PairedReadings) -> PairedReadings:
     """The readings if the pulp swallowed all light that meets it."""
     pulp = base.transfer.absorbers.index("pulp")
     shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
-    return replace(base, parts=tuple(part * one for part, one in zip(base.parts, shallow, strict=True)))
+    return replace(base, parts=tuple(part * shade for part, shade in zip(base.parts, shallow, strict=True)))
 
 
 def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: PairedReadings) -> Effect:
@@ -339,10 +339,10 @@ def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: P
     area_mm2 = np.pi / 4 * scene.finger.width_mm * scene.finger.thickness_mm
     diode = max(scene.layout.photodiode_areas, key=lambda r: r.area_mm2)
     passed = 1.0
-    for one in (cut, back):
-        left = one.transfer.energy()["transmitted"]
+    for variant in (cut, back):
+        left = variant.transfer.energy()["transmitted"]
         # Of n photons none may have passed: with 95 % confidence the part is below 3 / n.
-        passed *= left["value"] + Z95 * left["stderr"] + 3 / one.transfer.photons
+        passed *= left["value"] + Z95 * left["stderr"] + 3 / variant.transfer.photons
     wavelength = scene.leds[0].wavelength_nm
     ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
     returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2

@@ -49,7 +49,7 @@ class PairedReadings:
         """Sums over the photons of each LED and photodiode, at rest (column 0) or at the largest force (1)."""
         count = len(self.transfer.photodiodes)
         pairs = zip(self.transfer.traces, self.parts, strict=True)
-        return np.stack([np.bincount(one.photodiode, p[:, column] ** power, minlength=count) for one, p in pairs])
+        return np.stack([np.bincount(trace.photodiode, p[:, column] ** power, minlength=count) for trace, p in pairs])
 
     @cached_property
     def level(self) -> np.ndarray:
@@ -263,14 +263,14 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.
         gain, swing_a, swing_b = level_b / level_a, total(a[:, 1]) / level_a, total(b[:, 1]) / level_b
         # Ratio and modulation are linear in what one photon more or less adds to them: that makes their errors.
         moved = (b[:, 0] - gain[photodiode] * a[:, 0]) / level_a[photodiode]
-        own = (a[:, 1] - swing_a[photodiode] * a[:, 0]) / level_a[photodiode]
-        swung = (b[:, 1] - swing_b[photodiode] * b[:, 0]) / level_b[photodiode] - own
+        base_change = (a[:, 1] - swing_a[photodiode] * a[:, 0]) / level_a[photodiode]
+        swung = (b[:, 1] - swing_b[photodiode] * b[:, 0]) / level_b[photodiode] - base_change
         step, square_a, square_b = np.abs(b[:, 0] - a[:, 0]), total(a[:, 0] ** 2), total(b[:, 0] ** 2)
         carried, met = np.abs(swung) * (step > 0), np.maximum(a[:, 0], b[:, 0]) * (step > 0)
         carriers, taken = (np.nan_to_num(x) for x in (total(step) ** 2 / total(step**2), total(step) / total(met)))
         whole = np.maximum(square_a / level_a, square_b / level_b) * _part_of_next(carriers, taken) / level_a
         # By as much do single photons differ in their modulation.
-        scatter = np.sqrt(total(own**2)) * level_a / np.sqrt(square_a)
+        scatter = np.sqrt(total(base_change**2)) * level_a / np.sqrt(square_a)
         undetected = np.fmax(whole, total(step**2) / total(step) / level_a)
         undetected_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
         out = []
@@ -300,27 +300,27 @@ def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
 
 def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Every photon's photodiode and what it adds in both scenes, (n,), (n, 2), (n, 2): 0 where it did not come."""
-    one, two = base.transfer.traces[led], other.transfer.traces[led]
+    first, two = base.transfer.traces[led], other.transfer.traces[led]
     a, b = base.parts[led], other.parts[led]
-    if one is two:
-        return one.photodiode, a, b
-    in_one, in_two = shared_photons(one, two)
+    if first is two:
+        return first.photodiode, a, b
+    in_one, in_two = shared_photons(first, two)
     alone = np.delete(np.arange(len(b)), in_two)
     of_one = np.zeros_like(a)
     of_one[in_one] = b[in_two]
-    photodiode = np.concatenate([one.photodiode, two.photodiode[alone]])
+    photodiode = np.concatenate([first.photodiode, two.photodiode[alone]])
     return photodiode, np.vstack([a, np.zeros((len(alone), 2))]), np.vstack([of_one, b[alone]])
 
 
-def shared_photons(one: LedTrace, two: LedTrace) -> tuple[np.ndarray, np.ndarray]:
+def shared_photons(first: LedTrace, two: LedTrace) -> tuple[np.ndarray, np.ndarray]:
     """Indices in both traces of the photons that they share, pair by pair; none without a common seed.
 
     In scenes that differ in one part, a photon that never meets that part goes the same way and counts the same, bit
     for bit, if both traces have one seed and as many photons.
     """
-    if (one.photons, one.seeds) != (two.photons, two.seeds):
+    if (first.photons, first.seeds) != (two.photons, two.seeds):
         return np.zeros(0, int), np.zeros(0, int)
-    _, in_one, in_two = np.intersect1d(_keys(one), _keys(two), assume_unique=True, return_indices=True)
+    _, in_one, in_two = np.intersect1d(_keys(first), _keys(two), assume_unique=True, return_indices=True)
     return in_one, in_two
 
 

@@ -276,8 +276,8 @@ def tradeoff(
         # The same photons, so the same cost, whatever the noise of its error.
         levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
     try:
-        for name, (one, backend) in traced.items():
-            levels.append(measured(scene, name, base, tracer.trace(one, backend=backend)))
+        for name, (variant, backend) in traced.items():
+            levels.append(measured(scene, name, base, tracer.trace(variant, backend=backend)))
         levels.append(other_zones(scene, base, tracer))
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."

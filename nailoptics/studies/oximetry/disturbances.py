@@ -105,7 +105,7 @@ def sensitivity_curves(
 
     def add(name: str, text: str, units: str, values: Array, changes: list[tuple[Scene, BloodBeat]]) -> None:
         # Light scatters as at the wavelength that was traced, however an LED's line moves.
-        known = [_has_tissue_data(one, leds) for one, _ in changes]
+        known = [_has_tissue_data(variant, leds) for variant, _ in changes]
         bias = oximeter.bias(oximeter.ratio([change for change, inside in zip(changes, known, strict=True) if inside]))
         curves[name] = _curve(name, text, units, values[known], *bias)
 
@@ -117,7 +117,7 @@ def sensitivity_curves(
         return [(_with_lines(scene, leds, **{name: float(value)}), beat) for value in values]
 
     add("touch_force_n", "touch force", "N", FORCES_N, [(scene, beat_at(scene, float(x))) for x in FORCES_N])
-    filled = [(one, rest_beat(one)) for one, _ in at("blood.rest_blood_fraction", REST_BLOOD)]
+    filled = [(variant, rest_beat(variant)) for variant, _ in at("blood.rest_blood_fraction", REST_BLOOD)]
     add("rest_blood_fraction", "blood in the bed at rest", "1", REST_BLOOD, filled)
     add("melanin_fraction", "melanin in the epidermis", "1", MELANIN, at("finger.melanin_fraction", MELANIN))
     add("line_width_nm", "width of both LEDs' lines", "nm", WIDTHS_NM, lines(fwhm_nm=WIDTHS_NM))
@@ -159,13 +159,13 @@ def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[
     finger = oximeter.transfer.scene.finger
     assert finger is not None
     none = np.zeros((len(oximeter.transfer.photodiodes), 1))
-    found = {finger.nail_thickness_mm: (none, none)}
+    curves = {finger.nail_thickness_mm: (none, none)}
     for thickness_mm, light in nails.items():
         states = [(light.scene.blood.so2, rest_beat(light.scene))]
         ratio = read_pulsations(light, oximeter.leds, states, seed=oximeter.seed).ratio
-        found.setdefault(thickness_mm, oximeter.bias(ratio, independent=True))
-    values_mm = sorted(found)
-    bias, stderr = np.concatenate([found[one] for one in values_mm], -1)
+        curves.setdefault(thickness_mm, oximeter.bias(ratio, independent=True))
+    values_mm = sorted(curves)
+    bias, stderr = np.concatenate([curves[thickness_mm] for thickness_mm in values_mm], -1)
     return np.array(values_mm), bias, stderr
 
 
@@ -314,11 +314,11 @@ def ambient_leakage(scene: Scene, options: TraceOptions, *, seed: int) -> Array:
         _, left = tracer.back(j, led, photons=LEAKAGE_PHOTONS, seed=seed_of(seed, _BACK, j))
         diode, area = element.photodiode, element.area.area_mm2
         for k, source in enumerate(sources):
-            each = photocurrents_a(left, scene, source, photodiode=diode, area_mm2=area, **light)
+            currents_a = photocurrents_a(left, scene, source, photodiode=diode, area_mm2=area, **light)
             whole = area * float(source.photocurrent_a_per_mm2(diode)[1].sum())
-            one = float(each.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
-            total, square = float(each.sum()), float((each**2).sum())
-            current_a[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, one**2))
+            largest_a = float(currents_a.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
+            total, square = float(currents_a.sum()), float((currents_a**2).sum())
+            current_a[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, largest_a**2))
     if store is not None:
         store.close()
     return current_a

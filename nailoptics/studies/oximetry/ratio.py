@@ -60,13 +60,13 @@ def trace_for_ratio(
         more, unmet = as_far_as_reached(trace, plain, progress=progress, **how.fields)
         more = replace(more, scene=scene)
         light, rounds = light.merge(more) if light else more, rounds + 1
-        each, error = light.photons // len(scene.leds), error_of(light)
-        if not (photons := trigger.needed(each, error)):
+        per_led, error = light.photons // len(scene.leds), error_of(light)
+        if not (photons := trigger.needed(per_led, error)):
             return light
         left_s = None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
         if unmet or (left_s is not None and left_s <= 0):
             why = (
-                f"the trace ended at {each} photons for each LED with a relative error of {error:.3g} of the best "
+                f"the trace ended at {per_led} photons for each LED with a relative error of {error:.3g} of the best "
                 f"photodiode's ratio of ratios, {target:g} requested; allow more time or require less."
             )
             raise NotReachedError(why, result=light, interrupted=bool(unmet and unmet.interrupted))
@@ -196,7 +196,7 @@ def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array
     percent, fits = 100 * so2, np.full((*ratio.shape[:2], degree + 1), np.nan)
     for at in np.argwhere(np.isfinite(ratio).all(-1)):
         fits[tuple(at)] = np.polynomial.polynomial.polyfit(ratio[tuple(at)], percent, degree)
-    residual = [evaluate(fit, one) - percent for fit, one in zip(fits[0], ratio[0], strict=True)]
+    residual = [evaluate(fit, ratios) - percent for fit, ratios in zip(fits[0], ratio[0], strict=True)]
     return fits, np.abs(residual).max(1)
 
 

@@ -87,7 +87,7 @@ def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecordi
     )
     first = front_ends[0]
     delay_s, places = first.delays_s[first.lights[1]], [first.slot_names.index(name) for name in first.lights[:2]]
-    later = np.stack([np.interp(time_s + delay_s, time_s, one) for one in light[1]])
+    later = np.stack([np.interp(time_s + delay_s, time_s, course) for course in light[1]])
     volts, dark = [], []
     for j, front_end in enumerate(front_ends):
         fraction = np.stack([light[0, j], later[j]], -1)
@@ -132,10 +132,10 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     estimates = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     spo2, error = np.zeros((2, *estimates["ratio"].shape))
     for j, name in enumerate(recording.photodiodes):
-        so2, one = result.so2.values, result.sel(photodiode=name)
-        value = saturation_of(estimates["ratio"][j], so2, one.ratio.values)
-        slope = np.abs(np.interp(value, so2, np.gradient(so2, one.ratio.values)))
-        of_curve = np.interp(value, so2, one.ratio_stderr.values)
+        so2, curve = result.so2.values, result.sel(photodiode=name)
+        value = saturation_of(estimates["ratio"][j], so2, curve.ratio.values)
+        slope = np.abs(np.interp(value, so2, np.gradient(so2, curve.ratio.values)))
+        of_curve = np.interp(value, so2, curve.ratio_stderr.values)
         spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(estimates["ratio_stderr"][j], of_curve)
     bounds = np.clip([spo2 - Z95 * error, spo2 + Z95 * error], 0.0, 100.0)
     data: Variables = {}
@@ -150,7 +150,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
         ("motion", estimates["motion"], "part of the window in which the finger moved", "1", None),
     ):
         data |= variable(name, ("photodiode", "time"), values, text, units=units, stderr=stderr)
-    typical = [float(np.nanmedian(one)) if np.isfinite(one).any() else np.inf for one in error]
+    typical = [float(np.nanmedian(errors)) if np.isfinite(errors).any() else np.inf for errors in error]
     about: dict[str, Any] = {
         "title": "oxygen from a recording",
         "recording": recording.name,
@@ -186,7 +186,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     # LEDs that are not lit yet; a filter would spread one such sample over a second.
     logarithm[:, away.any(0)] = np.nan
     even_s, _, rate_hz = resampled(recording.time_s, logarithm[0], name)
-    both = np.stack([resampled(recording.time_s, one, name)[1][: len(even_s)] for one in logarithm])
+    both = np.stack([resampled(recording.time_s, reading, name)[1][: len(even_s)] for reading in logarithm])
     beats = find_beats(even_s, both[1], name)
     low_hz, high_hz = max(BAND_HZ[0], 0.6 * beats.rate_per_min / 60.0), BAND_HZ[1]
     pulse = band(both, rate_hz, low_hz, high_hz)
@@ -218,9 +218,9 @@ def _window(
     ratio, stderr = slope_of_two(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
     # A pulse's height from the middle of its beats' own.
     heights = [
-        np.ptp(pulse[:, one], axis=1)
+        np.ptp(pulse[:, window], axis=1)
         for start, end in zip(beats.peak_s, beats.peak_s[1:], strict=False)
-        if (one := still & (beat := (even_s >= start) & (even_s < end))).sum() > 0.8 * beat.sum()
+        if (window := still & (beat := (even_s >= start) & (even_s < end))).sum() > 0.8 * beat.sum()
     ]
     index = np.median(heights, axis=0) if heights else np.full(2, np.nan)
     return out | {"ratio": ratio, "ratio_stderr": stderr, "perfusion_red": index[0], "perfusion_infrared": index[1]}
@@ -237,15 +237,15 @@ def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) ->
     """
     balance = float(noise[0] / noise[1]) if noise.min() > 0 else 1.0
     yy, xx, xy = float(np.mean(red**2)), float(np.mean(infrared**2)), float(np.mean(red * infrared))
-    apart = yy - balance * xx
-    ratio = (apart + np.sqrt(apart**2 + 4 * balance * xy**2)) / (2 * xy) if xy > 0 else np.nan
+    difference = yy - balance * xx
+    ratio = (difference + np.sqrt(difference**2 + 4 * balance * xy**2)) / (2 * xy) if xy > 0 else np.nan
     left = float(np.mean((red - ratio * infrared) ** 2)) * values / max(values - 1, 1)
     pulsating = max(xx - left / (balance + ratio**2), 0.0) if np.isfinite(ratio) else 0.0
     if pulsating <= 0.1 * xx:
         return np.nan, np.nan
     # Of a slope between two noisy values the error of the values themselves adds (Fuller's second term).
-    own = left / (balance + ratio**2)
-    variance = (left * pulsating + balance * own**2) / (values * pulsating**2)
+    residual = left / (balance + ratio**2)
+    variance = (left * pulsating + balance * residual**2) / (values * pulsating**2)
     return float(ratio), float(np.sqrt(variance))
 
 

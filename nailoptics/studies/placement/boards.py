@@ -123,7 +123,7 @@ def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | 
     if board.outline_mm is not None:
         update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
     parts = {
-        kind: tuple(one.model_copy(update={"position_mm": moved([one.position_mm])[0]}) for one in getattr(scene, kind))
+        kind: tuple(p.model_copy(update={"position_mm": moved([p.position_mm])[0]}) for p in getattr(scene, kind))
         for kind in ("leds", "photodiodes")
     }
     return scene.model_copy(update={"board": board.model_copy(update=update), "placement": None} | parts)

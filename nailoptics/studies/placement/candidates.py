@@ -34,46 +34,46 @@ def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:
     return CandidateLayout(name, scene, boards.bare_board(boards.with_explicit_walls(scene, name)), origin)
 
 
-def candidate_scene(base: Scene, one: Candidate) -> Scene:
+def candidate_scene(base: Scene, plan: Candidate) -> Scene:
     """A candidate's layout on the board: its own parts where it says what they are, else like the scene's.
 
     Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
     """
-    leds, photodiodes = _parts_of(base, one) if one.leds else _placed_parts(base, one)
-    return _laid_out(base, one.name, leds, photodiodes)
+    leds, photodiodes = _parts_of(base, plan) if plan.leds else _placed_parts(base, plan)
+    return _laid_out(base, plan.name, leds, photodiodes)
 
 
-def _parts_of(base: Scene, one: Candidate) -> tuple[list[Led], list[Photodiode]]:
+def _parts_of(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodiode]]:
     """The parts of a candidate that says what they are, its LEDs in the scene's order."""
-    names, by_name = [led.name for led in base.leds], {led.name: led for led in one.leds}
+    names, by_name = [led.name for led in base.leds], {led.name: led for led in plan.leds}
     if set(by_name) != set(names):
         raise InputError(
-            f'layout "{one.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(names)}; give '
+            f'layout "{plan.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(names)}; give '
             'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
         )
     leds = [_at(base, by_name[name], by_name[name].position_mm) for name in names]
-    return leds, [_at(base, part, part.position_mm) for part in one.photodiodes]
+    return leds, [_at(base, part, part.position_mm) for part in plan.photodiodes]
 
 
-def _placed_parts(base: Scene, one: Candidate) -> tuple[list[Led], list[Photodiode]]:
+def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodiode]]:
     """The scene's LEDs at a candidate's places, and photodiodes like the scene's first, turned from how those lie.
 
     Where references of a file are known, photodiodes are named so, else PD1 and so on.
     """
-    if not one.led_refs and len(one.leds_mm) != len(base.leds):
-        raise InputError(f'layout "{one.name}" places {len(one.leds_mm)} LEDs, but the scene has {len(base.leds)}.')
+    if not plan.led_refs and len(plan.leds_mm) != len(base.leds):
+        raise InputError(f'layout "{plan.name}" places {len(plan.leds_mm)} LEDs, but the scene has {len(base.leds)}.')
     leds_deg, photodiodes_deg = (
-        getattr(one, f"{kind}_deg")
-        or [90.0 * turned for turned in getattr(one, f"{kind}_turned")]
-        or [0.0] * len(getattr(one, f"{kind}_mm"))
+        getattr(plan, f"{kind}_deg")
+        or [90.0 * turned for turned in getattr(plan, f"{kind}_turned")]
+        or [0.0] * len(getattr(plan, f"{kind}_mm"))
         for kind in ("leds", "photodiodes")
     )
     leds, photodiodes, like = [], [], base.photodiodes[0].model_copy(update=SINGLE)
-    for led, i in zip(base.leds, _named_as(base, one) if one.led_refs else range(len(base.leds)), strict=True):
-        reference, angle = one.led_refs[i][0] if one.led_refs else led.reference, led.rotation_deg + leds_deg[i]
-        leds.append(_at(base, led, one.leds_mm[i], rotation_deg=angle % 360, reference=reference))
-    for i, (place, turned) in enumerate(zip(one.photodiodes_mm, photodiodes_deg, strict=True)):
-        ref = one.photodiode_refs[i] if one.photodiode_refs else None
+    for led, i in zip(base.leds, _named_as(base, plan) if plan.led_refs else range(len(base.leds)), strict=True):
+        reference, angle = (plan.led_refs[i][0] if plan.led_refs else led.reference, led.rotation_deg + leds_deg[i])
+        leds.append(_at(base, led, plan.leds_mm[i], rotation_deg=angle % 360, reference=reference))
+    for i, (place, turned) in enumerate(zip(plan.photodiodes_mm, photodiodes_deg, strict=True)):
+        ref = plan.photodiode_refs[i] if plan.photodiode_refs else None
         angle = (like.rotation_deg + turned) % 360
         photodiodes.append(_at(base, like, place, name=ref or f"PD{i + 1}", reference=ref, rotation_deg=angle))
     return leds, photodiodes
@@ -92,35 +92,29 @@ def _laid_out(base: Scene, name: str, leds: Sequence[Led], photodiodes: Sequence
     return scene
 
 
-def _named_as(base: Scene, one: Candidate) -> list[int]:
+def _named_as(base: Scene, plan: Candidate) -> list[int]:
     """Which of a file's LEDs is each of the scene's: by reference or value, the LED's name or part."""
-    if len(base.leds) == len(one.led_refs) == 1:
+    if len(base.leds) == len(plan.led_refs) == 1:
         return [0]
     numbers = []
     for led in base.leds:
         names = {led.name.lower(), (led.part or led.name).lower()}
-        same = [i for i, ref in enumerate(one.led_refs) if names & {word.lower() for word in ref}]
-        exact = [i for i in same if led.name.lower() in {word.lower() for word in one.led_refs[i]}] or same
+        same = [i for i, ref in enumerate(plan.led_refs) if names & {word.lower() for word in ref}]
+        exact = [i for i in same if led.name.lower() in {word.lower() for word in plan.led_refs[i]}] or same
         if len(exact) != 1:
-            refs = ", ".join(f"{ref} ({value})" for ref, value in one.led_refs)
+            refs = ", ".join(f"{ref} ({value})" for ref, value in plan.led_refs)
             raise InputError(
-                f'layout "{one.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
+                f'layout "{plan.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
                 f'D1 = {{ led = "PART", name = "{led.name}" }}.'
             )
         numbers.append(exact[0])
-    if len(numbers) < len(one.led_refs):
-        raise InputError(f'layout "{one.name}" places {len(one.led_refs)} LEDs, but the scene has {len(base.leds)}.')
+    if len(numbers) < len(plan.led_refs):
+        raise InputError(f'layout "{plan.name}" places {len(plan.led_refs)} LEDs, but the scene has {len(base.leds)}.')
     return numbers
 
 
 def searched(
-    base: Scene,
-    placement: Placement,
-    leds_mm: Places,
-    photodiodes: Sequence[Rectangle],
-    *,
-    side: str | None,
-    name: str,
+    base: Scene, placement: Placement, leds_mm: Places, photodiodes: Sequence[Rectangle], *, side: str | None, name: str
 ) -> Scene:
     """The board with its LEDs at places on the nail, and the search's photodiodes beside those that are fixed.
 
@@ -154,13 +148,13 @@ def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> lis
 
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
     same = (1, like.part, like.size_mm)
-    alike = [one for one in loose if one.reference and (one.elements, one.part, one.size_mm) == same]
-    fixed = [photodiode for photodiode in base.photodiodes if photodiode not in loose]
-    taken = {word for one in (*fixed, *alike) for word in (one.name, one.reference)}
-    apart = np.array(
-        [[math.dist(area.center_mm, np.add(one.position_mm, (du, dv))) for one in alike] for area in areas]
+    alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm) == same]
+    fixed = [p for p in base.photodiodes if p not in loose]
+    taken = {word for p in (*fixed, *alike) for word in (p.name, p.reference)}
+    distance_mm = np.array(
+        [[math.dist(area.center_mm, np.add(p.position_mm, (du, dv))) for p in alike] for area in areas]
     )
-    nearest = dict(zip(*linear_sum_assignment(apart.reshape(len(areas), len(alike))), strict=True))
+    nearest = dict(zip(*linear_sum_assignment(distance_mm.reshape(len(areas), len(alike))), strict=True))
     new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
     return [
         (alike[nearest[i]].name, alike[nearest[i]].reference) if i in nearest else (next(new), None)

@@ -109,18 +109,18 @@ def _ranking(
     return data | variable("condition_number", both, numbers, text)
 
 
-def _resolution(name: str, each: Sequence[ForceResolution], text: str) -> Variables:
+def _resolution(name: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
     """Force resolutions of all layouts over the fingers, with their intervals."""
-    value, (low, high) = [one.all_n[0] for one in each], np.array([one.interval_n for one in each]).T
-    errors = [resolution_stderr_n(one.all_n, one.floor_n) for one in each]
+    value, (low, high) = [r.all_n[0] for r in resolutions], np.array([r.interval_n for r in resolutions]).T
+    errors = [resolution_stderr_n(r.all_n, r.floor_n) for r in resolutions]
     data = variable(f"{name}_n", "layout", value, text, units="N", stderr=errors)
     data |= variable(f"{name}_low_n", "layout", low, "lower end of its 95 % interval", units="N")
     return data | variable(f"{name}_high_n", "layout", high, "upper end of its 95 % interval", units="N")
 
 
-def _finger_resolution(name: str, each: Sequence[ForceResolution], text: str) -> Variables:
-    errors = [resolution_stderr_n(one.fingers_n, one.floors_n) for one in each]
-    value = [one.fingers_n[0] for one in each]
+def _finger_resolution(name: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
+    errors = [resolution_stderr_n(r.fingers_n, r.floors_n) for r in resolutions]
+    value = [r.fingers_n[0] for r in resolutions]
     return variable(name, ("layout", "finger"), value, text, units="N", stderr=errors)
 
 
@@ -131,24 +131,24 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
         [np.array([getattr(read, name)[0] for by_led in score.responses for read in by_led]) for score in scores]
         for name in ("volts", "noise_v", "shunted_fraction")
     )
-    most = np.array([each.max() for each in volts])
+    most = np.array([values.max() for values in volts])
     headroom = np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most
-    least, snr = [each.min() for each in volts], [(v / n).min() for v, n in zip(volts, noise_v, strict=True)]
+    least, snr = [values.min() for values in volts], [(v / n).min() for v, n in zip(volts, noise_v, strict=True)]
     data = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
     data |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
     data |= variable("adc_headroom", "layout", headroom, "full scale over the largest reading; 1 is saturated")
     data |= variable("least_snr", "layout", snr, "least reading over its noise in one sample")
     text = "largest part of a photodiode's light that was never in the bed"
-    return data | variable("shunted_fraction", "layout", [each.max() for each in shunted], text)
+    return data | variable("shunted_fraction", "layout", [values.max() for values in shunted], text)
 
 
 def _sites(searched: Sequence[SearchedSite]) -> Variables:
     """The sites of the LEDs that the search tried."""
     # The best layout may be a given one with fewer LEDs, such as the paper's.
     leds = len(searched[0].places_mm) if searched else 0
-    places = np.array([one.places_mm for one in searched]).reshape(len(searched), leds, 2)
-    sides = np.array([one.row.side or "" for one in searched], str)
-    reached = np.array([one.resolution_n for one in searched], float)
+    places = np.array([arrangement.places_mm for arrangement in searched]).reshape(len(searched), leds, 2)
+    sides = np.array([arrangement.row.side or "" for arrangement in searched], str)
+    reached = np.array([arrangement.resolution_n for arrangement in searched], float)
     text = "force resolution that the search there"
     dims, words = ("led_site", "searched_led", "axis"), "LED places tried together"
     data = variable("led_site_mm", dims, places, words, units="mm")
@@ -190,8 +190,8 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     u, v = np.meshgrid(place_u, place_v, indexing="ij")
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
-    for k, (led, one) in enumerate(zip(scene.leds, maps, strict=True)):
-        values, amplifier = left_out(one.over(areas)), scene.electronics
+    for k, (led, led_map) in enumerate(zip(scene.leds, maps, strict=True)):
+        values, amplifier = left_out(led_map.over(areas)), scene.electronics
         read = information.response(values, led, photodiode, amplifier, point, number=k, replicates=True)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -257,7 +257,7 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     table |= {"tied": tied & (tied.sum() > 1)} | of("condition_number", "fixed_ratio_resolution_n")
     pressures_pa = result.pressure_resolution_pa.max("finger")
     table |= {f"{name}_pressure_pa": pressures_pa.sel(pressure=name).values for name in PRESSURES}
-    return [dict(zip(table, row, strict=True)) for row in zip(*(one.tolist() for one in table.values()), strict=True)]
+    return [dict(zip(table, row, strict=True)) for row in zip(*(col.tolist() for col in table.values()), strict=True)]
 
 
 def gain(result: xr.Dataset) -> tuple[float, float] | None:
@@ -287,8 +287,8 @@ def kicad_parts(scene: Scene) -> list[PlacedPart]:
         one = element.photodiode
         (width, length), turn = one.size_mm, one.rotation_deg % 360
         # An array is one part of the file; each of its elements is written by itself.
-        own = one.reference and one.reference + element.name.removeprefix(one.name)
-        ref = own or (element.name if known else f"PD{i}")
+        own_reference = one.reference and one.reference + element.name.removeprefix(one.name)
+        ref = own_reference or (element.name if known else f"PD{i}")
         package = f"PD_{width:g}x{length:g}mm"
         parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom"))
     return parts

@@ -54,8 +54,8 @@ def resolution_vs_count(
     """
     rules, board, force = objective.rules, layout.board.layout, replace(objective, oxygen=None)
     # A given layout may lie on a board of its own.
-    own = layout.origin != "searched" and boards.with_explicit_walls(layout.scene, layout.name)
-    sites = Sites(boards.searchable_board(own, rules) if own else base, rules)
+    has_own_board = layout.origin != "searched" and boards.with_explicit_walls(layout.scene, layout.name)
+    sites = Sites(boards.searchable_board(has_own_board, rules) if has_own_board else base, rules)
     places = sites.photodiode_places(board.barriers, board.leds)
     areas, free = places.areas, places.free
 
@@ -64,14 +64,14 @@ def resolution_vs_count(
         amplifier, leds = layout.scene.electronics, enumerate(layout.board.leds)
         by_led = [(i, led, [values(by_led[i].over(areas)) for by_led in cache.maps(layout.board)]) for i, led in leds]
         return [
-            [response(each[k], led, places.photodiodes, amplifier, point, number=i, **how) for i, led, each in by_led]
+            [response(data[k], led, places.photodiodes, amplifier, point, number=i, **how) for i, led, data in by_led]
             for k, point in enumerate(objective.points)
         ]
 
     def information(reads: list[list[Response]], alone: bool) -> np.ndarray:
         """Of a photodiode at each place, then of those that stay, under all LEDs, (fingers, ..., m + s, n) float."""
-        each = [[fisher_information(one, electronics_alone=alone) for one in by_led] for by_led in reads]
-        return np.stack([np.sum(by_led, axis=0) for by_led in each])
+        matrices = [[fisher_information(led, electronics_alone=alone) for led in by_led] for by_led in reads]
+        return np.stack([np.sum(by_led, axis=0) for by_led in matrices])
 
     has_body = any(point.body is not None for point in objective.points)
     noises = ("body", "electronics") if has_body else ("electronics",)
@@ -110,11 +110,7 @@ def resolution_vs_count(
 
 
 def resolution_over_priors(
-    layouts: Sequence[CandidateLayout],
-    rules: Placement,
-    judged: PhotonMapCache,
-    *,
-    stop: Callable[[], bool],
+    layouts: Sequence[CandidateLayout], rules: Placement, judged: PhotonMapCache, *, stop: Callable[[], bool]
 ) -> xr.Dataset:
     """Uncertainty of the force resolution of the top-ranked layouts over the priors, and which is the best where.
 
@@ -126,7 +122,7 @@ def resolution_over_priors(
     """
     scene = layouts[0].board
     known = (*scene.priors.of_finger(scene.touch), *scene.priors.of_body(scene.body))
-    priors = sorted(known, key=lambda one: not only_absorbs(scene, one))
+    priors = sorted(known, key=lambda prior: not only_absorbs(scene, prior))
     untraced = [prior for prior in priors if not (only_absorbs(scene, prior) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, layout in enumerate(layouts) if i < TOP_RANKED or layout.name == "paper"]
@@ -142,10 +138,10 @@ def resolution_over_priors(
     if not results:
         return xr.Dataset()
     chosen = chosen[: len(results)]
-    nodes, own = (np.full((*one.shape, len(layouts)), np.nan) for one in results[0])
-    nodes[..., chosen], own[..., chosen] = (np.stack(one, -1) for one in zip(*results, strict=True))
+    nodes, base = (np.full((*array.shape, len(layouts)), np.nan) for array in results[0])
+    nodes[..., chosen], base[..., chosen] = (np.stack(arrays, -1) for arrays in zip(*results, strict=True))
     return _dataset(
-        PriorSensitivity(tuple(evaluated), nodes, own, scene.priors.correlation(evaluated)), chosen, untraced, scene
+        PriorSensitivity(tuple(evaluated), nodes, base, scene.priors.correlation(evaluated)), chosen, untraced, scene
     )
 
 
@@ -172,8 +168,8 @@ class _Resolution:
             for case in self.judged.cases
         ]
         over = self.rules.over_fingers
-        nodes, own = (np.stack([getattr(one, name) for one in by_case]) for name in ("nodes", "own"))
-        return np.log(over_fingers(nodes, over)), np.log(over_fingers(own, over))
+        nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "own"))
+        return np.log(over_fingers(nodes, over)), np.log(over_fingers(base, over))
 
     def _resolution_n(self, layout: CandidateLayout, case: FingerCase, scene: Scene) -> np.ndarray:
         """Force resolution on one finger, (1 + blocks,) float. [N]"""
@@ -196,10 +192,10 @@ class _Resolution:
         if key not in self.light:
             most = OWN_BATCHES if layout.board.priors.own_traces else None
             batches = judged.recorded(layout.board, case.digit, led)[:most]
-            own, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
-            if own != usual:
+            shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
+            if shaped != usual:
                 how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}
-                tracer = BoardTracer(own, spacing_mm=judged.distance_mm, **how)
+                tracer = BoardTracer(shaped, spacing_mm=judged.distance_mm, **how)
                 for i, batch in enumerate(batches):
                     if self.stop():
                         raise Stopped
@@ -218,10 +214,10 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
     data |= variable("resolution_at_node_n", ("prior", "prior_node", "layout"), nodes, text, units="N")
     # How much coarser than the first each other layout is, at every node.
     read = over.nodes[..., chosen]
-    apart = (read - read[..., :1]).reshape(-1, *read.shape[2:])
-    behind, noise = apart[:, 0], jackknife(np.moveaxis(apart, 1, 0))
+    change = (read - read[..., :1]).reshape(-1, *read.shape[2:])
+    behind, noise = change[:, 0], jackknife(np.moveaxis(change, 1, 0))
     ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
     data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
     data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is surely better")
-    data |= variable("nodes", (), len(apart), "nodes at which the top-ranked layouts were compared")
+    data |= variable("nodes", (), len(change), "nodes at which the top-ranked layouts were compared")
     return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))

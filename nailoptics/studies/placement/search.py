@@ -210,10 +210,10 @@ class RowDesign:
     def _improved(self, leds: LedPlaces) -> Iterator[SearchedSite]:
         """Arrangements from one start, photodiodes and LEDs exchanged in turns; the best last."""
         reached = math.inf
-        while (one := self.best(leds)) and one.score < reached * (1 - CONVERGED):
-            yield one
-            leds, reached = self._best_leds(one), one.score
-            if leds == one.places_mm:
+        while (better := self.best(leds)) and better.score < reached * (1 - CONVERGED):
+            yield better
+            leds, reached = self._best_leds(better), better.score
+            if leds == better.places_mm:
                 break
 
     def search(self, known: Sequence[LedPlaces] = ()) -> list[SearchedSite]:
@@ -224,13 +224,13 @@ class RowDesign:
         """
         every = self._arrangements()
         if len(every) <= STARTS or sum(len(column) > 1 for column in self.columns) <= 1:
-            return [one for leds in every if leds not in known and (one := self.best(leds))]
+            return [a for leds in every if leds not in known and (a := self.best(leds))]
         picked = [every[i] for i in np.linspace(0, len(every) - 1, STARTS).astype(int)]
         results: dict[LedPlaces, SearchedSite] = {}
         for leds in dict.fromkeys((*known[:1], *picked)):
-            results |= {one.places_mm: one for one in (self._improved(leds) if leds not in results else ())}
+            results |= {a.places_mm: a for a in (self._improved(leds) if leds not in results else ())}
         tried, reached = set(results), math.inf
-        while results and (best := min(results.values(), key=lambda one: one.score)).score < reached * (1 - CONVERGED):
+        while results and (best := min(results.values(), key=lambda a: a.score)).score < reached * (1 - CONVERGED):
             reached = best.score
             for leds in self._neighbours(best.places_mm):
                 if leds not in tried and (better := self.best(leds)):
@@ -284,7 +284,7 @@ class Search:
                     by_count = (i + done) / len(waiting) / 2
                     report_progress("search", part if math.isfinite(available) else by_count)
                 if all(design.columns):
-                    known = [one.places_mm for one in self.ranked if one.row == row]
+                    known = [a.places_mm for a in self.ranked if a.row == row]
                     self._store(design.search(known))
                 if report_progress.is_over(SEARCH_SHARE):
                     why = "was interrupted" if report_progress.interrupted else "ran out of time"
@@ -307,10 +307,10 @@ class Search:
     @property
     def ranked(self) -> list[SearchedSite]:
         """The best first."""
-        return sorted(self.results.values(), key=lambda one: one.score)
+        return sorted(self.results.values(), key=lambda a: a.score)
 
     def _store(self, searched: Iterable[SearchedSite]) -> None:
-        self.results |= {(one.row, one.places_mm): one for one in searched}
+        self.results |= {(a.row, a.places_mm): a for a in searched}
 
     def _design(self, row: LedRow, places: list[list[Point]], photons: int, *, starts: int = 1) -> RowDesign:
         """A row of which nothing is traced."""
@@ -324,19 +324,19 @@ class Search:
         """Trace every LED at its new places, place by place, as long as there is time; yields the part that is done."""
         if design.places.free < design.count:
             return
-        waiting = [[p for p in each if p not in had] for each, had in zip(places, design.columns, strict=True)]
+        waiting = [[p for p in spots if p not in had] for spots, had in zip(places, design.columns, strict=True)]
         longest, boards = max(map(len, waiting)), []
         for k in range(longest):
             if report_progress.is_over(SEARCH_SHARE):
                 break
-            for i, each in enumerate(waiting):
-                if k < len(each):
-                    boards.append(board := self.sites.board_at(i, each[k], design.row))
+            for i, new_places in enumerate(waiting):
+                if k < len(new_places):
+                    boards.append(board := self.sites.board_at(i, new_places[k], design.row))
                     # LEDs that shine alike share their light.
                     if (had := self.cache.photons_of(board)) < design.photons:
                         self.cache.extend(board, design.photons - had)
                     if self.cache.photons_of(board) >= design.photons:
-                        design.columns[i][each[k]] = self._columns(i, board, design)
+                        design.columns[i][new_places[k]] = self._columns(i, board, design)
                     self.cache.forget_tracer(board)
             yield (k + 1) / longest
         for board in boards:
@@ -345,9 +345,9 @@ class Search:
     def _columns(self, led: int, board: Scene, design: RowDesign) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
         columns, kinds, amplifier = [], design.places.photodiodes, self.base.electronics
-        for finger, ((light, *_), one) in enumerate(zip(self.cache.maps(board), self.cache.conditions, strict=True)):
+        for finger, ((light, *_), case) in enumerate(zip(self.cache.maps(board), self.cache.conditions, strict=True)):
             values = light.over(design.places.areas).mean(0)
-            read = response(values, self.base.leds[led], kinds, amplifier, one.point, number=led)
+            read = response(values, self.base.leds[led], kinds, amplifier, case.point, number=led)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
 
@@ -368,12 +368,14 @@ class Search:
                 for row in self._rows_beside(best.row, step_mm):
                     along = place[1 if row.side in ("left", "right") else 0]
                     request(row, i, place if sites.is_fixed[i] else sites.in_row(i, row, along))
-        complete = {row: [list(one) for one in each] for row, each in requested.items() if all(each)}
-        return {row: each for row, each in complete.items() if self._has_new(row, each) and sites.leaves_room(row)}
+        complete = {row: [list(place) for place in per_led] for row, per_led in requested.items() if all(per_led)}
+        return {
+            row: per_led for row, per_led in complete.items() if self._has_new(row, per_led) and sites.leaves_room(row)
+        }
 
     def _has_new(self, row: LedRow, places: list[list[Point]]) -> bool:
         had = self._designs[row].columns if row in self._designs else [{} for _ in places]
-        return any(place not in one for one, each in zip(had, places, strict=True) for place in each)
+        return any(place not in column for column, led_places in zip(had, places, strict=True) for place in led_places)
 
     def _beside(self, best: SearchedSite, led: int, step_mm: float) -> list[Point]:
         """Places of one LED a step along its row (on a board without walls: or across), or right beside another LED, at
@@ -404,7 +406,7 @@ def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) ->
     """The best layouts of a search, to be judged with photons of their own: those of few photons look better than they
     are, and come after the others."""
     layouts = []
-    for result in sorted(results, key=lambda one: (-one.photons, one.score))[:SHORTLIST]:
+    for result in sorted(results, key=lambda a: (-a.photons, a.score))[:SHORTLIST]:
         scene = candidates.searched(
             base, rules, result.places_mm, result.photodiodes, side=result.row.side, name=result.name
         )

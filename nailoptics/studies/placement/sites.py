@@ -81,7 +81,7 @@ class Sites:
     def elements(self) -> tuple[Rectangle, ...]:
         """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
         loose = boards.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
-        wired = tuple(one.model_copy(update={"wired": None}) for one in loose)
+        wired = tuple(photodiode.model_copy(update={"wired": None}) for photodiode in loose)
         return tuple(element.area for element in lay_elements(self.base.board, wired)[0])
 
     @cached_property
@@ -218,8 +218,8 @@ class Sites:
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
         update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
-        one: Led = self.base.leds[led].model_copy(update=update)
-        return boards.bare_board(self.base.model_copy(update={"leds": (one,), "board": board}), side=row.side)
+        led_moved: Led = self.base.leds[led].model_copy(update=update)
+        return boards.bare_board(self.base.model_copy(update={"leds": (led_moved,), "board": board}), side=row.side)
 
     def photodiode_places(self, walls: Sequence[Rectangle], leds: Sequence[Rectangle]) -> PhotodiodePlaces:
         """The places that walls and, where there are none, LEDs leave to photodiodes."""
@@ -277,7 +277,7 @@ def has_room_for(area: Rectangle, rules: Placement) -> bool:
     return has_room(center, half, rules.outline_mm, rules.outline_holes_mm)
 
 
-def _gap_mm(one: Rectangle, other: Rectangle) -> float:
+def _gap_mm(first: Rectangle, other: Rectangle) -> float:
     """The gap between the bounds of two parts, the larger of that across and that along. [mm]"""
-    across = max(one.u_min - other.u_max, other.u_min - one.u_max)
-    return max(across, one.v_min - other.v_max, other.v_min - one.v_max)
+    across = max(first.u_min - other.u_max, other.u_min - first.u_max)
+    return max(across, first.v_min - other.v_max, other.v_min - first.v_max)

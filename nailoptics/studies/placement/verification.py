@@ -85,12 +85,12 @@ class _Verification:
         total, square = (np.zeros((len(self.blood), len(self.areas_mm2), *cells.shape)) for _ in range(2))
         volume = cells.volume_mm3[0, 0]
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
-            each = []
+            detections = []
             for i, blood in enumerate(self.blood):
                 seed = self.next_seed(FORWARD, i, len(means))
-                each.append(self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells))
-            sensitivity = np.stack([one for _, one in each])
-            means.append(np.stack([one for one, _ in each]))
+                detections.append(self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells))
+            sensitivity = np.stack([cells_of for _, cells_of in detections])
+            means.append(np.stack([reading for reading, _ in detections]))
             by_depth.append((sensitivity * volume).sum((2, 3)))
             total += sensitivity
             square += sensitivity**2
@@ -140,9 +140,9 @@ class _Verification:
                     if i == 0:
                         outside[:, 0, :, j] += self._from_outside(left, j)
             done += 1
-        for one, count in ((on_die, done), (outside[:, 0], done), (outside[:, 1], 1)):
-            one[0] /= count
-            one[1] = np.sqrt(one[1]) / count
+        for total, count in ((on_die, done), (outside[:, 0], done), (outside[:, 1], 1)):
+            total[0] /= count
+            total[1] = np.sqrt(total[1]) / count
         data = self._ambient(values, *outside)
         # Where an LED shines otherwise than a photodiode sees, the way back is another.
         if all(led.pattern == "lambertian" for led in self.scene.leds):
@@ -154,9 +154,9 @@ class _Verification:
         element, nm = self.scene.layout.photodiodes[photodiode], self.scene.leds[0].wavelength_nm
         how: dict[str, Any] = {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
         how |= {"traced": self.tracer.scene, "traced_nm": nm}
-        each = np.stack([photocurrents_a(left, self.scene, source, **how) for source in SOURCES], 1)
+        currents_a = np.stack([photocurrents_a(left, self.scene, source, **how) for source in SOURCES], 1)
         # Most photons did not leave: each of them counts 0.
-        return np.stack([each.sum(0), (each**2).sum(0) - each.sum(0) ** 2 / left.photons])
+        return np.stack([currents_a.sum(0), (currents_a**2).sum(0) - currents_a.sum(0) ** 2 / left.photons])
 
     def _ambient(self, values: np.ndarray, current: np.ndarray, error: np.ndarray) -> Variables:
         """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
@@ -185,16 +185,16 @@ class _Verification:
         fraction, resolution = [], []
         photodiodes = [element.photodiode for element in self.scene.layout.photodiodes]
         for i, by_photodiode in enumerate(maps):
-            each = np.stack([a * one.blocks_per_mm2() for a, one in zip(area, by_photodiode, strict=True)])
+            replicates = np.stack([a * m.blocks_per_mm2() for a, m in zip(area, by_photodiode, strict=True)])
             # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
-            each = left_out(np.moveaxis(each, (2, 0, 1), (0, -2, -1)))
-            fraction.append(np.moveaxis(each[..., 0], -1, 1))
+            replicates = left_out(np.moveaxis(replicates, (2, 0, 1), (0, -2, -1)))
+            fraction.append(np.moveaxis(replicates[..., 0], -1, 1))
             # Where hardly any light comes only the prior remains, the same by every group of photons.
-            all_light = each[..., 0].sum(-1)
+            all_light = replicates[..., 0].sum(-1)
             is_lit = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
             how = self.scene.leds[i], photodiodes, self.scene.electronics, self.point
-            resolved = self.force_resolution_n([response(each, *how, number=i, replicates=True)])
-            unread = self.force_resolution_n([response(np.zeros_like(each), *how, number=i)])
+            resolved = self.force_resolution_n([response(replicates, *how, number=i, replicates=True)])
+            unread = self.force_resolution_n([response(np.zeros_like(replicates), *how, number=i)])
             resolution.append(np.where(is_lit & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
         text = "part of the light of an LED at this place on each photodiode, by reciprocity"
         data |= estimated("led_place_fraction", (*pair, *places), np.stack(fraction, 1), text)
@@ -236,9 +236,9 @@ def verify_layout(
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # As many photons as judged the layout; where time is short, the batches that must be are small ones.
     least = round(LEAST_PART * tracer.batch_photons)
-    each = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
+    per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
-        values, data = verification.fresh_trace(batches, each, begin + max_seconds / 2)
+        values, data = verification.fresh_trace(batches, per_batch, begin + max_seconds / 2)
         data |= verification.back(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
     except Stopped:
         return xr.Dataset()

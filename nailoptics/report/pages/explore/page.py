@@ -54,14 +54,14 @@ def page(exploration: Exploration) -> str:
     tables = text.replace("<", "\\u003c")
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
-    own = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
+    code = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
     return document(
         kicker="explore",
         title="Drag LEDs and photodiodes on the nail",
         lead="All readings update at once, from light that was traced over the whole board.",
         body=[Html(style + _text("workbench.html")), _licences(), Html(data)],
         attributes=exploration.attributes,
-        scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), own],
+        scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), code],
     )
 
 
@@ -164,7 +164,7 @@ def _bare(schema: Any, *, names: bool = False) -> Any:
     names : whether the keys are names of fields.
     """
     if isinstance(schema, list):
-        return [_bare(one) for one in schema]
+        return [_bare(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
     left_out = () if names else ("description", "title", "required")
@@ -175,14 +175,14 @@ def _bare(schema: Any, *, names: bool = False) -> Any:
     }
 
 
-def _colour(one: ColourTable) -> dict[str, Any]:
-    fluence = one.fluence.values
+def _colour(table: ColourTable) -> dict[str, Any]:
+    fluence = table.fluence.values
     return {
-        "nm": one.led.wavelength_nm,
-        "photons": one.photons,
-        "coefficients": _half(one.coefficients),
-        "direct": _half(one.direct),
-        "blocks": _half(one.blocks.transpose(1, 0, 2)),
+        "nm": table.led.wavelength_nm,
+        "photons": table.photons,
+        "coefficients": _half(table.coefficients),
+        "direct": _half(table.direct),
+        "blocks": _half(table.blocks.transpose(1, 0, 2)),
         "logFluence": _half(np.log(np.maximum(fluence, fluence[fluence > 0].min()))),
     }
 
@@ -216,15 +216,15 @@ def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
     return kinds
 
 
-def _readout(one: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
+def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
     """What makes volts and noise of a photodiode's light: the variance is linear in the current."""
-    stage, dark_a = scene.electronics, one.dark_current_a(scene.electronics.temperature_k)
+    stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    noise_v2 = [float(sum(electronics.stage_noise(current, one, stage))) for current in (0.0, TEST_CURRENT_A)]
+    noise_v2 = [float(sum(electronics.stage_noise(current, photodiode, stage))) for current in (0.0, TEST_CURRENT_A)]
     return {
-        "title": one.part or one.name,
-        "fields": _fields(one),
-        "responsivity": electronics.photodiode_responsivity_a_per_w(one, wavelengths),
+        "title": photodiode.part or photodiode.name,
+        "fields": _fields(photodiode),
+        "responsivity": electronics.photodiode_responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "fixedNoiseV2": noise_v2[0],
         "noiseV2PerA": (noise_v2[1] - noise_v2[0]) / TEST_CURRENT_A,
