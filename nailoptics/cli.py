@@ -497,6 +497,7 @@ def figures(
     sets: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     touch: Path | None = None,
     colour: bool = True,
+    people: Flag = False,
     json_: Json = False,
 ) -> None:
     """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and judge its claims.
@@ -506,18 +507,24 @@ def figures(
         sets: Named parameter sets; all if not given.
         touch: Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.
         colour: Trace Fig. 2, the nail under force, some seconds a set.
+        people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and judge what the paper says of people;
+            their light is traced, a minute of processor time.
     """
     import numpy as np
 
     from . import hemodynamics
     from .light import backend as backends
-    from .paper.claims import as_rows, as_text, judge
+    from .paper.claims import as_rows, as_text, judge, judge_people
     from .paper.responses import pressed, simulate_responses
     from .report.pages.colour import draw_fig2
-    from .report.pages.paper import draw, draw_haemoglobins
+    from .report.pages.paper import draw, draw_haemoglobins, draw_people
     from .scene import load_scene
     from .scene.touch import read_recording
+    from .studies.people import people as shipped_people
+    from .studies.people import read_people
 
+    if people and touch is not None:
+        raise InputError("figures --people: presses as the paper's subjects did; leave out --touch, or --people.")
     course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
     judged, pictures = {}, []
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
@@ -528,6 +535,10 @@ def figures(
         pictures += draw(output, responses, name=name, recorded=recorded)
         judged[name] = judge(responses, name)
     pictures.append(draw_haemoglobins(output))
+    if people:
+        readings = read_people(scenes := shipped_people())
+        pictures.append(draw_people(output, readings, scenes))
+        judged["people"] = judge_people(readings)
     if colour and backends.choose("auto").jit:
         pictures += [draw_fig2(load_scene("nail_colour"), output, name=name) for name in named]
     elif colour:

@@ -127,6 +127,7 @@ BAD_COMMANDS = {
     "a mesh of a phantom": (["export", "phantom.toml", "-o", "deep/phantom.glb"], "phantom"),
     "a touch on a phantom": (["simulate", "phantom.toml", "-o", "deep/results"], "phantom"),
     "a transfer of volpath": (["trace", "prototype", "--backend", "scalar", "-o", "deep/transfer.nc"], "volpath"),
+    "people under a recorded touch": (["figures", "-o", "deep/x", "--people", "--touch", "touch.csv"], "--touch"),
     "an unknown set": (["figures", "-o", "deep/pictures", "--set", "nonsense"], "nonsense"),
 }
 
@@ -451,6 +452,19 @@ def test_figures_draws_a_set_and_judges_it(folder, capfd):
     found = only_json(capfd)
     assert found["claims"] and all((folder / picture).stat().st_size > 10_000 for picture in found["pictures"])
     assert {row["sets"]["best"]["met"] for row in found["claims"]} <= {True, False}
+
+
+@pytest.mark.slow
+def test_figures_of_people_are_drawn_and_judged_beside_a_set(folder, capfd, monkeypatch):
+    from nailoptics.studies import people
+
+    scenes = people.people()[:3]
+    monkeypatch.setattr(people, "people", lambda: scenes)
+    monkeypatch.setattr(people, "PHOTONS", 1 << 14)
+    assert run(["figures", "-o", "pictures", "--set", "best", "--no-colour", "--people"]) == 0
+    printed = capfd.readouterr().out
+    assert "people" in printed.splitlines()[0] and "+-" in printed and "skin does not matter" in printed
+    assert (folder / "pictures/people_fig15_to_18.png").stat().st_size > 100_000
 
 
 def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):

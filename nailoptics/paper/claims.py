@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from ..hemodynamics.blood import white_band_mm
+from ..statistics import jackknife, t95
 from .protocols import CURVE_PA, EVEN_N, FINGER_ZONES, LOADING_S, N_PER_CM2, PHASE_S, SHEARED, UNLOADING_S
-from .responses import Responses
+from .responses import PeopleReadings, Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30
@@ -29,14 +30,14 @@ class Rule:
     """One measure of what a sentence says of a figure, and the bounds within which it must lie.
 
     sentence : of the paper, in our words. text : what is measured.
-    measure : from responses of batch shape B to B floats, in the unit.
+    measure : from responses of batch shape B to B floats, in the unit; or from `PeopleReadings`, of each or of all.
     given : the number that the sentence gives; empty where every number is our choice. Tolerances always are.
     """
 
     figure: str
     sentence: str
     text: str
-    measure: Callable[[Responses], np.ndarray]
+    measure: Callable[[Any], np.ndarray]
     unit: str = "1"
     low: float = -math.inf
     high: float = math.inf
@@ -174,10 +175,10 @@ def _shear_over_normal(r: Responses) -> np.ndarray:
     return (usual - tip[..., -1]) / np.maximum(usual - tip[..., SHEARED + 1], _TINY)
 
 
-def _varies_more(r: Responses) -> np.ndarray:
-    """Relative range over people of the proximal reading's change to 2 N/cm^2 over that of the distal one's. [1]"""
-    change = np.abs(r.people - 1.0)
-    spread = np.ptp(change, axis=0) / np.maximum(change.mean(axis=0), _TINY)
+def _varies_more(change: np.ndarray) -> np.ndarray:
+    """Relative range over people of the proximal change to 2 N (P, 2, ...) over that of the distal one. [1]"""
+    size = np.abs(change)
+    spread = np.ptp(size, axis=0) / np.maximum(size.mean(axis=0), _TINY)
     return np.asarray(spread[0] / np.maximum(spread[1], 1e-6))
 
 
@@ -200,6 +201,7 @@ _REAR = "The rear of the bed, which the bone shields, is not touched by the whit
 _SHEAR = "Shear widens the white band, and is more effective than normal force."
 _VARIES = "The range of the proximal reading varies among subjects, that of the distal one is consistent."
 _DROP = "The drop of pressure in the veins is negligible until they are pressed."
+_SKIN = "The subjects' skin does not matter."
 _SHUT = "Veins are blocked at 1 N."
 _MAGNIFIES = "Capillaries that widen let more in: the change of R_A magnifies their rise."
 
@@ -267,7 +269,7 @@ RULES = (
     Rule("18", _FIG_18, "distal time constant on unloading (within a quarter)",
          lambda r: _release_time(r.press_on[1], r.press_off[1]), "s", low=0.27, high=0.45, given="0.36 s"),
     Rule("15", _VARIES, "its spread over people over the distal one's, k_C and k_V 0.7 and 1.4 times",
-         _varies_more, low=1.5),
+         lambda r: _varies_more(r.people - 1.0), low=1.5),
     Rule("2", _THRESHOLD, "part at 0.3 N of the bed's reddening to 1 N",
          lambda r: _change_by(r, 0.3) / np.maximum(_change_by(r, 1.0), _TINY), high=0.25, given="0.3 N"),
     Rule("2", _ENTIRE, "least change of any zone's blood at 1 N", lambda r: r.even[..., _touch(1.0)].min(axis=0) - 1.0,
@@ -284,15 +286,29 @@ RULES = (
          lambda r: (r.even[:4][..., _touch(1.0):-1] - r.even[:4][..., [_touch(1.0)]]).min(axis=(0, -1)), low=-0.02),
     Rule("II", _SHEAR, "blood driven from the tip by 0.5 N more, shear over normal", _shear_over_normal, low=1.1),
 )
+# Those of people, judged by their mean.
+PEOPLE_RULES = (
+    *(rule for rule in RULES if rule.figure in ("15", "16", "17", "18") and rule.sentence != _VARIES),
+    Rule("15", _FIG_15, "part of people whose proximal reading rises from 1.2 to 2 N",
+         lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) > 0.0, low=0.05, high=0.95),
+    Rule("15", _VARIES, "range over people of its change to 2 N, of the mean, over the distal one's",
+         lambda r: _varies_more(r.cycle[..., 0, -1].T), low=1.5),
+    Rule("15", _SKIN, "largest part of a reading, or of its change by 2 N, between lightest and darkest skin",
+         lambda r: np.abs(r.skin_effect).max(axis=(0, 2)), high=0.01),
+)
 # fmt: on
 
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """One rule, judged on one set. value : measured, in the rule's unit."""
+    """One rule, judged on one set or on people.
+
+    value : measured, in the rule's unit. half_95 : half of its 95 % interval over people.
+    """
 
     rule: Rule
     value: float
+    half_95: float | None = None
 
     @property
     def met(self) -> bool:
@@ -304,6 +320,16 @@ def judge(responses: Responses, name: str = "") -> list[Claim]:
     """The rules, measured on the responses of one set: all, or of a set by a name that only some judge those."""
     rules = [rule for rule in RULES if name not in (SIMULATION, SUBJECT) or rule.judges == name]
     return [Claim(rule, float(rule.measure(responses))) for rule in rules]
+
+
+def judge_people(readings: PeopleReadings) -> list[Claim]:
+    """The rules for people, each with its mean over them, whose interval is that of the jackknife."""
+    count, claims = readings.cycle.shape[1], []
+    for rule in PEOPLE_RULES:
+        groups = (readings, *(readings.without(person) for person in range(count)))
+        values = np.array([np.mean(rule.measure(group)) for group in groups])
+        claims.append(Claim(rule, float(values[0]), t95(count) * float(jackknife(values))))
+    return claims
 
 
 def bounds_in_words(rule: Rule) -> str:
@@ -319,11 +345,12 @@ def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
     """The table as plain rows: one for each rule, with value and verdict of each set that it judges."""
     claims = {(name, claim.rule): claim for name, claims in judged.items() for claim in claims}
     rows = []
-    for rule in RULES:
+    for rule in dict.fromkeys((*RULES, *PEOPLE_RULES)):
         row = {"figure": rule.figure, "sentence": rule.sentence, "measure": rule.text, "unit": rule.unit}
         row |= {"rule": bounds_in_words(rule), "number": _number(rule), "judges": rule.judges}
         of_rule = {name: claims[name, rule] for name in judged if (name, rule) in claims}
-        rows.append(row | {"sets": {name: {"value": one.value, "met": one.met} for name, one in of_rule.items()}})
+        sets = {name: {"value": one.value, "half_95": one.half_95, "met": one.met} for name, one in of_rule.items()}
+        rows.append(row | {"sets": sets})
     return [row for row in rows if row["sets"]]
 
 
@@ -335,7 +362,7 @@ def _number(rule: Rule) -> str:
 def as_text(judged: Mapping[str, list[Claim]]) -> str:
     """The table as text: below each sentence its rules, with the value of each set and whether it is met.
 
-    A star marks a bound that is our choice alone.
+    A star marks a bound that is our choice alone. Of people, +- is half of the 95 % interval over them.
     """
     rows = as_rows(judged)
     rules = [
@@ -344,7 +371,7 @@ def as_text(judged: Mapping[str, list[Claim]]) -> str:
     ]
     measure_width = max(len(row["measure"]) for row in rows) + 2
     rule_width = max(map(len, rules)) + 2
-    width = max(18, *(len(name) + 1 for name in judged))
+    width = max(26 if "people" in judged else 18, *(len(name) + 1 for name in judged))
 
     def line(measure: str, rule: str, cells: Iterable[object]) -> str:
         return f"  {measure:<{measure_width}}{rule:<{rule_width}}" + "".join(f"{cell!s:>{width}}" for cell in cells)
@@ -357,7 +384,10 @@ def as_text(judged: Mapping[str, list[Claim]]) -> str:
             said = sentence
         # A negative zero reads as 0.
         verdicts = {
-            n: f"{s['value'] or 0.0:.3g} {'met    ' if s['met'] else 'not met'}" for n, s in row["sets"].items()
+            name: f"{one['value'] or 0.0:.3g}"
+            + (f" +- {one['half_95']:.1g}" if one["half_95"] is not None else "")
+            + (" met    " if one["met"] else " not met")
+            for name, one in row["sets"].items()
         }
         lines.append(line(row["measure"], rule, [verdicts.get(name, "-       ") for name in judged]))
     met = [f"{sum(claim.met for claim in claims)} of {len(claims)}" for claims in judged.values()]

@@ -59,6 +59,28 @@ class Responses:
     even: np.ndarray
 
 
+@dataclasses.dataclass(frozen=True)
+class PeopleReadings:
+    """What the sensors of P people read in Figs. 15 to 18, [proximal side, distal side], each with the force there.
+
+    cycle, press_on, press_off : (2, P, ...) float. As of `Responses`, changes relative to rest. [1]
+    cycle_fit, press_fit : (2, P, 2, 41) and (2, P, 161) float. The same, fitted by Taylor (9). [1]
+    skin_effect : (2, P, 2) float. Part by which the darkest skin in place of the lightest changes the reading at rest
+        and its change by 2 N. [1]
+    """
+
+    cycle: np.ndarray
+    press_on: np.ndarray
+    press_off: np.ndarray
+    cycle_fit: np.ndarray
+    press_fit: np.ndarray
+    skin_effect: np.ndarray
+
+    def without(self, person: int) -> "PeopleReadings":
+        """The same of all others."""
+        return PeopleReadings(**{name: np.delete(values, person, axis=1) for name, values in vars(self).items()})
+
+
 def simulate_responses(parameters: Parameters) -> Responses:
     """The responses of one set, by `steady_state` and `respond`."""
     p = parameters
@@ -142,12 +164,12 @@ def responses_of(steady: Steady, follow: Follow, venules: tuple[PerBed, PerBed])
     fields["both_on"], fields["both_off"] = blood[..., :size], blood[..., size:]
     pressed = _own_readings(follow(press(), FINGER_ZONES), press(), venules)
     fields["press_on"], fields["press_off"] = pressed[..., :size], pressed[..., size - 1 :]
-    fields["cycle"] = _branches(_own_readings(follow(cycle(), FINGER_ZONES), cycle(), venules))
+    fields["cycle"] = branches(_own_readings(follow(cycle(), FINGER_ZONES), cycle(), venules))
     fields["even"] = held(even(), FINGER_ZONES)
     return Responses(**fields)
 
 
-def _branches(course: np.ndarray) -> np.ndarray:
+def branches(course: np.ndarray) -> np.ndarray:
     """The mean loading and unloading, (..., 2, 41) on CURVE_PA, of a course over whole cycles, (..., T)."""
     branch = CURVE_PA.size - 1
     turns = range(0, course.shape[-1] - 1, 2 * branch)

@@ -10,7 +10,8 @@ index finger of default sizes and tissue, vessels "best", two zones with the dis
 massless walls, one wavelength, neither epidermis nor Kapton, a million photons of seed 0. These people have
 - walls with mass (the inertial equations), and other constants of the vessels;
 - eight zones along the nail, with a distal pressure that decreases with the distance from the tip;
-- other sizes, absorption and scattering of nail, bed, bone and pulp within the priors, other blood and saturation;
+- other digits, sizes and skin, absorption and scattering of nail, bed, bone and pulp within the priors, other blood and
+  saturation;
 - epidermis, Kapton, an LED linewidth of 33 nm, another flux, another thickness of adhesive;
 - two million photons of another seed;
 - a pulp that creeps under the touch and recovers slowly; heartbeat, breathing, vasomotion, drift of the LED and of

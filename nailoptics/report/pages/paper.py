@@ -1,5 +1,6 @@
 """Drawings of the paper's Figs. 4, 10 to 12 and 15 to 18, from any set's responses."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -7,8 +8,9 @@ import numpy as np
 
 from ... import tissue
 from ...io import make_folder
-from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, subject_force
-from ...paper.responses import Responses
+from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
+from ...paper.responses import PeopleReadings, Responses
+from ...scene import Scene
 from ...scene.catalogue import LedPart, load_part
 from .. import style
 
@@ -137,6 +139,38 @@ def _press(time_s: np.ndarray, force_n: np.ndarray, readings: np.ndarray, side: 
     beside.spines["right"].set_visible(True)
     axis.legend()
     return figure
+
+
+@style.drawing()
+def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scene]) -> Path:
+    """Draw Figs. 15 to 18 of people, coloured by their melanin, into a folder and return their path."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm
+
+    figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
+    melanin = [scene.finger.melanin_fraction for scene in scenes if scene.finger]
+    norm, skins = LogNorm(min(melanin), max(melanin)), colormaps["copper_r"]
+    static = CURVE_PA / N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
+    dynamic = press().time_s, np.append(readings.press_on, readings.press_off[..., 1:], axis=-1), readings.press_fit
+    for (side, column), axis in np.ndenumerate(axes):
+        x, people, fits = dynamic if column else static
+        changes, fit, colour = 100.0 * people[side], 100.0 * fits[side].mean(axis=0), style.ZONES[side]
+        mean, spread = changes.mean(axis=0), changes.std(axis=0, ddof=1)
+        for change, share in zip(changes, melanin, strict=True):
+            axis.plot(x, change, color=skins(norm(share)), lw=0.9)
+        axis.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0, label="± standard deviation")
+        axis.plot(x, mean, color=colour, lw=2.4, label="mean")
+        axis.plot(x, fit, color=style.INK, lw=1.2, ls="--", label="Taylor (9), fitted to each, mean")
+        axis.axvline(ON_S if column else 1.0, **_VEINS_SHUT)
+        touch = f"1 N until {ON_S:g} s" if column else "mean of three cycles"
+        axis.set(title=f"Fig. {15 + 2 * side + column}: force on the {_SIDES[side]} pulp, {touch}", xlim=(x[0], x[-1]))
+        axis.set(xlabel="time [s]" if column else "force [N]", ylabel=f"change of the {_SIDES[side]} reading [%]")
+    axes[0, 0].legend()
+    figure.colorbar(ScalarMappable(norm, skins), ax=axes, pad=0.02, label="melanin of the epidermis [1]")
+    path = directory / "people_fig15_to_18.png"
+    style.write_figure(figure, path)
+    return path
 
 
 OXYGENATED, DEOXYGENATED = "#c0303b", "#3a55b0"
