@@ -86,6 +86,6 @@ def test_taylor_fits_each_person_within_a_hundredth_of_the_change(readings):
 
 
 def test_skin_matters_where_light_meets_it_and_only_there(readings):
-    """Rationale: a nail 4 mm wide lets some light of its photodiodes cross the skin at its folds; a thumb's does not."""
+    """Rationale: a nail 4 mm wide lets some of the light cross the skin at its folds; a thumb's does not."""
     thumb, narrow = np.abs(readings.skin_effect).max((0, 2))
     assert thumb < 1e-3 < narrow
