@@ -245,7 +245,7 @@ class Scene(Table):
     def _body_suits_vessels_and_touch(self) -> Self:
         heartbeat, tuning = (self.body.heartbeat if self.body else None), self.blood.tuning
         if heartbeat is not None and heartbeat.mean_pressure_pa is not None and tuning is not None:
-            if "arterial_pressure_pa" in tuning.changed():
+            if "arterial_pressure_pa" in {*tuning.values(), *(tuning.factors or {})}:
                 raise ValueError(
                     "body.heartbeat.mean_pressure_pa and blood.tuning.arterial_pressure_pa both set P_H; give one of "
                     "them"

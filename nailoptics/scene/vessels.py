@@ -108,10 +108,6 @@ class Tuning(Table):
         values = self.model_dump(exclude={"factors"})
         return hash((frozenset(values.items()), frozenset((self.factors or {}).items())))
 
-    def changed(self) -> tuple[str, ...]:
-        """Names of the constants that a value or a factor changes."""
-        return (*self.values(), *(self.factors or {}))
-
     def values(self) -> dict[str, Any]:
         """The constants that it replaces, by name."""
         return self.model_dump(exclude_none=True, exclude={"factors"})

@@ -2,12 +2,13 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
-from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
+from nailoptics.hemodynamics.for_scene import blood_over_touch, capillary_zones, forces_with_two_balances_n, vessels
 from nailoptics.report.scene_description import blood_words, check_lines
 from nailoptics.scene import Tuning, parse_scene
 
@@ -42,6 +43,26 @@ def test_each_bed_can_have_its_own_constants():
     )
     assert blood_over_touch(scene).blood_fraction[:, 0].values == pytest.approx([0.03, 0.03], rel=1e-9)
     assert "capillary_count = 100000 (proximal) and 200000 (distal)" in blood_words(scene)
+
+
+def test_factors_of_the_blood_multiply_the_set_and_its_tuning():
+    text = SMALL_FINGER_BEST + "wall_stiffness = 2.0\nvein_stiffness = 0.5\ndistal_stiffness = 1.25\n"
+    scene = parse_scene(text + "vein_resistance = 3.0\n[blood.tuning]\ncapillary_stiffness_n_per_m = 4e4\n")
+    named = parameters("best")
+    changed = {"capillary_stiffness_n_per_m": (8e4, 1e5), "vein_length_m": 3.0 * named.vein_length_m}
+    assert vessels(scene) == named.replace(**changed)
+    assert "wall_stiffness times 2, vein_stiffness times 0.5" in blood_words(scene)
+    assert vessels(parse_scene(SMALL_FINGER_BEST)) == named
+
+
+@pytest.mark.parametrize("zones", [None, 8])
+def test_distal_reach_acts_on_the_whole_bed(zones):
+    """Expected: where the bone shields in full it is the reach; where nothing shields nothing changes."""
+    text = SMALL_FINGER_BEST + (f"zones = {zones}\n" if zones else "")
+    usual, reached = (np.array(capillary_zones(parse_scene(f"{text}distal_reach = {q}")).reach) for q in (0.0, 0.25))
+    assert reached == pytest.approx(usual + [0.0, 0.25] * (1.0 - usual))
+    assert reached[0, 1] == pytest.approx(0.25, abs=1e-3) and reached[-1, 1] > 0.8
+    assert "25 % of the distal pressure on the whole bed" in blood_words(parse_scene(text + "distal_reach = 0.25"))
 
 
 def test_tuned_vessels_answer_a_touch_in_their_own_way():

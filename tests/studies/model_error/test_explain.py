@@ -33,6 +33,7 @@ from nailoptics.studies.model_error.explain import SCATTERING_FACTOR, Effect, Ex
 from nailoptics.studies.model_error.paired import (
     UNDETECTED,
     Difference,
+    Estimates,
     PairedReadings,
     PairedTracer,
     difference,
@@ -242,7 +243,7 @@ def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Differ
     for base, found in seeds:
         one = effect_of(Change("any", True, ""), found, base, tolerance=0.02)
         j = [f"{base.transfer.leds[0]} {name}" for name in base.transfer.photodiodes].index(one.photodiode)
-        judged = exact.reading if exact.reading.value.any() or exact.signal is None else exact.signal
+        judged = exact.signal if one.of == "signal" else exact.reading
         away = abs(one.change - judged.value[0, j]) / np.hypot(one.stderr, judged.stderr[0, j])
         # The values of many photons have errors of their own.
         least, least_swing = (np.max(np.abs(of.value) - Z95 * of.stderr) if of else 0.0 for of in exact)
@@ -286,6 +287,21 @@ def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
     assert found.of == "signal" and found.change == pytest.approx(more / abs(signal), rel=1e-3)
     assert found.bound > abs(found.change) > 0.1 and "replaces" in found.changed_to
     assert found.modulation_bound == pytest.approx(found.bound)
+
+
+def test_what_moves_no_reading_by_the_tolerance_is_judged_by_the_signal():
+    """Expected: 0.1 % of a reading but 30 % of the signal matters; beyond the tolerance the reading judges, and where
+    a touch moves no blood."""
+    usual = revised(prototype(), ONE_WAVELENGTH)
+    base, still = (made_up(one, (4.0, 0.0), 1.0) for one in (usual, revised(usual, {"touch": {"force_n": 0.0}})))
+    some = np.full(base.level.shape, 1e-3)
+    signal = Estimates(300 * some, 10 * some)
+    change = effects.Change("bone", True, "none")
+    for reading, of, expected in ((some, "signal", 0.3), (100 * some, "reading", 0.1)):
+        one = effect_of(change, Difference(Estimates(reading, 0.1 * some), signal), base, tolerance=0.02)
+        assert one.of == of and one.change == pytest.approx(expected) and one.matters == "yes"
+    one = effect_of(change, Difference(Estimates(some, 0.1 * some), signal), still, tolerance=0.02)
+    assert one.of == "reading" and one.matters == "no"
 
 
 def test_swapping_source_and_photodiode_keeps_the_board():
