@@ -99,8 +99,8 @@ def touch_course(touch: Touch) -> TouchCourse:
             finer_s, force_n = _with_knots_of_contact(touch, time_s, force_n)
             beside = {name: np.interp(finer_s, time_s, column) for name, column in beside.items()}
             time_s = finer_s
-        own = {name: beside[name] for name in BESIDE_FORCE[1:] if name in beside}
-        rows = np.array(hemodynamics.pressures(force_n, **given | own))
+        beside_force = {name: beside[name] for name in BESIDE_FORCE[1:] if name in beside}
+        rows = np.array(hemodynamics.pressures(force_n, **given | beside_force))
     else:
         rows = np.array([touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa])
         areas_mm2 = np.array(hemodynamics.side_areas_mm2(**_stated(touch)))

@@ -63,8 +63,8 @@ def traced_absorption(scenes: Sequence[Scene]) -> list[Scene | None]:
         least = np.min(mu_a, 0, where=mu_a > 0, initial=np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
             decade = np.where(mu_a > 0, np.maximum(np.ceil(np.log10(mu_a / least) - 1e-9), 1), 0)
-        for one in np.unique(decade, axis=0):
-            members = np.flatnonzero((decade == one).all(1))
+        for row in np.unique(decade, axis=0):
+            members = np.flatnonzero((decade == row).all(1))
             lowest = np.flatnonzero((mu_a[members] == mu_a[members].min(0)).all(1))
             if len(lowest) and np.ptp(mu_a[members], 0).any():
                 for member in members:
@@ -87,5 +87,5 @@ def led_digest(scene: Scene, led: int) -> str:
     light = light_scene(scene)
     if scene.phantom is not None:
         return digest(light.model_copy(update={"leds": (light.leds[led],)}))
-    dies = (one if i == led else one.model_copy(update=LED_LIGHT) for i, one in enumerate(light.leds))
+    dies = (die if i == led else die.model_copy(update=LED_LIGHT) for i, die in enumerate(light.leds))
     return digest(light.model_copy(update={"leds": tuple(dies)}))

@@ -104,8 +104,8 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     if assumed := report.get("assumed"):
         words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())
         lines.append(f"assumed of the board, as neither its file nor the scene says it: {words}")
-    for one in report.get("candidates", ()):
-        lines.append(f"layout {one['name']}: {one['leds']} LEDs, {one['photodiodes']} photodiodes")
+    for layout in report.get("candidates", ()):
+        lines.append(f"layout {layout['name']}: {layout['leds']} LEDs, {layout['photodiodes']} photodiodes")
     lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
     for file, refs in report.get("ignored", {}).items():
         parts = "part" if len(refs) == 1 else "parts"

@@ -99,13 +99,16 @@ def test_a_check_is_reported_in_sentences():
         "LED ir (led_800): 800 nm, 33 nm wide, 2 mW, at (1, 2) mm",
     ]
     pair = {"led": "ir", "photodiode": "a", "distance_mm": 1.5, "volts": 0.25}
-    found = {"photodiodes": [{"name": "a", "position_mm": [0.5, -2.0]}], "not_wired": 2, "board_mm": [2.825, 9.0]}
+    diode = {"name": "a", "position_mm": [0.5, -2.0], "size_mm": [1.0, 0.25], "rotation_deg": 90.0}
+    found = {"photodiodes": [diode], "not_wired": 2, "board_mm": [2.825, 9.0]}
     found |= {"pairs": [pair], "warnings": ["hot"]}
     found |= {"ignored": {"x.kicad_pcb": [f"R{i}" for i in range(9)]}}
     found |= {"candidates": [{"name": "mine", "leds": 1, "photodiodes": 4}]}
     lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | found)
     assert "photodiodes: 1, and 2 that are not wired, on a board of 2.83 x 9 mm" in lines
-    assert [line.split() for line in lines if "(0.5, -2)" in line] == [["ir", "a", "(0.5,", "-2)", "1.50", "0.2500"]]
+    assert [line.split() for line in lines if "(0.5, -2)" in line] == [
+        ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "0.2500"]
+    ]
     assert lines[-1] == "warning: hot"
     assert "layout mine: 1 LEDs, 4 photodiodes" in lines
     assert "ignored: 9 parts of x.kicad_pcb (R0, R1, R2, R3, R4, R5, R6, R7, ...)" in lines

@@ -131,12 +131,12 @@ def moments_of_sample(
     slope, light, light_left = fitted(weight, rest)
     path, path_square, path_cross = (np.zeros((count, absorbers)) for _ in range(3))
     for k, column in enumerate(path_mm.T):
-        own, predicted, left = fitted(weight * column, rest * column)
-        path[:, k] = own * full.path[:, k] + total(left)
-        path_square[:, k] = own**2 * full.path_square[:, k] + total(left**2)
+        factor, predicted, left = fitted(weight * column, rest * column)
+        path[:, k] = factor * full.path[:, k] + total(left)
+        path_square[:, k] = factor**2 * full.path_square[:, k] + total(left**2)
         # What is predicted and what is left are orthogonal within one sum, not between two.
         both = keep * total(light * left + predicted * light_left) + total(light_left * left)
-        path_cross[:, k] = slope * own * full.path_cross[:, k] + both
+        path_cross[:, k] = slope * factor * full.path_cross[:, k] + both
     return Moments(
         photons=full.photons,
         weight=slope * full.weight + total(light_left),

@@ -103,9 +103,9 @@ def draw(result: Explanation) -> "Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
     shown = [effect for effect in result.effects if math.isfinite(effect.change) and effect.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
-    for row, one in enumerate(shown):
-        colour, change, spread = KINDS[_kind(one)], 100 * abs(one.change), 100 * Z95 * one.stderr
-        ends = np.clip([change - spread, change + spread, 100 * one.bound], LEAST, MOST)
+    for row, e in enumerate(shown):
+        colour, change, spread = KINDS[_kind(e)], 100 * abs(e.change), 100 * Z95 * e.stderr
+        ends = np.clip([change - spread, change + spread, 100 * e.bound], LEAST, MOST)
         axes.plot(ends[:2], [row, row], color=colour, lw=2.2, solid_capstyle="butt")
         axes.plot(ends[[1, 2]], [row, row], color=colour, lw=0.8, alpha=0.5)
         axes.plot(ends[2], row, "|", color=colour, ms=9, mew=1.6)

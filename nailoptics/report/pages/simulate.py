@@ -136,9 +136,9 @@ def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
     rows = []
     for text in sorted(filter(lambda text: most[text] >= LEAST, ends), key=lambda text: -most[text]):
         (name, at), row = ends[text], {"The light ends in": text}
-        one = result[[name, f"{name}_stderr"]].sel(at)
+        end = result[[name, f"{name}_stderr"]].sel(at)
         for i in range(result.sizes["led"]):
-            row[f"{maps.led_name(result, i)} [%]"] = estimated(one.isel(led=i), name, 100)
+            row[f"{maps.led_name(result, i)} [%]"] = estimated(end.isel(led=i), name, 100)
         rows.append(row)
     return rows
 

@@ -185,7 +185,7 @@ def _tables(
 ) -> list[tuple[str, dict[str, Any]]]:
     """A part, or what a module of several holds, as tables of LEDs and photodiodes."""
     kind = next(kind for kind in KINDS if kind in use)
-    own = {name: value for name, value in use.items() if name not in (*KINDS, *NOT_IN_SCENE)}
+    given = {name: value for name, value in use.items() if name not in (*KINDS, *NOT_IN_SCENE)}
     offset, more_deg = tuple(use.get("offset_mm", (0.0, 0.0))), float(use.get("rotation_deg", 0.0))
     pads = (0.0, 0.0) if "offset_mm" in use else _pads_middle(part)
 
@@ -200,16 +200,16 @@ def _tables(
         module = load_part(str(use[kind]), beside=folder, expect=ModulePart)
         assert isinstance(module, ModulePart)
         both = [("led", led) for led in module.leds] + [("photodiode", photodiode) for photodiode in module.photodiodes]
-        name = str(own.get("name", part.ref))
+        name = str(given.get("name", part.ref))
         return [
             (k, table(f"{name}.{die.name}", f"{part.ref}.{die.name}", die.position_mm, die.scene_fields()))
             for k, die in both
         ]
     if isinstance(use[kind], str):
-        own["part"] = use[kind]
+        given["part"] = use[kind]
     elif use[kind] is not True:
         raise ValueError(f"parts.{part.ref}.{kind} must be the name of a part, or true for one without")
-    return [(kind, table(str(own.pop("name", part.ref)), part.ref, offset, own))]
+    return [(kind, table(str(given.pop("name", part.ref)), part.ref, offset, given))]
 
 
 def _pads_middle(part: PlacedPart) -> Point:

@@ -152,11 +152,11 @@ def _edge(item: Any, kind: str) -> Polygon:
         return _arc_through(*(_point(item, name) for name in ("start", "mid", "end")))
     if shape in ("poly", "curve"):
         line: list[Point] = []
-        for one in next(_all(item, "pts"))[1:]:
-            if one[0] == "arc":
-                line += _arc_through(*(_point(one, name) for name in ("start", "mid", "end")))
+        for vertex in next(_all(item, "pts"))[1:]:
+            if vertex[0] == "arc":
+                line += _arc_through(*(_point(vertex, name) for name in ("start", "mid", "end")))
             else:
-                line.append((float(one[1]), -float(one[2])))
+                line.append((float(vertex[1]), -float(vertex[2])))
         return _bezier(line) if shape == "curve" else (*line, line[0])
     return ()
 

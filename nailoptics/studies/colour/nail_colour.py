@@ -92,8 +92,8 @@ def colour(
     chosen = backend.choose_jit(options.backend, "colour")
     stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
     if stores is None:
-        own = LightStore.of_user() if options.store else None
-        stores = [own] if own else []
+        user_store = LightStore.of_user() if options.store else None
+        stores = [user_store] if user_store else []
     states = steady_blood(scene, viewing.forces_n)
     result, photons, unmet = _traced(scene, states, viewer, viewing, options, stage, chosen, stores)
     for store in stores:

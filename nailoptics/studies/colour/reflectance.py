@@ -115,8 +115,8 @@ def _sums(light: ReflectedLight, mu_a: Array, patches: np.ndarray) -> Array:
         rows = order[start : start + CHUNK]
         left, weight = attenuation(light.path_mm[rows].astype(np.float32), change), light.weight[rows]
         cells, first = np.unique(cell[rows], return_index=True)
-        for one, begin, end in zip(cells, first, [*first[1:], len(rows)], strict=True):
-            sums[one] += weight[begin:end] @ left[begin:end]
+        for at, begin, end in zip(cells, first, [*first[1:], len(rows)], strict=True):
+            sums[at] += weight[begin:end] @ left[begin:end]
     means = sums.reshape(GROUPS, len(patches), -1) * (GROUPS / light.rays[patches])[:, None]
     return means.reshape(GROUPS, len(patches), *mu_a.shape[:2])
 

@@ -148,12 +148,13 @@ class PairBasis:
             volume = volume * width * (len(axis) - 1)
         x, y = np.zeros((2, PAIRS, 2))
         for k, axis_number in enumerate((self.across, 1 - self.across)):
-            one, other = columns[2 * k : 2 * k + 2]
+            extent, other = columns[2 * k : 2 * k + 2]
             if k == 1 or self.wall_mm is None:
                 # Distance and middle; pairs of either order are alike, and none reaches over the board's edge.
-                inside = (one / 2 <= other - self.axes[2 * k + 1][0]) & (one / 2 <= self.axes[2 * k + 1][-1] - other)
-                volume, one, other = volume * 2 * inside, other - one / 2, other + one / 2
-            x[:, axis_number], y[:, axis_number] = one, other
+                low, high = self.axes[2 * k + 1][[0, -1]]
+                inside = (extent / 2 <= other - low) & (extent / 2 <= high - other)
+                volume, extent, other = volume * 2 * inside, other - extent / 2, other + extent / 2
+            x[:, axis_number], y[:, axis_number] = extent, other
         return x[volume > 0], y[volume > 0], volume[volume > 0]
 
     def passed(self, starts_mm: Array, arrivals_mm: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

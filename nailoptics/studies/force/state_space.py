@@ -143,17 +143,17 @@ class StateSpace:
 
     def measurement(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading (R,) and their Jacobian H (R, size)."""
-        subject, own, width = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_WIDTH)
+        subject, calibrated, width = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_WIDTH)
         pulsatile, by_touch = self._pulsatile_gain.at(touch_pressure(state[TOUCH]))
         beat_pa, blood = self.beat_weights @ state, self.person.blood(width)
         volts, by_blood = subject.light.slopes(blood * (1.0 + pulsatile * beat_pa))
-        by_blood = own.gain[:, None] * by_blood
+        by_blood = calibrated.gain[:, None] * by_blood
         jacobian, readings = np.zeros((len(volts), self.size)), np.arange(len(volts))
         jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / width)
         jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS)
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
         jacobian[readings, self.drift.start + readings] = subject.rest_v
-        return own.offset_v + own.gain * volts + subject.rest_v * state[self.drift], jacobian
+        return calibrated.offset_v + calibrated.gain * volts + subject.rest_v * state[self.drift], jacobian
 
     def measurement_noise(self, blood_v: Array, moved_v: Array, since_s: float | None) -> Array:
         """Diagonal of the measurement noise covariance R, (R,) float: white noise and the model's error. [V^2]

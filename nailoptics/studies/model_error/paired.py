@@ -274,9 +274,9 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.
         undetected = np.fmax(whole, total(step**2) / total(step) / level_a)
         undetected_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
         out = []
-        for value, each, one_more in ((gain - 1, moved, undetected), (swing_b - swing_a, swung, undetected_swing)):
-            square = total(each**2)
-            out += [value, np.sqrt(square + (UNDETECTED * one_more) ** 2), np.nan_to_num(total(each**3) / square)]
+        for value, change, one_more in ((gain - 1, moved, undetected), (swing_b - swing_a, swung, undetected_swing)):
+            square = total(change**2)
+            out += [value, np.sqrt(square + (UNDETECTED * one_more) ** 2), np.nan_to_num(total(change**3) / square)]
         return np.stack(out)
 
 

@@ -415,8 +415,8 @@ def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
     if usual.sizes["time"] > 2 * FEWER_SAMPLES:
         ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
     for name, (how, changes) in ways.items():
-        one = revised(full, changes or {})
-        course, seconds = timed(partial(blood_over_touch, one, **how))
+        changed = revised(full, changes or {})
+        course, seconds = timed(partial(blood_over_touch, changed, **how))
         other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
         farthest = int(np.abs(other - blood).max(0).argmax())
         states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])

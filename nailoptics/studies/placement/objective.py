@@ -129,14 +129,14 @@ class Objective:
         """What photodiodes tell by all LEDs' columns, each (fingers, ..., c): adds up over photodiodes."""
         total = np.sum(by_led, axis=0)
         if self.oxygen is not None:
-            for finger, one in enumerate(total):
-                one[..., -1] = self.oxygen.information_per_percent2(finger, one[..., -1])
+            for finger, sums in enumerate(total):
+                sums[..., -1] = self.oxygen.information_per_percent2(finger, sums[..., -1])
         return np.asarray(total)
 
     def total(self, responses: Sequence[Sequence[Response]]) -> Array:
         """What all photodiodes tell under all LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
         by_led = [
-            np.stack([self.columns(finger, led, each[led]) for finger, each in enumerate(responses)])
+            np.stack([self.columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
             for led in range(len(responses[0]))
         ]
         return np.asarray(self.together(by_led).sum(-2))
@@ -152,8 +152,8 @@ class Objective:
                 return np.asarray(np.max(1 / np.sqrt(total[..., -1]), axis=0))
         resolution = share_resolution if name == "share" else force_resolution_n
         information = total if self.oxygen is None else total[..., :-1]
-        each = [resolution(*both) for both in zip(information, self.points, strict=True)]
-        return over_fingers(np.stack(each), name)
+        resolutions = [resolution(*both) for both in zip(information, self.points, strict=True)]
+        return over_fingers(np.stack(resolutions), name)
 
     def score(self, total: Array) -> Array:
         """What layouts are ranked by: the mean of the values by their weights, of logarithms, as their units differ."""
@@ -265,14 +265,14 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     information = total if objective.oxygen is None else total[..., :-1]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
     through, alone = (
-        np.stack([force_resolution_n(*both) for both in zip(one, points, strict=True)], 1)
-        for one in (information, still)
+        np.stack([force_resolution_n(*both) for both in zip(matrix, points, strict=True)], 1)
+        for matrix in (information, still)
     )
     floors_n = np.array([physiological_noise_force_n(point) for point in points])
     return LayoutScore(
         force=ForceResolution(through, floors_n, over),
         electronics=ForceResolution(alone, np.zeros(len(points)), over),
-        information_per_pa2=np.stack([pressure_information(one) for one in information], 1),
+        information_per_pa2=np.stack([pressure_information(matrix) for matrix in information], 1),
         responses=responses,
         share=objective.value("share", total),
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),

@@ -54,7 +54,7 @@ class _Traced:
     @property
     def photons(self) -> int:
         """How many photons of every LED were traced on every finger."""
-        return min(one.photons for by_led in self.maps for one in by_led)
+        return min(board_map.photons for by_led in self.maps for board_map in by_led)
 
 
 @dataclass
@@ -134,19 +134,19 @@ class PhotonMapCache:
             if condition.case.digit == digit:
                 at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
                 members.append((by_led[led], blood_point(boards.worn_on(board, condition.case), led, **at)))
-        each = self.batch_photons or tracer.batch_photons
-        first = members[0][0].photons // each
-        for batch in range(first, first + max(1, round(photons / each))):
+        per_batch = self.batch_photons or tracer.batch_photons
+        first = members[0][0].photons // per_batch
+        for batch in range(first, first + max(1, round(photons / per_batch))):
             if self.stop():
                 return
             seed = batch_seed(self.seed, self.stream, tracer.scene, led, batch)
-            arrivals = tracer.arrivals(led, photons=each, seed=seed)
+            arrivals = tracer.arrivals(led, photons=per_batch, seed=seed)
             self.photons += arrivals.photons
             if held.areas:
                 inside = np.any([area.holds(*arrivals.place_mm.T) for area in held.areas], axis=0)
                 held.arrivals.setdefault((digit, led), []).append(arrivals.select(inside))
-            for one, point in members:
-                one.add(arrivals, point.values(arrivals))
+            for board_map, point in members:
+                board_map.add(arrivals, point.values(arrivals))
 
     def forget(self, board: Scene) -> None:
         """Free what is held of a board."""
@@ -161,6 +161,6 @@ class PhotonMapCache:
         block of them."""
         areas = layout.layout.photodiode_areas
         return [
-            scene_responses(layout, [left_out(one.over(areas)) for one in by_led], condition.point, replicates=True)
+            scene_responses(layout, [left_out(m.over(areas)) for m in by_led], condition.point, replicates=True)
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
         ]

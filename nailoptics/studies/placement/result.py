@@ -284,10 +284,10 @@ def kicad_parts(scene: Scene) -> list[PlacedPart]:
         value = led.part if led.part and led.reference else led.name
         parts.append(PlacedPart(ref, value, "LED_die", area.center_mm, led.rotation_deg % 360, "bottom"))
     for i, element in enumerate(layout.photodiodes, start=1):
-        one = element.photodiode
-        (width, length), turn = one.size_mm, one.rotation_deg % 360
+        die = element.photodiode
+        (width, length), turn = die.size_mm, die.rotation_deg % 360
         # An array is one part of the file; each of its elements is written by itself.
-        own_reference = one.reference and one.reference + element.name.removeprefix(one.name)
+        own_reference = die.reference and die.reference + element.name.removeprefix(die.name)
         ref = own_reference or (element.name if known else f"PD{i}")
         package = f"PD_{width:g}x{length:g}mm"
         parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom"))
