@@ -514,7 +514,7 @@ def figures(
 
     from . import hemodynamics
     from .light import backend as backends
-    from .paper.claims import as_rows, as_text, judge, judge_people
+    from .paper.claims import as_rows, as_text, is_shown_by, judge, judge_people
     from .paper.responses import pressed, simulate_responses
     from .report.pages.colour import draw_fig2
     from .report.pages.paper import draw, draw_haemoglobins, draw_people
@@ -540,7 +540,8 @@ def figures(
         pictures.append(draw_people(output, readings, scenes))
         judged["people"] = judge_people(readings)
     if colour and backends.choose("auto").jit:
-        pictures += [draw_fig2(load_scene("nail_colour"), output, name=name) for name in named]
+        nail, shown = load_scene("nail_colour"), [name for name in named if is_shown_by(name, "2")]
+        pictures += [draw_fig2(nail, output, name=name) for name in shown]
     elif colour:
         say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}

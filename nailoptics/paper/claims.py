@@ -46,7 +46,12 @@ class Rule:
     @property
     def judges(self) -> str:
         """The set that the sentence speaks of: Figs. 10-12 show the paper's simulation, all else its subjects."""
-        return SIMULATION if self.figure in ("8", "10", "11", "12") else SUBJECT
+        return SIMULATION if is_shown_by(SIMULATION, self.figure) else SUBJECT
+
+
+def is_shown_by(name: str, figure: str) -> bool:
+    """Whether a set shows a figure of the paper: of the simulation and its subject only one does, any other set all."""
+    return name not in (SIMULATION, SUBJECT) or (name == SIMULATION) == (figure in ("8", "10", "11", "12"))
 
 
 def _at(pressure_n_per_cm2: float) -> int:
@@ -318,8 +323,7 @@ class Claim:
 
 def judge(responses: Responses, name: str = "") -> list[Claim]:
     """The rules, measured on the responses of one set: all, or of a set by a name that only some judge those."""
-    rules = [rule for rule in RULES if name not in (SIMULATION, SUBJECT) or rule.judges == name]
-    return [Claim(rule, float(rule.measure(responses))) for rule in rules]
+    return [Claim(rule, float(rule.measure(responses))) for rule in RULES if is_shown_by(name, rule.figure)]
 
 
 def judge_people(readings: PeopleReadings) -> list[Claim]:

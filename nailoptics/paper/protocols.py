@@ -38,7 +38,7 @@ FINGER_ZONES = zones_between(
 RELAXATION_S = 0.2
 # Touches of the whole fingertip (section II and Fig. 2), and the one among them to which a shear is added.
 EVEN_N = np.array([0.0, 0.3, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 16.0])
-ONSET_N, SHEARED, SHEAR_N = 0.8, 3, 0.5
+ONSET_N, SHEARED, SHEAR_N = 1.0, 4, 0.5
 # The release is a ramp this short, so that the touch is a step for every model here. [s]
 _RELEASE_S = 1e-6
 

@@ -191,6 +191,13 @@ SHUT, FILLED = (
 )
 
 
+def test_sets_with_two_branches_have_a_loop_gain_above_1():
+    from benchmarks.parameter_search import largest_loop_gain
+
+    for changed in (SHUT, FILLED):
+        assert largest_loop_gain(parameters("listed").replace(**changed).as_dict()).max() > 1.0
+
+
 @pytest.mark.parametrize("distal", [0.0, 1.0])
 def test_two_branches_are_what_slow_loading_and_unloading_follow(distal):
     from nailoptics.hemodynamics import respond

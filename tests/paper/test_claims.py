@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.parameter_search import (
+    OF_SUBJECT,
     SEARCHED,
+    largest_loop_gain,
     logarithms_of,
     loss_of_pairs,
     misses,
@@ -18,8 +20,8 @@ from benchmarks.parameter_search import (
 )
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import NAMES, bounds, parameters
-from nailoptics.hemodynamics.parameters import beds
+from nailoptics.hemodynamics import NAMES, bounds, parameters, steady_state
+from nailoptics.hemodynamics.parameters import beds, each_bed
 from nailoptics.paper.claims import RULES, as_rows, as_text, judge
 from nailoptics.paper.protocols import CURVE_PA, N_PER_CM2, RELAXATION_S, cycle, one_sided, press, steps, subject_force
 from nailoptics.paper.responses import Responses, pressed, simulate_responses
@@ -52,6 +54,32 @@ def together(sets):
 
 def missed(judged, name):
     return {(claim.rule.figure, claim.rule.text.split(",")[0]) for claim in judged[name] if not claim.met}
+
+
+def test_simulation_and_subject_meet_all_rules_but_where_the_band_ends(judged):
+    """Stiffness and damping alone differ, and no bed of either can have two balances."""
+    first, second = (parameters(name).as_dict() for name in ("simulation", "subject"))
+    assert {name for name in first if first[name] != second[name]} == set(OF_SUBJECT)
+    assert missed(judged, "simulation") == set()
+    assert missed(judged, "subject") == {("2", "growth of the band from 4 to 16 N over the bed's length")}
+    assert next(c.value for c in judged["subject"] if not c.met) < 0.06
+    assert max(largest_loop_gain(one).max() for one in (first, second)) < 1.0
+
+
+def test_the_last_rule_of_the_subject_needs_two_balances(judged):
+    """Rationale: past 4 N the band stops within 0.05 of the bed if a half-shielded zone is white at 4 N, where the vein
+    is shut: soft distal walls. Expected: on the way there the loop gain exceeds 1 before the rule is met."""
+    subject, touch = parameters("subject"), np.linspace(8e3, 1e4, 401)
+    rule = next(claim.rule for claim in judged["subject"] if not claim.met)
+    growth, two = [], []
+    for factor in (0.9, 0.8):
+        proximal, distal = subject.capillary_stiffness_n_per_m
+        softer = subject.replace(capillary_stiffness_n_per_m=(proximal, factor * distal))
+        two.append(steady_state(softer, distal_pressure_pa=touch).two_branches.any())
+        together_one = {name: each_bed(np.atleast_1d, value) for name, value in softer.as_dict().items()}
+        growth.append(float(rule.measure(simulate_responses_of_many(together_one, [rule]))[0]))
+        assert largest_loop_gain(softer.as_dict())[1] > 1.0
+    assert growth[0] > rule.high > growth[1] and all(two)
 
 
 def test_sets_of_one_bed_miss_what_both_beds_together_cannot_give(judged):
@@ -175,8 +203,6 @@ def test_pairs_of_sets_go_through_the_coordinates_of_the_search():
     pair = pair_of(point)
     assert logarithms_of(*pair) == pytest.approx(point)
     assert pair[0].capillary_area_m2 == pair[1].capillary_area_m2
-    ratios = [one.capillary_damping_n_s_per_m[1] / one.capillary_damping_n_s_per_m[0] for one in pair]
-    assert ratios[0] == pytest.approx(ratios[1])
 
 
 def test_search_goes_on_from_a_given_set():
@@ -231,6 +257,11 @@ def test_figures_are_drawn_for_any_set(tmp_path, responses):
     time = np.linspace(0.0, 2.0, 201)
     force = 0.5 * (time > 1.0)
     recorded = time, force, pressed(parameters("listed"), time, force)
-    paths = draw(tmp_path / "new", responses["listed"], name="mine", recorded=recorded)
-    assert [path.name for path in paths] == [f"hemodynamics_mine_fig{n}.png" for n in (10, 11, 12, 15, 16, 17, 18)]
-    assert all(path.stat().st_size > 20_000 for path in paths)
+    for name, shown in (
+        ("mine", (10, 11, 12, 15, 16, 17, 18)),
+        ("simulation", (10, 11, 12)),
+        ("subject", range(15, 19)),
+    ):
+        paths = draw(tmp_path / "new", responses["listed"], name=name, recorded=recorded)
+        assert [path.name for path in paths] == [f"hemodynamics_{name}_fig{n}.png" for n in shown]
+        assert all(path.stat().st_size > 20_000 for path in paths)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ... import tissue
 from ...io import make_folder
+from ...paper.claims import is_shown_by
 from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
 from ...paper.responses import PeopleReadings, Responses
 from ...scene import Scene
@@ -34,7 +35,7 @@ def draw(
     name: str,
     recorded: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> list[Path]:
-    """Draw seven figures for one set and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15 to 18.
+    """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15 to 18.
 
     directory : Where they go; made if it is not there.
     name : Of the set, for titles and file names.
@@ -46,16 +47,19 @@ def draw(
         force = subject_force(PHASE_S), subject_force(ON_S + PHASE_S)
         recorded = _TIME_S, np.concatenate(force), np.concatenate([responses.press_on, responses.press_off], axis=-1)
     figures = {
-        "10": ("vessels under steps of proximal pressure", _figure_10(responses)),
-        "11": ("readings under steps of both pressures", _figure_11(responses)),
-        "12": ("steady readings, each against the pressure on its own side", _figure_12(responses)),
-        "15": ("proximal reading, force on the proximal pulp", _cycle(responses, 0)),
-        "16": ("proximal reading, force on the proximal pulp", _press(*recorded, 0)),
-        "17": ("distal reading, force on the distal pulp", _cycle(responses, 1)),
-        "18": ("distal reading, force on the distal pulp", _press(*recorded, 1)),
+        "10": ("vessels under steps of proximal pressure", lambda: _figure_10(responses)),
+        "11": ("readings under steps of both pressures", lambda: _figure_11(responses)),
+        "12": ("steady readings, each against the pressure on its own side", lambda: _figure_12(responses)),
+        "15": ("proximal reading, force on the proximal pulp", lambda: _cycle(responses, 0)),
+        "16": ("proximal reading, force on the proximal pulp", lambda: _press(*recorded, 0)),
+        "17": ("distal reading, force on the distal pulp", lambda: _cycle(responses, 1)),
+        "18": ("distal reading, force on the distal pulp", lambda: _press(*recorded, 1)),
     }
     paths = []
-    for number, (title, figure) in figures.items():
+    for number, (title, drawn) in figures.items():
+        if not is_shown_by(name, number):
+            continue
+        figure = drawn()
         text = f"Fig. {number}: {title} (set “{name}”)"
         figure.suptitle(text, x=0.02, ha="left", fontsize=11, fontweight="bold")
         paths.append(Path(directory, f"hemodynamics_{name}_fig{number}.png"))
