@@ -114,7 +114,7 @@ def _checked(name: str, given: Any) -> float:
 
 
 # By tests/benchmarks/parameter_search.py: some 1e4 pairs of evolutions, from a start where the feedback of R_A on D_C
-# has a loop gain below 1; rounded to three digits. Dampings then moved further from the bounds of rules.
+# has a loop gain below 1; rounded to three digits. Dampings then moved: steps end within 2 s, masses do not matter.
 _SIMULATION: dict[str, Any] = {
     "capillary_stiffness_n_per_m": (1.49e5, 6.17e4),
     "vein_stiffness_n_per_m": 424.0,
