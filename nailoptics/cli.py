@@ -554,7 +554,6 @@ def calibrate(
     recordings: list[Path],
     *,
     output: Output = Path("subject.toml"),
-    model: Literal["network", "paper"] = "network",
     options: Traced = TRACED,
 ) -> None:
     """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
@@ -565,14 +564,13 @@ def calibrate(
     Args:
         recordings: Recordings of a known force (CSV), one or more.
         output: Subject file to write.
-        model: network: the person's vessels on traced light; paper: offset and scale of (9), time constants.
     """
     from .report.pages.force import CALIBRATION, write_calibration
     from .studies.force.calibrate import calibrate as study
 
     _check_file(output, ".toml", "a subject file")
     loaded, _ = _load(scene, options)
-    result, unmet = _traced(study, loaded, recordings, model=model, options=options)
+    result, unmet = _traced(study, loaded, recordings, options=options)
     _show(CALIBRATION, result, write_calibration(result, output), options.json, unmet, output)
 
 
@@ -682,33 +680,28 @@ def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
 @app.command(name="store")
 def show_store(
     *,
-    list_: Annotated[bool, Parameter(name="--list", negative="")] = False,
     clear: Flag = False,
     json_: Json = False,
 ) -> None:
     """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off.
 
     Args:
-        list_: List what is stored, longest unused first.
         clear: Remove all of it.
     """
-    from .light.tracing.store import VARIABLE, LightStore, entries, remove
+    from .light.tracing.store import VARIABLE, LightStore, remove, size_of
 
     store = LightStore.of_user()
     if store is None:
         raise InputError(f"{VARIABLE} = off: no light is stored; unset it, or set it to a folder.")
-    stored = entries(store)
-    if clear:
-        for folder in store.folders():
-            remove(folder)
-    size = sum(entry.bytes for entry in stored)
+    stored = list(store.folders())
+    size = sum(map(size_of, stored))
+    for folder in stored if clear else ():
+        remove(folder)
     summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
     line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
     line += ", removed" if clear else ""
-    if list_:
-        summary["entries"] = [vars(entry) for entry in stored]
-    _finish(summary, [*(stored if list_ else []), line], {}, json_)
+    _finish(summary, [line], {}, json_)
 
 
 @app.command

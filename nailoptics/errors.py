@@ -59,6 +59,14 @@ def as_far_as_reached(study: Callable[..., Any], *arguments: Any, **options: Any
         return error.result, error
 
 
+def unless_cut_off(result: Any, unmet: object) -> Any:
+    """A study's Dataset; raises NotReachedError with it where `unmet` says why it falls short, as its attributes do."""
+    if not unmet:
+        return result
+    result.attrs["cut_off"] = str(unmet)
+    raise NotReachedError(str(unmet), result=result)
+
+
 class WriteError(InputError):
     """A file cannot be written where the user wants it; on a full disk no input is at fault, and the exit code is 1."""
 

@@ -57,8 +57,6 @@ AXES = {
     "pressure_too": "side of the pulp that the other pressure acts on",
     "blood_zone": "blood zone of the nail bed, from the cuticle to the tip",
     "best_photodiode": "photodiode of the best layout",
-    "photodiode_count": "number of photodiodes",
-    "chosen_for": "noise for which so many photodiodes were chosen",
     "cover": "whether the board is covered against light from outside",
     "ambient": "source of light from outside",
 }
@@ -249,11 +247,8 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memor
     return data.getbuffer()
 
 
-def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, Any], dict[str, "np.ndarray"]]:
-    """Header and arrays; raises CorruptError unless every byte is as it was written.
-
-    arrays : whether they are read; the header alone takes a tenth of the time.
-    """
+def unpack(data: bytes | memoryview) -> tuple[dict[str, Any], dict[str, "np.ndarray"]]:
+    """Header and arrays; raises CorruptError unless every byte is as it was written."""
     import numpy as np
 
     data = memoryview(data)
@@ -262,7 +257,7 @@ def unpack(data: bytes | memoryview, *, arrays: bool = True) -> tuple[dict[str, 
     try:
         with np.load(BytesIO(data), allow_pickle=False) as file:
             header = json.loads(file["header"].tobytes())
-            read = {name: file[name] for name in file.files if arrays and name != "header"}
+            read = {name: file[name] for name in file.files if name != "header"}
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
     if not isinstance(header, dict):

@@ -25,7 +25,7 @@ from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.kalman import KalmanFilter
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
-from nailoptics.studies.force.subject import Model, Subject
+from nailoptics.studies.force.subject import Subject
 
 KINDS = ("slow", "steps")
 # What people are calibrated on: slow cycles alone, or quick steps, too.
@@ -138,13 +138,12 @@ def calibrated(
     person: VirtualPerson,
     scene: Scene,
     table: ReadingTable,
-    model: Model = "network",
     *,
     kinds: tuple[str, ...] = SLOWLY,
 ) -> str:
     """The file of a person's sensor, calibrated on some kinds of touches on either side."""
     recordings = [person.recording(kind, site) for kind in kinds for site in record.SIDES]
-    return str(calibrate_with(scene, table, recordings, model=model).attrs["subject"])
+    return str(calibrate_with(scene, table, recordings).attrs["subject"])
 
 
 def asked_of(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:

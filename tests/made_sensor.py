@@ -11,11 +11,12 @@ from nailoptics.hemodynamics.parameters import Parameters, parameters
 from nailoptics.scene import Scene
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.person import RIGID_PULP, NominalFinger, Pulp
+from nailoptics.studies.force.person import NominalFinger, Pulp
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable, reading_names
 
 STEP_S = 0.02
 MOST_BLOOD = 0.15
+RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
 
 
 def scene() -> Scene:

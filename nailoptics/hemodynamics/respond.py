@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,50 +11,41 @@ from ..checks import finite
 from ..errors import InputError
 from ..variables import Variable, variable
 from . import inertial, massless
-from .drive import Drive, Waveform, waveform_of
+from .drive import Drive, waveform_of
 from .parameters import Parameters
 from .steady import solve_walls
-from .touch import PAPER_ZONES, Zones
+from .touch import PAPER_ZONES, Pressures, Zones, named_pressures
 from .walls import build_walls
 
 if TYPE_CHECKING:
     import xarray
 
-Model = Literal["massless", "inertial"]
+Model = Literal["massless", "inertial", "printed"]
 
 
 def respond(
     parameters: Parameters,
     time_s: ArrayLike,
     *,
-    proximal_pressure_pa: ArrayLike | Waveform = 0.0,
-    distal_pressure_pa: ArrayLike | Waveform = 0.0,
-    arterial_pressure_pa: ArrayLike | Waveform | None = None,
-    venous_pressure_pa: ArrayLike | Waveform | None = None,
     zones: Zones = PAPER_ZONES,
-    pressure_pa: ArrayLike | Sequence[ArrayLike | Waveform] | None = None,
     start: Literal["untouched", "steady"] = "untouched",
     model: Model = "massless",
-    contact: bool = True,
     rtol: float = 1e-6,
     only_diameters: bool = False,
+    **pressures: Unpack[Pressures],
 ) -> "xarray.Dataset":
     """What a touch does to the vessels under the nail: their diameters and pressures over time.
 
     time_s : (T,) float, increasing, T of 2 or more. [s]
-    proximal_pressure_pa, distal_pressure_pa : (T,) float, one number or a `Waveform`. P_F1 and P_F2. Samples are
-        linear between times; a waveform has knots of its own and jumps, so that no motion depends on time_s. [Pa]
-    arterial_pressure_pa, venous_pressure_pa : The same. P_H (see `cardiac_pressure`) and P_L; None takes the
-        parameters' values. [Pa]
     zones : Units along the nail and the reach of each pressure; the paper's two by default.
-    pressure_pa : (M, T) float, or M of the above. All touch pressures, for zones with other than two inputs. [Pa]
     start : At time_s[0] the vessels are in balance with no touch ("untouched": a pressure there is a step at that
         instant) or with the first pressures ("steady"; before a waveform's jump, if it has one there).
     model : "massless" walls are the tool; "inertial" is the paper's six-state model (2 N + 2 states for N units), the
-        check: it agrees within 1e-5 um and takes many times as long.
-    contact : False, in the inertial model only, lets walls pass through each other as printed.
+        check: it agrees within 1e-5 um and takes many times as long; "printed" lets its walls pass through each other.
     rtol : Allowed error of a step, relative to a diameter. With noisy records 1e-4 is several times as fast. [1]
     only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
+    pressures : as in `Pressures`, in which samples (T,) are linear between times; a waveform has knots of its own and
+        jumps, so that no motion depends on time_s.
 
     Returns: Dataset with dims zone and time; capillary_diameter_m (zone, time), capillary_pressure_pa (zone, time),
     vein_diameter_m (time), vein_pressure_pa (time), capillary_closed (zone, time), vein_closed (time), and the inputs.
@@ -67,12 +58,9 @@ def respond(
     References: Mascaro and Asada 2001, eq. (1)-(4).
     """
     time = _times(time_s)
-    _check_choices(model, start, contact=contact, rtol=rtol)
+    _check_choices(model, start, rtol=rtol)
     p = parameters
-    given = {
-        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
-        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
-    } | zones.named_inputs(proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    given = named_pressures(p, zones, pressures)
     waveforms = [waveform_of(name, value, time) for name, value in given.items()]
 
     def to_channels(rows: np.ndarray) -> np.ndarray:
@@ -88,29 +76,20 @@ def respond(
     high, low, *outside = to_channels(first)
     begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     inputs = None if only_diameters and model == "massless" else to_channels(over_time)
+    contact = model != "printed"
     integrate: Any = massless.integrate if model == "massless" else partial(inertial.integrate, contact=contact)
-    width, pressure, closed = integrate(walls, drive, time, begin, inputs, rtol=rtol)
-    n, over = zones.count, ("zone", "time")
-    data = variable("capillary_diameter_m", over, width[:n], "capillary diameter D_C + x_C", units="m")
-    data |= variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
-    if not only_diameters:
-        data |= variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
-        data |= variable("capillary_closed", over, closed[:n], "capillary walls in contact")
-        data |= variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
-        data |= variable("vein_closed", "time", closed[n], "vein walls in contact")
-        data |= _input_variables(zones, over_time)
+    run = integrate(walls, drive, time, begin, inputs, rtol=rtol)
+    data = _variables(zones, run, None if only_diameters else over_time)
     return _dataset(data, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
 
 
-def _check_choices(model: str, start: str, *, contact: bool, rtol: float) -> None:
+def _check_choices(model: str, start: str, *, rtol: float) -> None:
     if not (np.isfinite(rtol) and 1e-13 <= rtol <= 0.1):
         raise InputError(f"rtol must lie between 1e-13 and 0.1, got {rtol}; 1e-6 is usual.")
-    if model not in ("massless", "inertial"):
-        raise InputError(f"model must be 'massless' or 'inertial', got {model!r}.")
+    if model not in get_args(Model):
+        raise InputError(f"model must be 'massless', 'inertial' or 'printed', got {model!r}.")
     if start not in ("untouched", "steady"):
         raise InputError(f"start must be 'untouched' or 'steady', got {start!r}.")
-    if model == "massless" and not contact:
-        raise InputError("contact can be left out of model 'inertial' only; use model='inertial'.")
 
 
 def _times(time_s: ArrayLike) -> np.ndarray:
@@ -124,9 +103,21 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _input_variables(zones: Zones, over_time: np.ndarray) -> dict[str, Variable]:
+def _variables(
+    zones: Zones, run: tuple[np.ndarray, np.ndarray, np.ndarray], over_time: np.ndarray | None
+) -> dict[str, Variable]:
+    """Diameters and, with the inputs over time, pressures, contacts and inputs."""
+    (width, pressure, closed), n, over = run, zones.count, ("zone", "time")
+    data = variable("capillary_diameter_m", over, width[:n], "capillary diameter D_C + x_C", units="m")
+    data |= variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
+    if over_time is None:
+        return data
+    data |= variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
+    data |= variable("capillary_closed", over, closed[:n], "capillary walls in contact")
+    data |= variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
+    data |= variable("vein_closed", "time", closed[n], "vein walls in contact")
     high, low, *touch = over_time
-    data = variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
+    data |= variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
     data |= variable("venous_pressure_pa", "time", low, "venous pressure P_L", units="Pa")
     if zones.inputs != 2:
         return data | variable("touch_pressure_pa", ("input", "time"), touch, "touch pressure inputs", units="Pa")

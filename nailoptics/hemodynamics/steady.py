@@ -6,7 +6,7 @@ Two nested roots, each bracketed: the pressure of the vein node, and at a given 
 
 import dataclasses
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..checks import Array, finite
 from ..errors import InputError
 from .parameters import Parameters
-from .touch import PAPER_ZONES, Zones
+from .touch import PAPER_ZONES, Pressures, Zones, named_pressures
 from .walls import CLOSED_FRACTION, MasslessNetwork, Walls, build_walls
 
 Branch = Literal["wide", "narrow"]
@@ -49,22 +49,16 @@ class SteadyState:
 def steady_state(
     parameters: Parameters,
     *,
-    proximal_pressure_pa: ArrayLike = 0.0,
-    distal_pressure_pa: ArrayLike = 0.0,
-    arterial_pressure_pa: ArrayLike | None = None,
-    venous_pressure_pa: ArrayLike | None = None,
     zones: Zones = PAPER_ZONES,
-    pressure_pa: ArrayLike | None = None,
     branch: Branch = "wide",
+    **pressures: Unpack[Pressures],
 ) -> SteadyState:
     """The vessels once a touch has been held for long; arrays of pressures are broadcast and solved together.
 
-    proximal_pressure_pa, distal_pressure_pa : P_F1 on the vein and P_F2 on the distal capillaries. [Pa]
-    arterial_pressure_pa, venous_pressure_pa : P_H and P_L; None takes those of the parameters. [Pa]
     zones : Units along the nail and the reach of each pressure.
-    pressure_pa : (M, *S) float. All touch pressures, for zones with other than two inputs. [Pa]
     branch : Which balance is returned where there are several: "wide", that of an untouched finger, whose vessels are
         all wider than in any other, or "narrow", whose vessels are all narrower.
+    pressures : as in `Pressures`.
 
     Vessels close on contact at a thousandth of their listed diameter, past which nothing moves. Strong feedback of R_A
     on D_C makes a second balance: vessels that a touch on them has shut may stay narrow after it, and those that a shut
@@ -74,13 +68,9 @@ def steady_state(
     """
     if branch not in _BRANCHES:
         raise InputError(f"branch must be 'wide' or 'narrow', got {branch!r}.")
-    p = parameters
-    given = {
-        "arterial_pressure_pa": p.arterial_pressure_pa if arterial_pressure_pa is None else arterial_pressure_pa,
-        "venous_pressure_pa": p.venous_pressure_pa if venous_pressure_pa is None else venous_pressure_pa,
-    } | zones.named_inputs(proximal_pressure_pa, distal_pressure_pa, pressure_pa)
+    given = named_pressures(parameters, zones, pressures)
     high, low, *touch = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
-    walls, n, shape = build_walls(p, zones), zones.count, high.shape
+    walls, n, shape = build_walls(parameters, zones), zones.count, high.shape
     outside = zones.on_walls(np.array([pressure.ravel() for pressure in touch]))
     solved = {name: solve_walls(walls, outside, high.ravel(), low.ravel(), branch=name) for name in _BRANCHES}
     width, pressure = solved[branch]

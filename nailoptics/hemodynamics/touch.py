@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from ..checks import finite, number
 from ..errors import InputError
 from ..scene.base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2
-from .parameters import beds
+from .drive import Waveform
+from .parameters import Parameters, beds
 
 
 def pressures(
@@ -231,22 +232,44 @@ class Zones:
         rows = [*self.reach, self.vein_reach]
         return np.array([sum(part * p for part, p in zip(row, touch_pa, strict=True)) for row in rows])
 
-    def named_inputs(self, proximal_pressure_pa: Any, distal_pressure_pa: Any, pressure_pa: Any) -> dict[str, Any]:
-        """Each touch pressure that the zones take, by the name of the argument that gives it.
-
-        Raises: InputError if there are not as many as inputs.
-        """
-        if pressure_pa is None:
-            if self.inputs != 2:
-                raise InputError(f"zones take {self.inputs} pressures, not 2; give them all in pressure_pa.")
-            return {"proximal_pressure_pa": proximal_pressure_pa, "distal_pressure_pa": distal_pressure_pa}
-        rows = pressure_pa if isinstance(pressure_pa, list | tuple) else np.atleast_1d(pressure_pa)
-        if len(rows) != self.inputs:
-            raise InputError(f"pressure_pa must hold {self.inputs} inputs on its first axis, got {len(rows)}.")
-        return {f"pressure_pa[{i}]": row for i, row in enumerate(rows)}
-
 
 PAPER_ZONES = Zones(share=(1.0, 1.0), reach=((0.0, 0.0), (0.0, 1.0)), vein_reach=(1.0, 0.0))
+
+
+class Pressures(TypedDict, total=False):
+    """The pressures on the network, numbers or arrays; over time also a `Waveform` each. [Pa]
+
+    proximal_pressure_pa, distal_pressure_pa : P_F1 on the vein and P_F2 on the distal capillaries; 0 where not given.
+    arterial_pressure_pa, venous_pressure_pa : P_H and P_L; the parameters' where not given.
+    pressure_pa : all touch pressures, along the first axis, for zones with other than two inputs.
+    """
+
+    proximal_pressure_pa: ArrayLike | Waveform
+    distal_pressure_pa: ArrayLike | Waveform
+    arterial_pressure_pa: ArrayLike | Waveform | None
+    venous_pressure_pa: ArrayLike | Waveform | None
+    pressure_pa: ArrayLike | Sequence[ArrayLike | Waveform] | None
+
+
+def named_pressures(parameters: Parameters, zones: Zones, pressures: Pressures) -> dict[str, Any]:
+    """P_H, P_L and each touch pressure that the zones take, by the name of the argument that gives it.
+
+    Raises: InputError if there are not as many as inputs; TypeError for a pressure that is none of `Pressures`.
+    """
+    if unknown := pressures.keys() - Pressures.__annotations__:
+        raise TypeError(f"{min(unknown)} is no pressure; give {', '.join(Pressures.__annotations__)}")
+    ends = {name: pressures.get(name) for name in ("arterial_pressure_pa", "venous_pressure_pa")}
+    given = {name: getattr(parameters, name) if value is None else value for name, value in ends.items()}
+    touch: Any = pressures.get("pressure_pa")
+    if touch is None:
+        if zones.inputs != 2:
+            raise InputError(f"zones take {zones.inputs} pressures, not 2; give them all in pressure_pa.")
+        sides = ("proximal_pressure_pa", "distal_pressure_pa")
+        return given | {name: pressures.get(name, 0.0) for name in sides}
+    rows = touch if isinstance(touch, list | tuple) else np.atleast_1d(touch)
+    if len(rows) != zones.inputs:
+        raise InputError(f"pressure_pa must hold {zones.inputs} inputs on its first axis, got {len(rows)}.")
+    return given | {f"pressure_pa[{i}]": row for i, row in enumerate(rows)}
 
 
 def zones(count: int, *, decay_length: float | None = None) -> Zones:

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, contact_at, steady_blood_at
 from ..hemodynamics.waves import pressure_lines
-from ..scene import Electronics, Led, Photodiode, Scene
+from ..scene import Photodiode, Scene
 from ..scene.body import Drift
 from ..statistics import covariance_root, jackknife
 from . import electronics
@@ -175,27 +175,27 @@ class Response:
 
 def response(
     values: Array,
-    led: Led,
+    scene: Scene,
+    led: int,
     photodiode: Photodiode | Sequence[Photodiode],
-    amplifier: Electronics,
     point: OperatingPoint,
     *,
-    number: int = 0,
     ambient_a: float | Array = 0.0,
     replicates: bool = False,
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
+    scene : with the electronics. led : number of its LED.
     photodiode : or several, (..., photodiodes, 4).
-    number : of the LED in its scene.
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
         the converter's limit tells as much as it is likely to: what all tell is a mean, and has no jumps.
     """
     detected = np.maximum(values[..., 0], 0.0)
-    read = electronics.read(detected, led, photodiode, amplifier, ambient_a=ambient_a)
-    per_fraction = electronics.volts_per_fraction(led, photodiode, amplifier)
+    source, amplifier = scene.leds[led], scene.electronics
+    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a)
+    per_fraction = electronics.volts_per_fraction(source, photodiode, amplifier)
     zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
@@ -212,7 +212,7 @@ def response(
         slope_v_per_pa=(zone @ point.blood_per_pa) * tells,
         zone_v=zone,
         shunted_fraction=shunted,
-        body_v=None if point.body is None else point.body.shapes_v(zone, light_v, number) * tells,
+        body_v=None if point.body is None else point.body.shapes_v(zone, light_v, led) * tells,
         independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
         unsaturated=unsaturated,
     )
@@ -221,10 +221,7 @@ def response(
 def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint, **how: Any) -> list[Response]:
     """The `response` of a scene's own photodiodes to each of its LEDs, (..., photodiodes, 4) float each."""
     photodiodes = [element.photodiode for element in scene.layout.photodiodes]
-    return [
-        response(values, led, photodiodes, scene.electronics, point, number=number, **how)
-        for number, (led, values) in enumerate(zip(scene.leds, by_led, strict=True))
-    ]
+    return [response(values, scene, led, photodiodes, point, **how) for led, values in enumerate(by_led)]
 
 
 def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:

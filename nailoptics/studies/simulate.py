@@ -8,7 +8,7 @@ from typing import Unpack
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, NotReachedError, as_far_as_reached
+from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..hemodynamics.for_scene import blood_over_touch
 from ..light import DetectedLight, ProgressCallback, Transfer, optics, section
 from ..light.transfer.series import ReadingSeries
@@ -80,10 +80,7 @@ def simulate(
         own_traces = scene.priors.own_traces is not False and not unmet
         result = result.merge(_spread(result, light.transfer, options, progress, own_traces=own_traces))
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
-    if unmet:
-        result.attrs["cut_off"] = str(unmet)
-        raise NotReachedError(str(unmet), result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
 def simulate_from(

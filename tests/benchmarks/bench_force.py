@@ -1,6 +1,6 @@
 """How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
-    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|paper|.. ...]
+    python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|.. ...]
         [--rate 25] [--rest-s 3600] [--massless] [--quick]
         [--without zones|vessels|optics|creep|heartbeat|breathing|vasomotion|rhythms|drift]
 
@@ -12,7 +12,6 @@ touches that no calibration has seen. Parts:
   0.16 s) the rms error of the filter and of both regressions, by what factor the better of them is worse, the part of
   samples below closure that the 95 % interval covers, and of a slow cycle to 2 N the part of samples above closure
   whose interval is open; the medians over the people, beside what must be reached;
-- paper: a column more, the rms of the paper's own calibration (offset, scale and time constants);
 - sample: the least standard error (Cramer-Rao) with which one sample tells a held touch of a person who is known
   exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
@@ -42,7 +41,7 @@ from nailoptics import load_scene
 from nailoptics.scene import Scene
 from nailoptics.studies.force.calibrate import open_table
 from nailoptics.studies.force.reading_table import ReadingTable
-from nailoptics.studies.force.subject import Model, Subject, parse_subject
+from nailoptics.studies.force.subject import Subject, parse_subject
 
 sys.path.append(str(Path(__file__).parents[1]))
 
@@ -65,7 +64,7 @@ from force_scores import (  # noqa: E402
     virtual_person,
 )
 
-PARTS = ("record", "touches", "paper", "sample", "floor", "pairs", "rest")
+PARTS = ("record", "touches", "sample", "floor", "pairs", "rest")
 # Held touches of which `sample` tells. [N]
 HELD_N = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
 # What must be reached by the medians.
@@ -76,23 +75,22 @@ GOALS = (
     "open 0.95",
 )
 HEADER = (
-    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'paper':>7} {'linear':>7} {'components':>10} {'factor':>7} "
+    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'linear':>7} {'components':>10} {'factor':>7} "
     f"{'covered':>8} {'open':>6}"
 )
 
 
-def row(one: Score, paper: Score | None) -> tuple[float, ...]:
+def row(one: Score) -> tuple[float, ...]:
     """The numbers of one line of the table."""
     factor = min(one.linear_n, one.components_n) / one.rms_n
-    paper_n = paper.rms_n if paper else float("nan")
-    return one.rms_n, paper_n, one.linear_n, one.components_n, factor, one.covered, one.open_above
+    return one.rms_n, one.linear_n, one.components_n, factor, one.covered, one.open_above
 
 
 def line(who: str, site: str, kind: str, numbers: Iterable[float]) -> str:
     """One line of the table."""
-    rms, paper, linear, components, factor, covered, is_open = numbers
+    rms, linear, components, factor, covered, is_open = numbers
     return (
-        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {paper:7.3f} {linear:7.3f} {components:10.3f} {factor:7.2f} "
+        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {linear:7.3f} {components:10.3f} {factor:7.2f} "
         f"{covered:8.3f} {is_open:6.2f}"
     ).replace("nan", "  -")
 
@@ -107,7 +105,7 @@ class Bench:
         self.kinds = QUICKLY if given.quick else SLOWLY
         self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz{'_quick' * given.quick}"
         self.found.mkdir(parents=True, exist_ok=True)
-        self.scores: dict[tuple[str, str, str, str], Score] = {}
+        self.scores: dict[tuple[str, str, str], Score] = {}
         self.begun = time.monotonic()
 
     def say(self, text: str) -> None:
@@ -118,11 +116,7 @@ class Bench:
     def network(self) -> tuple[Scene, ReadingTable]:
         return open_table(load_scene(PROTOTYPE))
 
-    @cached_property
-    def paper(self) -> tuple[Scene, ReadingTable]:
-        return open_table(load_scene(PROTOTYPE), model="paper")
-
-    def subject(self, name: str, model: Model) -> tuple[Subject, float]:
+    def subject(self, name: str) -> tuple[Subject, float]:
         """A person's calibration, and the processor time that it took. [s]"""
         person = self.people[name]
 
@@ -131,11 +125,10 @@ class Bench:
                 for site in record.SIDES:
                     person.recording(kind, site)
             begin = time.process_time()
-            light = self.network if model == "network" else self.paper
-            text = calibrated(person, *light, model, kinds=self.kinds)
+            text = calibrated(person, *self.network, kinds=self.kinds)
             return {"subject": text, "cpu_s": time.process_time() - begin}
 
-        found = kept(self.found / f"{person.name}_{model}_subject.json", find)
+        found = kept(self.found / f"{person.name}_subject.json", find)
         return parse_subject(found["subject"]), found["cpu_s"]
 
     def record(self) -> None:
@@ -146,29 +139,28 @@ class Bench:
                     person.recording(kind, site, seed=0 if kind in QUICKLY else 1)
                     self.say(f"{name} {site:<9} {kind} recorded")
 
-    def touches(self, model: Model) -> None:
+    def touches(self) -> None:
         """Score every person's touches."""
         for name, person in self.people.items():
             for site in record.SIDES:
                 for kind in KINDS:
 
                     def find(kind: str = kind, site: record.Site = site, name: str = name) -> Score:
-                        return score(self.subject(name, model)[0], self.people[name], kind, site)
+                        return score(self.subject(name)[0], self.people[name], kind, site)
 
-                    path = self.found / f"{person.name}_{model}_{site}_{kind}.json"
+                    path = self.found / f"{person.name}_{site}_{kind}.json"
                     one = Score(**kept(path, find))
-                    self.scores[name, site, kind, model] = one
-                    self.say(f"{name} {model:<8} {site:<9} {kind:<6} rms {one.rms_n:.3f} N")
+                    self.scores[name, site, kind] = one
+                    self.say(f"{name} {site:<9} {kind:<6} rms {one.rms_n:.3f} N")
 
     def table(self) -> Iterator[str]:
         """Lines of what is scored, and medians over people."""
         yield HEADER
         rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
-        for (name, site, kind, model), one in self.scores.items():
-            if model == "network":
-                numbers = row(one, self.scores.get((name, site, kind, "paper")))
-                rows.setdefault((site, kind), []).append(numbers)
-                yield line(name, site, kind, numbers) + ("" if one.consistent else "  flagged")
+        for (name, site, kind), one in self.scores.items():
+            numbers = row(one)
+            rows.setdefault((site, kind), []).append(numbers)
+            yield line(name, site, kind, numbers) + ("" if one.consistent else "  flagged")
         for (site, kind), several in rows.items():
             seen = [column[np.isfinite(column)] for column in np.array(several).T]
             yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in seen])
@@ -177,7 +169,7 @@ class Bench:
     def costs(self) -> Iterator[str]:
         """What every calibration found and took."""
         for name, person in self.people.items():
-            subject, cpu_s = self.subject(name, "network")
+            subject, cpu_s = self.subject(name)
             per_sample_s = seconds_per_sample(subject, person.recording("steps", "proximal", seed=1))
             yield (
                 f"{name}: calibrated in {cpu_s:.0f} s of processor time, rms {subject.quality.rms_n:.3f} N, "
@@ -190,7 +182,7 @@ class Bench:
         for site in record.SIDES:
             rows = []
             for name in self.people:
-                subject = self.subject(name, "network")[0]
+                subject = self.subject(name)[0]
                 rows.append([one_sample_n(subject, site, force_n) for force_n in HELD_N])
                 yield f"{name:<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in rows[-1])
             yield f"{'median':<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in np.median(rows, axis=0))
@@ -202,7 +194,7 @@ class Bench:
             for kind in KINDS:
                 rows = []
                 for name, person in self.people.items():
-                    subject, path = self.subject(name, "network")[0], f"{person.name}_floor_{site}_{kind}.json"
+                    subject, path = self.subject(name)[0], f"{person.name}_floor_{site}_{kind}.json"
                     rows.append(kept(self.found / path, partial(floor_n, subject, person, kind, site)))
                     yield f"{name:<10} {site:<9} {kind:<6} {rows[-1][0]:7.3f} {rows[-1][1]:7.3f}"
                 causal_n, smooth_n = np.median(rows, axis=0)
@@ -218,7 +210,7 @@ class Bench:
             for name, other in self.people.items():
 
                 def find(owner: str = owner, other: VirtualPerson = other) -> str:
-                    return pair(self.subject(owner, "network")[0], other.recording("steps", "proximal", seed=1))
+                    return pair(self.subject(owner)[0], other.recording("steps", "proximal", seed=1))
 
                 cells.append(kept(self.found / f"{own.name}_reads_{other.name}.json", find))
                 self.say(f"{name} read with the calibration of {owner}: {cells[-1]}")
@@ -232,7 +224,7 @@ class Bench:
         for name, person in self.people.items():
 
             def find(name: str = name, person: VirtualPerson = person) -> int:
-                return presses_at_rest(self.subject(name, "network")[0], person, rest_s)
+                return presses_at_rest(self.subject(name)[0], person, rest_s)
 
             count = kept(self.found / f"{person.name}_rest_{rest_s:g}s.json", find)
             yield f"{name}: {count} presses in {rest_s:g} s of rest"
@@ -260,9 +252,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
         if "record" in given.part:
             bench.record()
         if "touches" in given.part:
-            bench.touches("network")
-        if "paper" in given.part:
-            bench.touches("paper")
+            bench.touches()
     finally:
         print("\n".join(bench.table()), flush=True)
     lines = {

@@ -83,7 +83,7 @@ def test_the_printed_model_without_contact_does_open_again():
     p = parameters("listed")
     time = np.linspace(0.0, 20.0, 201)
     touch = np.interp(time, [0.0, 10.0], [0.0, 1.4e4])
-    printed = respond(p, time, proximal_pressure_pa=touch, model="inertial", contact=False, rtol=1e-6)
+    printed = respond(p, time, proximal_pressure_pa=touch, model="printed", rtol=1e-6)
     ours = respond(p, time, proximal_pressure_pa=touch)
     assert printed["vein_diameter_m"].values[-1] < -1e-5
     rise = ours["capillary_diameter_m"].values[0]

@@ -139,7 +139,7 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         numbers = np.concatenate([a.photon + i * photons for i, a in enumerate(several)])
         together = Arrivals(photons * len(several), numbers, *columns)
         left = left_out(one.over(areas))
-        volts = information.response(left, scene.leds[0], scene.photodiodes[0], scene.electronics, at)
+        volts = information.response(left, scene, 0, scene.photodiodes[0], at)
         resolution = information.force_resolution_n(information.fisher_information(volts).sum(-2), at)
         mean, error = one.per_mm2()
         # The cell in which the first photodiode's centre lies.

@@ -1,4 +1,4 @@
-"""One trace read at other states: against fresh traces, finite differences, and what is merged, thinned and stored."""
+"""One trace read at other states: against fresh traces, finite differences, and what is merged and stored."""
 
 import warnings
 from dataclasses import replace
@@ -12,11 +12,10 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics
-from nailoptics.light.transfer import records
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.statistics import Z95, stderr_of_mean
+from nailoptics.statistics import Z95
 
 
 def two_layers(*, upper: float = 0.05, lower: float = 0.1, photodiodes: int = 2, led: dict | None = None) -> Scene:
@@ -310,11 +309,9 @@ def _rewrite(path, change) -> None:
         lambda header, arrays: arrays.update(photodiode=arrays["photodiode"] + np.uint16(9)),
         lambda header, arrays: arrays.update(path_mm=arrays["path_mm"][:, :1]),
         lambda header, arrays: arrays.update(mu_a_per_mm=arrays["mu_a_per_mm"][:, :1]),
-        lambda header, arrays: arrays.update(full=arrays["full"][:0]),
         lambda header, arrays: header.update(leds=header["leds"] * 2),
         lambda header, arrays: header.update(leds=3),
         lambda header, arrays: header["leds"][0].update(photons=0),
-        lambda header, arrays: header["leds"][0].update(keep=float("nan")),
         lambda header, arrays: header["leds"][0]["energy"].pop("lost"),
         lambda header, arrays: header.update(version_table=None),
     ],
@@ -372,39 +369,6 @@ def test_an_absorber_that_is_none_is_refused(traced):
             traced.at(mu_a_per_mm={"lower": wrong})
     with pytest.raises(InputError, match="has no blood"):
         traced.at(blood_fraction=[0.03, 0.02])
-
-
-@pytest.mark.long
-def test_thinning_is_unbiased_and_its_standard_error_honest(monkeypatch):
-    """Expected: over many thinnings the reading's mean is that of all photons, within its own standard error, and each
-    thinned trace states an error that covers the loss."""
-    monkeypatch.setattr(records, "MAX_RECORDS", 1000)
-    rng = np.random.default_rng(3)
-    weight, path = rng.uniform(0.1, 1, 3000), rng.exponential(2.0, (3000, 2))
-    full = by_hand(small(weight, path, photons=10_000)).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
-    values, stderrs = [], []
-    for seed in range(1500):
-        thin = records.joined([small(weight, path, photons=10_000, seeds=(seed,))])
-        assert len(thin.weight) <= 1000
-        seen = by_hand(thin).at(mu_a_per_mm={"upper": 0.1, "lower": 0.1}).squeeze()
-        values.append(float(seen.detected_fraction))
-        stderrs.append(float(seen.detected_fraction_stderr))
-    spread = np.std(values)
-    assert abs(np.mean(values) - float(full.detected_fraction)) < 4 * spread / np.sqrt(1500)
-    # The photons' own noise is common to all thinnings here; the stated error holds both.
-    assert np.mean(stderrs) == pytest.approx(np.hypot(spread, float(full.detected_fraction_stderr)), rel=0.1)
-
-
-def test_thinning_does_not_lean_on_what_was_merged_in_which_order(monkeypatch):
-    monkeypatch.setattr(records, "MAX_RECORDS", 1000)
-    parts = [small(np.ones(400), np.ones((400, 2)), seeds=(seed,)) for seed in range(40)]
-    merged = parts[0]
-    for part in parts[1:]:
-        merged = records.joined([merged, part])
-    assert len(merged.weight) <= 1000 and merged.photons == 40_000
-    # 16 000 of weight 1: what is kept is worth as much within the noise that it states.
-    stderr = 40_000 * stderr_of_mean(merged.weight.sum(), (merged.weight**2).sum(), merged.photons)
-    assert abs(merged.weight.sum() - 16_000) < 4 * stderr
 
 
 @pytest.mark.jit

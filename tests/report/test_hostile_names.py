@@ -105,14 +105,12 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
 def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     over = ("reading", "sample")
     volts = 1.0 + np.linspace(0.0, 1e-3, 8)[None]
-    profile = ("factor", "step")
     data = {"volts": (over, volts), "volts_fitted": (over, volts), "time_s": ("sample", np.arange(8.0))}
     data["recording"] = ("sample", np.array([name] * 8))
-    data |= {f"profile_{one}": (profile, np.ones((1, 3))) for one in ("factor", "quadratic", "deviance")}
     # A scene takes no such names.
     scene = to_toml(load_scene(data_dir("scenes") / "prototype.toml"))
-    about = {"recordings": [name], "bent_factors": [name], "scene": scene}
-    result = xr.Dataset(data, {"reading": [name], "factor": [name]}, about)
+    about = {"recordings": [name], "scene": scene}
+    result = xr.Dataset(data, {"reading": [name]}, about)
     numbers = ("gain", "gain_stderr", "offset_v", "offset_stderr_v", "residual_rms_v", "noise_v")
     factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
     summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "widening": 1.0, "warnings": [name]}

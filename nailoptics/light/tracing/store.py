@@ -7,7 +7,6 @@ import math
 import os
 import re
 import shutil
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ import numpy as np
 from ... import io
 from ...assets import data_dir
 from ...errors import InputError, WriteError
+from ...options import TraceOptions
 from ...scene import Scene
 from ..identity import led_digest
 from ..transfer import current_versions
@@ -98,6 +98,12 @@ class LightStore:
         root = user_folder()
         return None if root is None else cls(root, most_bytes=_most_bytes(root), optional=True)
 
+    @classmethod
+    def of_command(cls, options: TraceOptions) -> "list[LightStore]":
+        """The user's store, if it is on and the options have one."""
+        store = cls.of_user() if options.store else None
+        return [store] if store else []
+
     def light(self, made: Mapping[str, Any]) -> "StoredLight":
         """What is stored of one light; `made` is all that decides it."""
         text = json.dumps(made, sort_keys=True, separators=(",", ":"))
@@ -156,7 +162,7 @@ class LightStore:
         if math.isinf(self.most_bytes):
             return
         with suppress(OSError, InputError):  # another process trims, too
-            aged = sorted((folder.stat().st_mtime, folder, _size(folder)) for folder in self.folders())
+            aged = sorted((folder.stat().st_mtime, folder, size_of(folder)) for folder in self.folders())
             total = sum(size for _, _, size in aged)
             for _, folder, size in aged:
                 if total <= self.most_bytes:
@@ -225,44 +231,6 @@ def stored_or_made(
     return build(about, arrays), False
 
 
-@dataclass(frozen=True)
-class StoredEntry:
-    """One light of the store, for people."""
-
-    key: str
-    what: str
-    wavelength_nm: float
-    seed: int
-    backend: str
-    version: str
-    photons: int
-    bytes: int
-    used_s_ago: float
-
-    def __str__(self) -> str:
-        kind = f"{self.photons:.3g} photons" if self.what == "photons" else self.what
-        days = self.used_s_ago / 86400
-        ago = f"{days:.0f} days" if days >= 2 else f"{self.used_s_ago / 3600:.1f} h"
-        return (
-            f"{self.key[:12]}  {self.wavelength_nm:g} nm  {kind}  {self.bytes / 1e6:.2f} MB  seed {self.seed}  "
-            f"{self.backend}  nailoptics {self.version}  used {ago} ago"
-        )
-
-
-def entries(store: LightStore) -> list[StoredEntry]:
-    """What the store holds, the longest unused first; what cannot be read is left out."""
-    result, now = [], time.time()
-    for folder in store.folders():
-        with suppress(OSError, io.CorruptError, KeyError, TypeError, ValueError, StopIteration):
-            made = io.unpack(next(folder.glob("*.dat")).read_bytes(), arrays=False)[0]["made"]
-            sizes = [path.stem.partition("-")[2] for path in folder.glob("*.dat")]
-            what, wavelength_nm, seed, backend = (made[k] for k in ("what", "wavelength_nm", "seed", "backend"))
-            photons, age_s = sum(int(size) for size in sizes if size.isdigit()), now - folder.stat().st_mtime
-            version, size = made["versions"]["nailoptics"], _size(folder)
-            result.append(StoredEntry(folder.name, what, wavelength_nm, seed, backend, version, photons, size, age_s))
-    return sorted(result, key=lambda entry: -entry.used_s_ago)
-
-
 def remove(folder: Path) -> None:
     """Remove the files of one light, and the folder unless something else lies in it, such as a writer's file."""
     for path in folder.glob("*.dat"):
@@ -291,5 +259,6 @@ def _most_bytes(root: Path) -> float:
     return MOST_BYTES
 
 
-def _size(folder: Path) -> int:
+def size_of(folder: Path) -> int:
+    """Bytes of one light."""
     return sum(path.lstat().st_size for path in folder.glob("*.dat"))

@@ -53,8 +53,7 @@ def trace(
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
     engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=traced is not None)
-    if stores is None:
-        stores = [store] if options.store and (store := LightStore.of_user()) else []
+    stores = LightStore.of_command(options) if stores is None else stores
     start, cpu = time.perf_counter(), time.process_time()
     traces, reused, complaint, interrupted = [], 0, None, False
     for led in range(len(scene.leds)):
@@ -154,7 +153,7 @@ class LedSource:
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
-        return any(os.path.exists(store.path(f"{number}-{photons}")) for store in self.stored)
+        return any(os.path.exists(light.path(f"{number}-{photons}")) for light in self.stored)
 
     def batch(self, number: int, photons: int) -> LedTrace:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
@@ -164,10 +163,10 @@ class LedSource:
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             batch = self.engine().batch(self.led, photons=photons, seed=seed)
             about = {"events": batch.events} | {name: getattr(batch, name) for name in SUMS}
-            return about, {column: getattr(batch, column) for column in COLUMNS[:3]}
+            return about, {column: getattr(batch, column) for column in COLUMNS}
 
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
-            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS[:3]}
+            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS}
             columns |= {name: {part: (a, b) for part, (a, b) in about[name].items()} for name in SUMS}
             batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
             batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))

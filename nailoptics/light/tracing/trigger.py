@@ -10,7 +10,7 @@ References: Romano et al. 2015, Ann. Nucl. Energy 82, 90 (OpenMC's tally trigger
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
@@ -19,13 +19,15 @@ import numpy as np
 from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
 from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
-from ..transfer.records import LedTrace, bounded, joined
+from ..transfer.records import COLUMNS, LedTrace, joined
 from ..transfer.reweight import transmission
 
 T = TypeVar("T")
 
 # A photodiode that none of so many photons reached is taken for unlit, unless a time limit says otherwise.
 UNLIT_PHOTONS = 100_000_000
+# Memory for the records of an LED; a trace that fills it ends. [bytes]
+MAX_BYTES = 2e9
 # Errors are checked after so many batches, each time a quarter more: seldom enough that stopping hardly favours luck.
 # The numbers are fixed, so that a trace that is continued stops where one that was never interrupted stops.
 CHECK_GROWTH = 1.25
@@ -192,7 +194,7 @@ class LedTrigger:
     """The batches of one LED as they come, and when its trace may end: what a scene requires of it.
 
     photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
-    very many photons of which some photodiode has detected none, which no number of photons will mend.
+    very many photons of which some photodiode has detected none, which no number of photons will mend; or the memory.
     """
 
     def __init__(
@@ -205,30 +207,36 @@ class LedTrigger:
         """
         self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
-        self.rest, self._mu_a = rest_state(scene, led), mu_a
+        (self._rest_mu_a, self._share), self._mu_a = rest_state(scene, led), mu_a
         self._traces: list[LedTrace] = []
         # Weights of all batches and their squares by photodiode.
         self._total = np.zeros((2, len(self.photodiodes)))
-        self.photons = self.batches = 0
+        self.photons = self.batches = self._bytes = 0
         # The largest relative standard error so far, and whether that is small enough.
         self.error, self.met = math.inf, False
-        # Why no number of photons will do.
-        self.unlit = ""
+        # Why no more photons can be taken, or will help.
+        self.futile = ""
 
     def add(self, batch: LedTrace) -> None:
-        """Take in the next batch; memory stays bounded however many there are."""
-        self._traces = bounded([*self._traces, replace(batch, rest=self.rest)])
-        weight = batch.weight * transmission(batch.path_mm, self.rest.mu_a - self._mu_a, self.rest.share)
+        """Take in the next batch."""
+        self._traces.append(batch)
+        self._bytes += sum(getattr(batch, column).nbytes for column in COLUMNS)
+        weight = batch.weight * transmission(batch.path_mm, self._rest_mu_a - self._mu_a, self._share)
         count = len(self.photodiodes)
         self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
         self.photons, self.batches = self.photons + batch.photons, self.batches + 1
         self.error = _largest_error(self._total, self.photons)
+        if self._bytes > MAX_BYTES:
+            self.futile = (
+                f'the detected photons of LED "{self.name}" fill {MAX_BYTES / 1e9:g} GB of memory after {self.photons} '
+                f"photons, at a relative error of {self.error:.3g}; require less."
+            )
         if self.required.photons is not None:
             return
         target = self.required.relative_error
         self.met = target is not None and self.error <= target and check_schedule(self.batches)
         if math.isinf(self.seconds) and self.photons >= UNLIT_PHOTONS and not self._total[0].all():
-            self.unlit = unlit(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
+            self.futile = unlit(self.name, self.photodiodes[int(np.argmin(self._total[0]))], self.photons)
 
     def trace(self) -> LedTrace:
         """All batches so far as one."""
@@ -236,19 +244,17 @@ class LedTrigger:
 
     def next_batch(self) -> int:
         """Photons of the next batch; 0 where no more are needed."""
-        if self.required.photons is not None:
-            return min(self.full, self.required.photons - self.photons)
-        return 0 if self.met or self.unlit else self.full
+        if self.met or self.futile:
+            return 0
+        return self.full if self.required.photons is None else min(self.full, self.required.photons - self.photons)
 
     def unmet_reason(self) -> str | None:
         """Why what was traced falls short of what is required, if it does."""
         target, photons = self.required.relative_error, self.required.photons
-        if self.unlit:
-            return self.unlit
-        if (target and self.error <= target) or (photons is None and target is None):
+        if (target and self.error <= target) or (photons is not None and self.photons >= photons):
             return None
-        if photons is not None and self.photons >= photons:
-            return None
+        if self.futile or (photons is None and target is None):
+            return self.futile or None
         known = f"relative error {self.error:.3g}, {target:g} requested" if target else f"{self.photons} photons"
         return out_of_time(self.name, known)
 

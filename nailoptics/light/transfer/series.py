@@ -11,7 +11,6 @@ from ...scene import Scene
 from ...statistics import left_out, stderr_of_mean
 from .. import optics
 from .interpolation import ChebyshevBox
-from .moments import slope_of
 from .reweight import attenuation, transmissions
 from .transfer import Transfer
 
@@ -97,10 +96,7 @@ class _Course:
             if self.weighted:
                 share = share * wavelength / led.wavelength_nm
             mu_a = _absorption(self.transfer.scene, wavelength, np.vstack([self.first, states]), line) - trace.mu_a
-            sums, full = np.zeros((4, count, len(states))), trace.full
-            # Of a sample of the photons: sums at rest and of their products with the values, to hold them against all.
-            rest, products = np.zeros((2, count, 1)), np.zeros((2, count, len(states)))
-            at_rest = trace.weight_at_rest if full is not None else None
+            sums = np.zeros((4, count, len(states)))
             order = np.argsort(trace.photodiode, kind="stable")
             edges = np.searchsorted(trace.photodiode[order], np.arange(count + 1))
             for j, start in [(p, at) for p in range(count) for at in range(edges[p], edges[p + 1], CHUNK)]:
@@ -109,19 +105,8 @@ class _Course:
                 weight, change = weight[:, 1:], weight[:, 1:] - weight[:, :1]
                 for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
                     total[j] += values.sum(0)
-                if at_rest is not None:
-                    weights = at_rest[chunk]
-                    rest[:, j, 0] += weights.sum(), weights @ weights
-                    products[:, j] += weights @ weight, weights @ change
-            for k, unseen in ((0, 1.0), (2, 0.0)):
-                total, square = sums[k], sums[k + 1]
-                if full is not None:
-                    slope = slope_of(products[k // 2], rest[1], unseen)
-                    total = slope * full.weight[:, None] + (total - slope * rest[0])
-                    left = np.maximum(square - slope * products[k // 2], 0)
-                    square = slope**2 * full.square[:, None] + left
-                out[k, i] = total / trace.photons
-                out[k + 1, i] = stderr_of_mean(total, square, trace.photons)
+            out[::2, i] = sums[::2] / trace.photons
+            out[1::2, i] = stderr_of_mean(sums[::2], sums[1::2], trace.photons)
         return out
 
     def read(self, which: np.ndarray) -> None:

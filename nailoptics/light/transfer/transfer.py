@@ -21,7 +21,7 @@ from ...statistics import FEW_TERMS, upper_limit_95
 from ...variables import Variables, variable
 from .. import optics
 from ..identity import light_digest
-from .moments import Moments, RestState, moments_of
+from .moments import Moments, moments_of
 from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
@@ -45,11 +45,13 @@ def current_versions() -> dict[str, str]:
     return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
 
 
-def rest_state(scene: Scene, led: int) -> RestState:
-    """The state in which a scene's light is read first: blood at rest, over the LED's line."""
+def rest_state(scene: Scene, led: int) -> tuple[np.ndarray, np.ndarray]:
+    """The state in which a scene's light is read first, blood at rest: absorption over the LED's line, (q, r) float
+    [mm^-1], and the line's weights, (q,) float.
+    """
     optics.check_line(scene, led)
     wavelengths, share = optics.spectrum(scene.leds[led])
-    return RestState(optics.absorption(scene, wavelengths), share, len(photodiode_names(scene)))
+    return optics.absorption(scene, wavelengths), share
 
 
 @dataclass(frozen=True)
@@ -230,15 +232,13 @@ class Transfer:
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
-        of_led = ("photons", *SUMS, "seeds", "keep")
+        of_led = ("photons", *SUMS, "seeds")
         leds = [{"records": len(t.weight)} | {name: getattr(t, name) for name in of_led} for t in self.traces]
         header = self.attributes() | {name: getattr(self, name) for name in EFFORT}
         header |= {"leds": leds, "version_table": dict(self.versions)}
         # Photons of all LEDs lie one after the other.
         arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
         arrays["mu_a_per_mm"] = np.array([t.mu_a for t in self.traces])
-        no_sums = np.full((len(self.photodiodes), 3 + 3 * len(self.absorbers)), np.nan)
-        arrays["full"] = np.array([no_sums if t.full is None else t.full.as_array for t in self.traces])
         path = Path(path)
         io.make_folder(path.parent)
         io.write_bytes(path, io.pack(header, arrays))
@@ -258,10 +258,9 @@ class Transfer:
             for i, led in enumerate(header["leds"]):
                 content: dict[str, Any] = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
                 content |= {name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS}
-                content |= {name: led[name] for name in ("photons", "keep")} | {"seeds": tuple(led["seeds"])}
-                if not np.isnan(arrays["full"][i]).all():
-                    content["full"] = Moments.from_array(arrays["full"][i], led["photons"])
-                traces.append(LedTrace(mu_a=arrays["mu_a_per_mm"][i], rest=rest_state(scene, i), **content))
+                # Of 8 million photons or more 0.2.0 kept a sample, whose weights stand for all of them.
+                content |= {"photons": led["photons"], "seeds": tuple(led["seeds"])}
+                traces.append(LedTrace(mu_a=arrays["mu_a_per_mm"][i], **content))
                 traces[-1].check(**count)
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
             return Transfer(scene, tuple(traces), versions=dict(header["version_table"]), **made)
@@ -288,9 +287,9 @@ class Transfer:
 
     @cached_property
     def _traced(self) -> list[Moments]:
-        """Sums in the state that was traced, or at rest where records were dropped."""
+        """Sums in the state that was traced."""
         count = len(self.photodiodes)
-        return [t.full or moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
+        return [moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
     def warn_if_thin(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
         """Warn where few of the photons that were traced are left to bear a reading or its error.

@@ -140,6 +140,7 @@ class _Segment:
     scatterings: Any
 
 
+@dataclass(eq=False)
 class FingerWalk:
     """The walk of one source's light: what it reads, what tallies it, and what happens to a photon, step by step.
 
@@ -149,21 +150,15 @@ class FingerWalk:
     acceptance : How photodiodes weigh light by its angle.
     """
 
-    def __init__(
-        self,
-        interfaces: Interfaces,
-        regions: Regions,
-        zones: ZoneEdges,
-        emitter: Any,
-        ends: PhotonEnds,
-        *,
-        section: Section | SensitivityTally | None = None,
-        board: BoardTally | None = None,
-        splitting: Splitting | None = None,
-        acceptance: sampling.Acceptance | None = None,
-    ) -> None:
-        self.interfaces, self.regions, self.zones, self.emitter, self.ends = interfaces, regions, zones, emitter, ends
-        self.section, self.board, self.splitting, self.acceptance = section, board, splitting, acceptance
+    interfaces: Interfaces
+    regions: Regions
+    zones: ZoneEdges
+    emitter: Any
+    ends: PhotonEnds
+    section: Section | SensitivityTally | None = None
+    board: BoardTally | None = None
+    splitting: Splitting | None = None
+    acceptance: sampling.Acceptance | None = None
 
     @dr.syntax
     def run(self, rng: Any, count: Any, first: Any) -> Any:

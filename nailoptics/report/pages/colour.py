@@ -11,7 +11,6 @@ import xarray as xr
 
 from ...scene import Scene, parse_scene
 from ...statistics import Z95
-from ...studies.colour.colorimetry import measured_colours
 from .. import style
 from ..files import Report, run_summary
 from ..html import Html, document, escaped, figure, section, small, table
@@ -53,7 +52,6 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         section("A press", *press_parts) if press_parts else "",
-        _beat(result),
         _unknowns(result),
         section("Colours at rest", table(_at_rest(result))),
     ]
@@ -88,17 +86,8 @@ def _nail_width_mm(result: xr.Dataset) -> float:
     return finger.nail_width_mm
 
 
-def _beat(result: xr.Dataset) -> str:
-    """The colour change of a heartbeat."""
-    if "beat_delta_e_2000" not in result:
-        return ""
-    most = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-    change, v_mm = estimated(most, "beat_delta_e_2000"), float(most.v_mm)
-    return section("A beat", f"A heartbeat changes the colour by {change} CIEDE2000 at most, {v_mm:+.1f} mm along.")
-
-
 def _unknowns(result: xr.Dataset) -> str:
-    """Uncertainty over the priors, beside measurements on people."""
+    """Uncertainty over the priors."""
     if "lab_spread" not in result:
         return ""
     rows = []
@@ -108,9 +97,8 @@ def _unknowns(result: xr.Dataset) -> str:
         low, high = prior.prior_range.values
         row = {"Prior": str(prior.prior.item()), "Range": f"{low:g} to {high:g}"}
         rows.append(row | _lab(prior, "prior_lab_spread"))
-    sources = "; ".join(f"{measured_colour.name}: {measured_colour.source}" for measured_colour in measured_colours())
-    text = f"Squares are skin of people: {sources}. No published table of L*a*b* of nails is known to us."
-    drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers, of people.")
+    text = "nailoptics validate compares nails and skin with photographs and spectra of people."
+    drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers.")
     return section("Uncertainty over the priors", drawn, table(rows), small(text))
 
 
@@ -263,8 +251,7 @@ def _press_figure(result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def _ranges_figure(result: xr.Dataset) -> "Figure":
-    """Colours of nail and skin at rest with their uncertainty over the priors, beside measurements on people."""
-
+    """Colours of nail and skin at rest with their uncertainty over the priors."""
     figure, axes = style.panels(7.2, 3.0, 1, 2)
     middle = result.sizes["place"] // 2
     for panel, k, name in zip(axes, (0, 2), ("L*", "b*"), strict=True):
@@ -272,13 +259,6 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
             x, y = float(result.lab[p, 0, 1]), float(result.lab[p, 0, k])
             spread = Z95 * result.lab_spread.sel(site=site).values
             panel.errorbar(x, y, spread[k], spread[1], color=colour, marker="o", label=f"{site}, 95 % over priors")
-        for measured_colour in measured_colours():
-            mean, sd = measured_colour.lab, measured_colour.sd
-            look = {"color": style.MUTED, "marker": "s", "markersize": 4, "linestyle": "none"}
-            if sd is None:
-                panel.plot([row[1] for row in mean], [row[k] for row in mean], **look, label=measured_colour.name)
-            else:
-                panel.errorbar(mean[0][1], mean[0][k], Z95 * sd[k], Z95 * sd[1], **look, label=measured_colour.name)
         panel.set_xlabel("redness a* [1]")
         panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name} [1]")
     style.legend_above(figure, axes[0], ncols=2)
@@ -325,9 +305,6 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     if "refill_s" in result and not np.isnan(result.refill_s).all():
         slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
         summed |= plain(slowest, "refill_s", refill_stderr_s="refill_s_stderr")
-    if "beat_delta_e_2000" in result:
-        moved = result.isel(place=int(np.argmax(result.beat_delta_e_2000.values)))
-        summed |= plain(moved, "beat_delta_e_2000", "beat_delta_e_2000_stderr")
     if "lab_spread" in result:
         spread = result.lab_spread.transpose("site", "band").values.tolist()
         summed["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))

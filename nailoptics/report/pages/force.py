@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 
 from ...scene import parse_scene
-from ...statistics import Z95
 from ...studies.force.predict import TOUCH_N, csv_rows
 from ...studies.force.subject import parse_subject
 from .. import style
@@ -34,10 +33,6 @@ KNOWN = (
     "prior, and its error is carried into intervals."
 )
 GAINS = "Gain and offset are over what the scene's own light and electronics would read."
-PROFILES = (
-    "Profile likelihood: squared residuals beyond those of the best fit with one factor held and all others refitted "
-    "(coloured), and their quadratic approximation (grey); the crossings with the line bound the 95 % interval."
-)
 SHARE = (
     "Top: the proximal share of the force with its 95 % interval; where that covers everything, the share is not "
     "identifiable. Middle: heartbeat and slower waves, estimated by the filter beside the touch. Bottom: normalized "
@@ -54,11 +49,6 @@ def calibration_page(result: xr.Dataset) -> str:
         (f"× {significant(summary['widening'], 2)}", COVERAGE),
     ]
     fits = figure(_fit_figure(result), FIT), figure(_residual_figure(result), RESIDUALS)
-    bent = ", ".join(name.replace("_", " ") for name in result.attrs["bent_factors"])
-    profiles = [small("In every factor the fit is quadratic to a quarter of a standard error.")]
-    if bent:
-        profiles = [small(f"The fit is not quadratic in {bent}: there the curve gives the interval.")]
-        profiles.append(figure(profiles_figure(result), PROFILES))
     return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -68,7 +58,7 @@ def calibration_page(result: xr.Dataset) -> str:
         cards=cards,
         body=[
             section("Recorded and fitted", *fits),
-            section("The person", table(_factors(summary)), *profiles, small(KNOWN)),
+            section("The person", table(_factors(summary)), small(KNOWN)),
             section("The readings", table(_readings(result, summary)), small(GAINS)),
         ],
         attributes=result.attrs,
@@ -152,8 +142,6 @@ EVENT = ("time_s", "kind", "latency_s")
 POINTS = 1500
 # How far above the largest known force an interval that is open above is drawn.
 ROOM_ABOVE = 1.25
-# Profiles side by side, and up to which deviance they are drawn: a parabola's at three standard errors, and room.
-PROFILES_PER_ROW, MOST_DEVIANCE = 4, 10.0
 
 
 def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
@@ -194,23 +182,6 @@ def _residual_figure(result: xr.Dataset) -> "Figure":
             panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
         panel.set_xlabel("time [s]")
     axes[0, 0].set_ylabel("residual [mV]")
-    return figure
-
-
-@style.drawing()
-def profiles_figure(result: xr.Dataset) -> "Figure":
-    """Profile likelihoods of the factors in which the fit is not quadratic, a panel each."""
-    names = list(result.attrs["bent_factors"])
-    figure, panels = style.tiles(len(names), PROFILES_PER_ROW, 7.2, 1.9, extra_in=0.3)
-    for panel, name in zip(panels, names, strict=True):
-        factor = result.sel(factor=name)
-        panel.plot(factor.profile_factor, factor.profile_quadratic, color=style.MUTED, linewidth=1.0)
-        panel.plot(factor.profile_factor, factor.profile_deviance, ".-", color=style.ZONES[1])
-        panel.axhline(Z95**2, color=style.INK, linewidth=0.7)
-        panel.set(
-            ylim=(0.0, MOST_DEVIANCE), title=style.plain(name.replace("_", " ")), xlabel="factor on the scene's [1]"
-        )
-    panels[0].set_ylabel("squared residuals [1]")
     return figure
 
 
@@ -267,10 +238,9 @@ def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
 def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     """Readings, factors, fit and warnings of a calibration."""
     subject = parse_subject(result.attrs["subject"])
-    bent = set(result.attrs["bent_factors"])
     return {
         "readings": subject.reading_table(),
-        "parameters": {name: row | {"quadratic": name not in bent} for name, row in subject.factor_table().items()},
+        "parameters": subject.factor_table(),
         "chi2_per_dof": subject.quality.chi2_per_dof,
         "rms_n": subject.quality.rms_n,
         "half_width_n": result.attrs["half_width_n"],

@@ -41,8 +41,7 @@ ERRORS = (
 )
 DISTURBANCES = (
     "The resting blood is as venous as the scene says, what pulsates is arterial. Where lines of LEDs move, light "
-    "scatters as at the traced wavelength. Sunlight is full at 100 klx, on all of the finger; nails of other thickness "
-    "have traces of their own."
+    "scatters as at the traced wavelength. Sunlight is full at 100 klx, on all of the finger."
 )
 
 

@@ -6,7 +6,6 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import xarray as xr
 
 from ...io import plain_cell, write_text
@@ -26,8 +25,6 @@ from . import placement_figures as figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Within this part of the best resolution more photodiodes are hardly worth their wires.
-NEARLY = 0.1
 # A resolution beyond this is that of the prior alone.
 NOTHING_MN = 1e3
 # What of the ranking has no room in a terminal.
@@ -49,11 +46,6 @@ MAPS = (
     "shunted part, which bypassed the bed; the noise of one more photodiode centred there, rms in one sample (linear "
     "scale); and its own force resolution if the split of the force is known. Bright is good; blank where too few "
     "photons arrived and, around the LED, where it would saturate."
-)
-COUNT = (
-    "Left: force resolution of the best subset of so many photodiodes on this board, where the scene has a body with "
-    "its physiological noise, and limited by the electronics alone, with 95 % intervals; half of the photons selected "
-    "the subset, the other half evaluated it. Right: their positions."
 )
 SENSITIVITY = (
     "Relative sensitivity of the light at each place to blood in the proximal (left) and in the distal zone (right): "
@@ -100,7 +92,6 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
                 small(checked),
             ),
             _physiological_noise(best, result),
-            _how_many(best, result),
             section("The best layout", *layout),
             section("Maps of this board", *(part for of_led in by_led for part in _maps(best, of_led))),
             spread_section(result),
@@ -262,41 +253,6 @@ def _worn(scene: Scene) -> str:
             "distance from the LED; sliding along the nail is not included."
         )
     return " ".join(parts)
-
-
-def _how_many(best: Scene, result: xr.Dataset) -> str:
-    """Force resolution against the number of photodiodes, and how few do; empty where no time was left for it."""
-    if "count_electronics_resolution_n" not in result:
-        return ""
-    # By what the photodiodes were selected, and by what noise they are judged.
-    kinds = {"Electronics alone [mN]": ("count_electronics_resolution_n", "electronics")}
-    if "count_resolution_n" in result:
-        text = "Selected for the electronics, with physiological noise [mN]"
-        with_body = {"With physiological noise [mN]": ("count_resolution_n", "body")}
-        kinds = with_body | kinds | {text: ("count_resolution_n", "electronics")}
-    counted = []
-    for count in result.photodiode_count.values:
-        at = {head: (result.sel(chosen_for=by, photodiode_count=count), name) for head, (name, by) in kinds.items()}
-        if all(math.isfinite(data[name] + data[f"{name}_stderr"]) for data, name in at.values()):
-            cells = {head: estimated(data, name, 1e3) for head, (data, name) in at.items()}
-            counted.append({"Photodiodes": str(count)} | cells)
-    drawn, name = figure(figures.count_figure(best, result), COUNT), next(iter(kinds.values()))
-    return section("Number of photodiodes", _enough(result, *name), drawn, table(counted))
-
-
-def _enough(result: xr.Dataset, name: str, purpose: str) -> str:
-    """The fewest photodiodes that resolve force nearly as well as the most."""
-    at = result.sel(chosen_for=purpose).dropna("photodiode_count", subset=[name])
-    if at.sizes["photodiode_count"] < 2:
-        return ""
-    counts, finest = at.photodiode_count.to_numpy(), float(at[name].min())
-    few = int(counts[np.flatnonzero(at[name].to_numpy() <= (1 + NEARLY) * finest)[0]])
-    return (
-        f"{few} photodiode{'s' if few > 1 else ''} resolve{'' if few > 1 else 's'} force within {100 * NEARLY:.0f} % "
-        f"of what {int(counts[-1])} resolve on the best layout's board with its LEDs, each number at its best "
-        "positions. Other positions of the LEDs may suit that number better: search with "
-        f"placement.photodiodes = {few}."
-    )
 
 
 def _check(result: xr.Dataset) -> str:

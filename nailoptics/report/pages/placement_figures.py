@@ -8,7 +8,6 @@ import xarray as xr
 
 from ...scene import Scene
 from ...scene.layout import Rectangle
-from ...statistics import Z95
 from .. import maps, style
 from ..maps import coloured_along_nail
 
@@ -50,41 +49,6 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
         style.plain_log(axes.xaxis)
     else:
         axes.set_xlim(left=0)
-    return figure
-
-
-@style.drawing()
-def count_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Resolution against the number of photodiodes with the body's noise and without, and where they lie for either."""
-    figure, (axes, board) = style.panels(9.2, 4.2, 1, 2, width_ratios=[1.6, 1.0])
-    kinds = [("count_electronics_resolution_n", "electronics", "electronics alone", style.ZONES[0], "s-")]
-    if "count_resolution_n" in result:
-        kinds.insert(0, ("count_resolution_n", "body", "with physiological noise", style.ZONES[1], "o-"))
-    counts = result.photodiode_count.to_numpy()
-    for name, purpose, text, colour, mark in kinds:
-        value, error = (1e3 * result[f"{name}{end}"].sel(chosen_for=purpose).to_numpy() for end in ("", "_stderr"))
-        axes.errorbar(counts, value, Z95 * error, fmt=mark, color=colour, ms=4, lw=1.4, capsize=2, label=text)
-    axes.set(xscale="log", yscale="log", xlabel="photodiodes [1]", ylabel="force resolution [mN]")
-    axes.set_xticks(counts, [str(count) for count in counts], minor=False)
-    axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
-    style.plain_log(axes.yaxis)
-    axes.legend()
-    layout, half = scene.layout, np.array(scene.layout.photodiodes[0].photodiode.size_mm) / 2
-    shown = int(np.argmin(np.abs(counts - len(layout.photodiodes))))
-    for area, fill in (
-        *((barrier, maps.BARRIER) for barrier in layout.barriers),
-        *((led, maps.LED) for led in layout.leds),
-    ):
-        maps.draw_rectangle(board, area, fc=fill, ec=style.DARK_INK, lw=0.5)
-    for _, purpose, _, colour, mark in kinds:
-        centers = result.count_place_mm.sel(chosen_for=purpose).isel(photodiode_count=shown).dropna("count_place")
-        for u, v in centers.to_numpy():
-            area = Rectangle("", u - half[0], u + half[0], v - half[1], v + half[1])
-            fill = colour if mark == "o-" else "none"
-            maps.draw_rectangle(board, area, fc=fill, ec=colour, lw=1.2, alpha=0.5 if mark == "o-" else 1.0)
-    board.axis(maps.extent(result.u.to_numpy(), result.v.to_numpy()))
-    board.set(aspect="equal", xlabel=maps.ACROSS, ylabel=maps.ALONG, title=f"Where {counts[shown]} lie")
-    board.grid(False)
     return figure
 
 

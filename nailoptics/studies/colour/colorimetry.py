@@ -1,13 +1,11 @@
 """From reflectance to colour: tristimulus values, Lab, sRGB and colour differences, all by colour-science."""
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ...assets import asset_path
 from ...scene.models import Illuminant, Observer
 from ...statistics import Array
 
@@ -65,25 +63,6 @@ def delta_e_2000(lab: Array, other: Array) -> Array:
 def linear(srgb: Array) -> Array:
     """Linear red, green and blue of colours on a screen."""
     return np.asarray(_science().models.eotf_sRGB(srgb))
-
-
-@dataclass(frozen=True)
-class MeasuredColour:
-    """L*, a* and b* of some people's skin, as published (assets/measured_colours.toml).
-
-    lab : of their mean, or of each group of them. sd : standard deviations between people; None where groups are given.
-    """
-
-    name: str
-    source: str
-    lab: tuple[tuple[float, float, float], ...]
-    sd: tuple[float, float, float] | None = None
-
-
-def measured_colours() -> list[MeasuredColour]:
-    """Published colours of skin, which a traced finger should lie among."""
-    with asset_path("measured_colours.toml").open("rb") as file:
-        return [MeasuredColour(**table) for table in tomllib.load(file)["people"]]
 
 
 def _science() -> Any:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ...checks import explain
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, unless_cut_off
 from ...hemodynamics import white_band_mm
-from ...hemodynamics.for_scene import beat_at, blood_over_touch, steady_blood
+from ...hemodynamics.for_scene import blood_over_touch, steady_blood
 from ...light import ProgressCallback, backend
 from ...light.identity import light_digest
 from ...light.photograph import photograph
@@ -46,66 +46,60 @@ FINER = 8
 JUST_NOTICEABLE = 1.0
 # One in so many rays is read over time: a change of colour needs fewer than a colour.
 ONE_IN = 4
-# Of a beat so many moments are read.
-BEAT_STEPS = 16
 # Of the linear colour; what is darker has missed the finger: no tissue is.
 MISSED = 0.02
+
+
+class ColourRequested(Requested, total=False):
+    """What can be requested of `colour`: fields of `Viewing`, too; what is not given the scene's [colour] says."""
+
+    forces_n: Sequence[float] | None
+    illuminant: Illuminant | None
+    observer: Observer | None
+    lit_by: LightFrom | None
+    gloss: bool | None
+    tolerance: float | None
+    change_tolerance: float | None
 
 
 def colour(
     scene: Scene,
     *,
-    forces_n: Sequence[float] | None = None,
-    illuminant: Illuminant | None = None,
-    observer: Observer | None = None,
-    lit_by: LightFrom | None = None,
-    gloss: bool | None = None,
-    tolerance: float | None = None,
-    change_tolerance: float | None = None,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
-    **requested: Unpack[Requested],
+    **requested: Unpack[ColourRequested],
 ) -> xr.Dataset:
     """The colour of the bare nail and the skin around it, over place and force, by day or by a lamp.
 
-    forces_n : forces, each held until nothing moves; the first is what others are compared with. [N]
-    illuminant : D65 (daylight), A (incandescent) or LED-B3 (white LED); observer : 2 or 10 degrees.
-    lit_by : sky, from all sides; or lamp, at 45 degrees all round. The eye looks down from above.
-    gloss : whether what the surface mirrors is part of the colour.
-    tolerance, change_tolerance : standard errors that every place's colour must reach, and every change. [CIEDE2000]
-        What is not given of all these the scene's [colour] says.
     stores : where rays are read from and, in the first, written; that of the user if not given.
-    requested : as for `trace`, but relative_error; photons are rays of all wavelengths together.
+    requested : as for `trace`, but relative_error; photons are rays of all wavelengths together; and `ColourRequested`.
 
     Returns: Dataset over state (force), place, band (L*, a*, b*) and wavelength: reflectance, Lab, sRGB, difference to
     the first state, width of the white band, each with its standard error; prior uncertainty of
-    colours; the press over time with the time that the colour takes to return; a beat of a scene with a heart;
+    colours; the press over time with the time that the colour takes to return;
     tiles for the photograph.
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
-    options = with_scenes_effort(TraceOptions(**requested), scene)
-    given = dict(forces_n=forces_n, illuminant=illuminant, observer=observer, lit_by=lit_by, gloss=gloss)
-    viewing = _viewing(scene, options, **given, tolerance=tolerance, change_tolerance=change_tolerance)
+    given = {name: requested.pop(name) for name in Viewing.model_fields if name in requested}  # type: ignore[misc]
+    options = with_scenes_effort(TraceOptions(**requested), scene)  # type: ignore[misc]
+    viewing = _viewing(scene, options, **given)
     viewer = Viewer(viewing.illuminant, viewing.observer)
     cpu, begin = time.process_time(), time.perf_counter()
     chosen = backend.choose_jit(options.backend, "colour")
     stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
-    if stores is None:
-        user_store = LightStore.of_user() if options.store else None
-        stores = [user_store] if user_store else []
+    stores = LightStore.of_command(options) if stores is None else stores
     states = steady_blood(scene, viewing.forces_n)
-    result, photons, unmet = _traced(scene, states, viewer, viewing, options, stage, chosen, stores)
+    backend.activate(chosen)
+    nail = NailReflectance(scene, backend=chosen.name, stores=stores)
+    result, photons, unmet = _traced(nail, states, viewer, viewing, options, stage)
     for store in stores:
         store.close()
     result.attrs = _attributes(scene, viewing, options, chosen, photons) | {
         "cpu_seconds": time.process_time() - cpu,
         "wall_seconds": time.perf_counter() - begin,
     }
-    if unmet:
-        result.attrs["cut_off"] = unmet
-        raise NotReachedError(unmet, result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
 def _attributes(
@@ -132,22 +126,18 @@ def with_scenes_effort(options: TraceOptions, scene: Scene) -> TraceOptions:
 
 
 def _traced(
-    scene: Scene,
+    nail: NailReflectance,
     states: Array,
     viewer: Viewer,
     viewing: Viewing,
     options: TraceOptions,
     stage: StageProgress,
-    chosen: backend.Backend,
-    stores: Sequence[LightStore],
 ) -> tuple[xr.Dataset, int, str]:
     """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
-    backend.activate(chosen)
-    nail = NailReflectance(scene, backend=chosen.name, stores=stores)
+    scene = nail.scene
     rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
     result = _dataset(scene, rays, states, viewer, viewing)
     result = result.merge(press_and_release(scene, rays, viewer, viewing))
-    result = result.merge(beat(scene, rays, viewer, viewing))
     if scene.priors.spread and not unmet:
         if stage.is_late(SPREAD_BEGINS):
             return result, rays.photons, "max_seconds left no time for the spread of colours over unknown fingers."
@@ -298,28 +288,6 @@ def capillary_refill_s(time_s: Array, lab: Array) -> Array:
             step = (row[i] - JUST_NOTICEABLE) / (row[i] - row[i + 1]) * (time_s[i + 1] - time_s[i])
             out[k] = max(time_s[i] + step - OFF_S, 0.0)
     return out
-
-
-def beat(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
-    """One heartbeat at the first force: the change of each place's colour; nothing without a heart."""
-    heart = scene.body.heartbeat if scene.body else None
-    if heart is None or heart.pulse_pressure_pa == 0:
-        return xr.Dataset()
-    blood = beat_at(scene, viewing.forces_n[0])
-    which = np.linspace(0, len(blood.time_s) - 1, BEAT_STEPS).round().astype(int)
-    few = rays.one_in(ONE_IN)
-    read = few.reflectance(blood.blood_fraction.T[which], viewing, patches=range(ALONG))
-    lab = viewer.lab(read)
-    # From the palest moment, so that noise, which all moments share, makes no beat of its own.
-    palest = lab[0, ..., 1].mean(0).argmin()
-    moved = delta_e_2000(lab, lab[:, :, palest, None])
-    text = "colour over a beat, L*a*b*"
-    data = estimated("beat_lab", ("place", "beat_time", "band"), lab, text)
-    text = "largest colour difference over a beat, CIEDE2000"
-    most = moved[0].argmax(1)
-    largest = np.take_along_axis(moved, most[None, :, None], 2)[..., 0]
-    data |= estimated("beat_delta_e_2000", "place", largest, text)
-    return xr.Dataset(data, variable("beat_time", "beat_time", blood.time_s[which], "time", units="s"))
 
 
 def photographs(scene: Scene, result: xr.Dataset, *, states: Sequence[int], backend: str) -> list[NDArray[np.uint8]]:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ... import tissue
-from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import capillary_zones, largest_force_n, steady_blood, zones_of_photodiodes
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
@@ -74,10 +74,7 @@ def compare(
         results.append(compare_transfer(transfer, sweeps, slopes, options.seed))
     result = xr.concat(results, "led", data_vars="minimal", coords="minimal", compat="override", join="override")
     result.attrs = results[0].attrs
-    if unmet:
-        result.attrs["cut_off"] = unmet
-        raise NotReachedError(unmet, result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...checks import explain
-from ...errors import InputError, NotReachedError, as_far_as_reached
+from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
 from ...hemodynamics import steady_state
 from ...hemodynamics.for_scene import vessels
 from ...hemodynamics.parameters import Parameters, each_bed
@@ -22,13 +22,13 @@ from ...scene import Scene, digest, to_toml
 from ...scene.importers.sensor_recordings import SATURATED, SITES, Recording, read_sensor_recording
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
-from .fit import Fit, Fitted, bent_factors, profile_likelihoods
+from .fit import Fit, Fitted
 from .kalman import PressureEstimate, estimate_pressures
-from .person import N_PER_CM2, NAMES, RIGID_PULP, SIDES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
+from .person import N_PER_CM2, NAMES, SIDES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .predict import TOUCH_N, rms
-from .reading_table import ReadingTable, nodes_of, paper_table, reading_names, reading_table, site_of
+from .reading_table import ReadingTable, nodes_of, reading_names, reading_table, site_of
 from .state_space import touch_pressure
-from .subject import Correction, Model, Quality, Readings, Regression, Subject, subject_toml
+from .subject import Correction, Quality, Readings, Regression, Subject, subject_toml
 from .uncertainty import ForceInterval, fit_correction, no_correction
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
@@ -42,15 +42,15 @@ LEAST_AT_REST, LEAST_PART = 10, 0.1
 # Intervals are widened unless this part of the calibration's own errors lies within them, or, as touches are few and
 # errors correlated, within so many times as much.
 COVERED, BY_CHANCE = 0.95, 1.2
-# Parts of a calibration's time that its fit and its profile likelihoods take.
-FITTED, PROFILED = 0.4, 0.5
+# Part of a calibration's time that its fit takes.
+FITTED = 0.8
 # A touch that ends within this time shows how fast the vessels refill. [s]
 QUICKLY_S = 0.2
 # Part of the readings' variance that the principal components of the regression hold; readings that hang together have
 # components of rounding alone, so small a part of the largest.
 COMPONENT_VARIANCE, ROUNDING = 0.999, 1e-13
-# What the paper tunes by hand beside offset and scale: time constants.
-PAPER_FACTORS = ("vein_damping", "capillary_damping")
+# Factors that say how fast vessels refill.
+REFILL_FACTORS = ("vein_damping", "capillary_damping")
 NO_SUBJECT = "interrupted; no subject was written."
 
 
@@ -58,7 +58,6 @@ def calibrate(
     scene: Scene,
     recordings: Sequence[Recording | str | Path],
     *,
-    model: Model = "network",
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
@@ -66,7 +65,6 @@ def calibrate(
 
     scene : the board and a guess of the finger.
     recordings : one or more, or the files that hold them, each with the force and its site.
-    model : "network" fits the vessels on the traced light; "paper" offset and scale of (9) and time constants alone.
 
     Returns: Dataset of the recordings beside what was fitted, over sample and reading; its attribute `subject` is the
     text of the subject's file, from which `predict` estimates force.
@@ -81,18 +79,15 @@ def calibrate(
     given = [_checked(recording.of(names), scene) for recording in read]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
-    (scene, table), unmet = as_far_as_reached(open_table, scene, model=model, progress=progress, **requested)
+    (scene, table), unmet = as_far_as_reached(open_table, scene, progress=progress, **requested)
     if unmet and unmet.interrupted:
         raise KeyboardInterrupt(NO_SUBJECT)
-    result = calibrate_with(scene, table, given, model=model, progress=progress)
-    if unmet:
-        result.attrs["cut_off"] = str(unmet)
-        raise NotReachedError(str(unmet), result=result)
-    return result
+    result = calibrate_with(scene, table, given, progress=progress)
+    return unless_cut_off(result, unmet)
 
 
 def open_table(
-    scene: Scene, *, model: Model = "network", progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+    scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> tuple[Scene, ReadingTable]:
     """The scene as it is fitted, and its readings over blood, traced: what calibrations of many people share.
 
@@ -105,7 +100,6 @@ def open_table(
     how: dict[str, Any] = {"states": nodes_of(most_blood), "progress": progress, **requested}
     light, unmet = as_far_as_reached(open_light, scene, **how)
     table = reading_table(scene, light, most_blood)
-    table = paper_table(scene, table) if model == "paper" else table
     if unmet:
         raise NotReachedError(str(unmet), result=(scene, table))
     return scene, table
@@ -116,7 +110,6 @@ def calibrate_with(
     table: ReadingTable,
     recordings: Sequence[Recording],
     *,
-    model: Model = "network",
     progress: ProgressCallback | None = None,
 ) -> xr.Dataset:
     """What `calibrate` returns, from a table of traced light and checked recordings."""
@@ -128,10 +121,9 @@ def calibrate_with(
             raise KeyboardInterrupt(NO_SUBJECT)
 
     try:
-        fit = Fit(recordings, table, _nominal_finger(scene, model), free=_free(scene, recordings, model))
+        fit = Fit(recordings, table, _nominal_finger(scene), free=_free(scene, recordings))
         fitted = fit.solve(lambda done: report(FITTED * done))
-        profiles = profile_likelihoods(fit, fitted.factors_ln[fit.free], lambda done: report(FITTED + PROFILED * done))
-        subject = _subject(scene, model, fit, fitted)
+        subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
         why = explain(error, BaseModel) if isinstance(error, ValidationError) else str(error)
         raise InputError(
@@ -139,19 +131,14 @@ def calibrate_with(
         ) from None
     subject, half_width_n = _judged(subject, recordings)
     report(1.0)
-    return (
-        _dataset(recordings, fitted)
-        .merge(profiles)
-        .assign_attrs(
-            title="nailoptics: a person's sensor, calibrated",
-            digest=subject.scene_digest,
-            scene=to_toml(scene),
-            subject=subject_toml(subject),
-            half_width_n=half_width_n,
-            bent_factors=bent_factors(profiles),
-            recordings=[recording.name for recording in recordings],
-            warnings=_warnings(subject, recordings),
-        )
+    return _dataset(recordings, fitted).assign_attrs(
+        title="nailoptics: a person's sensor, calibrated",
+        digest=subject.scene_digest,
+        scene=to_toml(scene),
+        subject=subject_toml(subject),
+        half_width_n=half_width_n,
+        recordings=[recording.name for recording in recordings],
+        warnings=_warnings(subject, recordings),
     )
 
 
@@ -162,8 +149,8 @@ def joined(recordings: Sequence[Recording]) -> Recording:
     return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
 
 
-def _nominal_finger(scene: Scene, model: Model) -> NominalFinger:
-    """The scene's finger, with the usual pulp where the scene states none; the paper's model has no pulp."""
+def _nominal_finger(scene: Scene) -> NominalFinger:
+    """The scene's finger, with the usual pulp where the scene states none."""
     touch, pulp = scene.touch, USUAL_PULP
     creep = pulp.creep if touch.creep is None else touch.creep
     recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
@@ -171,23 +158,21 @@ def _nominal_finger(scene: Scene, model: Model) -> NominalFinger:
         rest_blood_fraction=scene.blood.rest_blood_fraction,
         contact_area_cm2=touch.contact_area_mm2 / 100.0,
         proximal_share=touch.proximal_share,
-        # The paper's two zones do not share the distal pressure.
-        distal_reach=scene.blood.distal_reach or (USUAL_DISTAL_REACH if model == "network" else 0.0),
-        pulp=RIGID_PULP if model == "paper" else Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
+        distal_reach=scene.blood.distal_reach or USUAL_DISTAL_REACH,
+        pulp=Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
         vessels=vessels(scene),
     )
 
 
-def _free(scene: Scene, recordings: Sequence[Recording], model: Model) -> NDArray[np.bool_]:
+def _free(scene: Scene, recordings: Sequence[Recording]) -> NDArray[np.bool_]:
     """Which factors are searched, (P,) bool: what the scene states of the pulp is known."""
-    fixed = set() if model == "network" else set(NAMES) - set(PAPER_FACTORS)
-    fixed |= set() if scene.touch.creep is None else {"creep"}
+    fixed = set() if scene.touch.creep is None else {"creep"}
     fixed |= set() if scene.touch.distal_relaxation_s is None else {"distal_recovery"}
     fixed |= set() if np.isnan(np.asarray(joined(recordings).site)).any() else {"proximal_share"}
     return np.array([name not in fixed for name in NAMES])
 
 
-def _subject(scene: Scene, model: Model, fit: Fit, fitted: Fitted) -> Subject:
+def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
     """The subject as fitted, before its own force was estimated; raises ValidationError or InputError."""
     person, every = fit.finger.person(fitted.factors_ln), joined(fit.recordings)
     force_n, site = np.asarray(every.force_n), np.asarray(every.site)
@@ -199,7 +184,6 @@ def _subject(scene: Scene, model: Model, fit: Fit, fitted: Fitted) -> Subject:
     bridged = np.concatenate([_bridged(recording.volts) for recording in fit.recordings], axis=1)
     complete = np.isfinite(bridged).all(0)
     return Subject(
-        model=model,
         scene_digest=digest(scene),
         quality=Quality(fitted.chi2_per_dof, rms_n=np.nan, coverage_factor=1.0, most_force_n=most_n),
         factors=np.exp(fitted.factors_ln),
@@ -258,7 +242,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
             "the same force may read differently as it grows and as it falls."
         )
     factors = subject.factor_table()
-    if not any(factors[name]["informed"] for name in PAPER_FACTORS):
+    if not any(factors[name]["informed"] for name in REFILL_FACTORS):
         advice = f"record some that are released within {QUICKLY_S:g} s, too"
         if any(_released_quickly(recording) for recording in recordings):
             advice = "those that are released quickly do not identify it, either; record more of them"

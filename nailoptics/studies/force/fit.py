@@ -1,4 +1,4 @@
-"""Weighted least squares of a person on recordings of a known force, with sandwich covariance and profile likelihoods.
+"""Weighted least squares of a person on recordings of a known force, with sandwich covariance.
 
 Gains, offsets, slopes by blood and drifts enter linearly and are solved; factors of the vessels are searched.
 References: Golub, Pereyra 2003, Inverse Probl. 19:R1 (variable projection); White 1982, Econometrica 50:1 (sandwich).
@@ -9,12 +9,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
-from ...variables import variable
 from .body_noise import MEDIAN_OF_GAUSSIAN, arterial_response
 from .person import LONGEST_STEP_S, NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
@@ -45,11 +43,6 @@ LEAST_EFFECT = 0.01
 # Prior standard deviation of d ln volts / d blood, as a part of the traced slope: absorption of the nail plate alone, a
 # factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
 OPTICS_PART, LEAST_SLOPE = 0.3, 1e-3
-# Profile likelihoods: standard errors by which a factor is moved, and Gauss-Newton steps of the others.
-OFFSETS = np.array([-3.0, -2.25, -1.5, -0.75, 0.0, 0.75, 1.5, 2.25, 3.0])
-PROFILE_ROUNDS = 2
-# A profile is bent if, within this many standard errors, the root of its deviance is off a parabola's by this part.
-JUDGED_TO, BENT = 2.25, 0.25
 # Prior standard deviations of ln gain, and of an offset and a drift as parts of the reading at rest.
 GAIN_SPREAD, OFFSET_PART = 0.7, 0.1
 
@@ -314,53 +307,3 @@ def _averaged(recording: Recording) -> Recording:
 
     site = None if recording.site is None else recording.site[: count * group : group]
     return replace(recording, time_s=mean(time_s), volts=mean(recording.volts), force_n=mean(force_n), site=site)
-
-
-def profile_likelihoods(fit: Fit, free_ln: Array, report: Callable[[float], None] = lambda done: None) -> xr.Dataset:
-    """Profile likelihoods about the best fit of the free factors' logarithms (P,), over factor and place.
-
-    report : takes the part done.
-    """
-    value, jacobian = fit.residuals(free_ln[:, None])
-    covariance = np.linalg.inv(jacobian[:, 0].T @ jacobian[:, 0])
-    stderr, most, count = np.sqrt(np.diag(covariance)), fit.most_ln[:, None], len(free_ln)
-    places, deviance = np.empty((2, count, OFFSETS.size))
-    for held in range(count):
-        report(held / count)
-        # The others start where the quadratic approximation has its minimum.
-        quadratic = free_ln[:, None] + (covariance[:, held] / stderr[held])[:, None] * OFFSETS
-        start = np.clip(quadratic, -most, most)
-        places[held] = start[held]
-        least = _least_squares_with_one_held(fit, start, held) - float((value**2).sum())
-        # Not known where the factor is at its bound.
-        deviance[held] = np.where(start[held] == quadratic[held], least, np.nan)
-    quadratic, over = ((places - free_ln[:, None]) / stderr[:, None]) ** 2, ("factor", "place")
-    data = variable("profile_factor", over, np.exp(places), "factor held there, all others fitted")
-    data |= variable("profile_deviance", over, deviance, "squared residuals beyond those of the best fit")
-    data |= variable("profile_quadratic", over, quadratic, "the same were the fit quadratic")
-    return xr.Dataset(data, {"factor": [NAMES[factor] for factor in fit.free]})
-
-
-def bent_factors(profiles: xr.Dataset) -> list[str]:
-    """Factors in which the deviance of their profile likelihood is not quadratic."""
-    offset = np.sqrt(profiles.profile_quadratic.values)
-    judged = (offset > 0.1) & (offset <= JUDGED_TO)
-    root = np.sqrt(np.maximum(profiles.profile_deviance.values, 0.0)) / np.where(judged, offset, 1.0)
-    # NaN compares false.
-    return profiles.factor.values[(judged & (np.abs(root - 1.0) > BENT)).any(1)].tolist()
-
-
-def _least_squares_with_one_held(fit: Fit, factors_ln: Array, held: int) -> Array:
-    """Least sums of squares (N,) by Gauss-Newton from starts (P, N), of which one factor stays."""
-    most, others = fit.most_ln[:, None], np.delete(np.arange(len(factors_ln)), held)
-    value, jacobian = fit.residuals(factors_ln)
-    least = (value**2).sum(0)
-    for _ in range(PROFILE_ROUNDS):
-        down = np.moveaxis(jacobian[..., others], 1, 0)
-        gradient = np.swapaxes(down, 1, 2) @ value.T[..., None]
-        factors_ln = factors_ln.copy()
-        factors_ln[others] -= np.linalg.solve(np.swapaxes(down, 1, 2) @ down, gradient)[..., 0].T
-        factors_ln = np.clip(factors_ln, -most, most)
-        value, jacobian = fit.residuals(factors_ln)
-        least = np.minimum(least, (value**2).sum(0))
-    return np.asarray(least)

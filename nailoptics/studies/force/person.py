@@ -101,7 +101,6 @@ USUAL_DISTAL_REACH = 0.25
 USUAL_PULP = Pulp(creep=0.1, creep_s=2.0, recovery_s=0.15)
 # No held touch loses more of its pressure than this.
 MOST_CREEP = 0.9
-RIGID_PULP = Pulp(creep=0.0, creep_s=2.0, recovery_s=0.0)
 
 
 class FactorPrior(NamedTuple):

@@ -11,7 +11,6 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ...errors import InputError
-from ...hemodynamics.for_scene import zones_of_photodiodes
 from ...light import DetectedLight
 from ...scene import Scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
@@ -91,11 +90,7 @@ class ReadingTable:
         changed[:, POWERS.index((1, 0))] += by_blood[:, 0] * self.most_blood_fraction
         changed[:, POWERS.index((0, 1))] += by_blood[:, 1] * self.most_blood_fraction
         changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
-        return self.with_coefficients(changed)
-
-    def with_coefficients(self, coefficients: Array) -> "ReadingTable":
-        """The table of the same readings with other coefficients of ln volts, (R, P) float."""
-        return replace(self, ln_volts=dict(zip(self.names, coefficients, strict=True)))
+        return replace(self, ln_volts=dict(zip(self.names, changed, strict=True)))
 
     def same_led(self) -> Array:
         """Which LED each reading is of, (R, L) float: 1 or 0."""
@@ -179,22 +174,3 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
         noise_v=np.array(noise_v),
         range_v=stage.adc_range_v,
     )
-
-
-def paper_table(scene: Scene, table: ReadingTable) -> ReadingTable:
-    """The paper's optics (9) in place of traced light: each reading falls in a line with the blood of its own zone.
-
-    Offset and scale of every reading are left to the calibration, so that any line does; this one loses a tenth of the
-    reading from no blood to twice that at rest.
-    """
-    rest = scene.blood.rest_blood_fraction
-    blood = table.most_blood_fraction * (np.arange(NODES) + 0.5) / NODES
-    line = np.log(1.0 - 0.05 * blood / rest)
-    by_power = np.polynomial.polynomial.polyfit(blood / table.most_blood_fraction, line, DEGREE)
-    coefficients = np.zeros_like(table.coefficients)
-    for reading, zone in enumerate(np.tile(zones_of_photodiodes(scene), len(scene.leds))):
-        for k, power in enumerate(POWERS):
-            if power[1 - zone] == 0:
-                coefficients[reading, k] = by_power[power[zone]]
-    coefficients[:, POWERS.index((0, 0))] += np.log(table.volts(np.full((2, 1), rest))[:, 0])
-    return replace(table.with_coefficients(coefficients), slope_stderr=np.zeros_like(table.slope_stderr))

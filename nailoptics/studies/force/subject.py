@@ -31,7 +31,6 @@ INFORMED = 0.7
 # the virtual people, and on light known to 2 %: without the first a touch released past closure leads the filter far
 # astray, without the second a held touch persists. [1]
 DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
-Model = Literal["network", "paper"]
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -197,7 +196,8 @@ class Subject:
     """
 
     schema_version: Literal[3] = 3
-    model: Model
+    # Of 0.2.0, which could fit the optics of the paper, too; what was fitted is in `scene` and `light`.
+    model: Literal["network", "paper"] = "network"
     scene_digest: str
     quality: Quality
     factors: Annotated[Numbers, BeforeValidator(_factor_values), within(1 / MOST_FACTOR, MOST_FACTOR, np.positive)]

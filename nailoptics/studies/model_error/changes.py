@@ -10,7 +10,6 @@ from ...errors import InputError
 from ...scene import Led, Prior, Scene
 from ...scene.catalogue import LedPart, load_part
 from ...scene.files import scene_of
-from ...scene.finger import BEYOND_NAIL_MM
 from ...scene.layout import LEAST_EPOXY_UM
 from ...scene.rectangles import Rectangle
 from ..prior_uncertainty import value_of
@@ -164,16 +163,6 @@ def _parts(scene: Scene) -> Iterator[Change]:
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
-
-
-def shortened(scene: Scene) -> Change | None:
-    """The finger cut as near to the nail as it may be; None where it is that short."""
-    finger = scene.finger
-    assert finger is not None
-    shortest = finger.nail_length_mm + BEYOND_NAIL_MM
-    if finger.length_mm <= shortest:
-        return None
-    return Change(f"finger past {shortest:g} mm", True, "cut there", {"finger": {"length_mm": shortest}})
 
 
 def swapped(scene: Scene, far: Rectangle) -> Scene:

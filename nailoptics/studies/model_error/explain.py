@@ -18,7 +18,7 @@ from ...scene import Scene
 from ...sensor import electronics
 from ...sensor.ambient import SOURCES, collecting_area_mm2
 from ...statistics import Z95
-from .changes import Change, changes_of, merged, revised, shortened, swapped
+from .changes import Change, changes_of, merged, revised, swapped
 from .paired import (
     UNDETECTED,
     Difference,
@@ -175,9 +175,6 @@ def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
     finger, board_led = scene.finger, scene.layout.leds[0]
     assert finger is not None
     out: list[Measurement] = [(from_deep,)]
-    if scene.board.cover_um:
-        why = "it lies on the opaque cover, which no light leaves"
-        out.append((lambda _: nothing("decorative nail", why, tolerance),))
     for change in changes_of(scene):
         changed = revised(scene, change.changes)
         same_light = light_digest(changed) == light_digest(scene)
@@ -187,12 +184,6 @@ def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
     areas = scene.layout.photodiode_areas
     farthest = max(areas, key=lambda area: math.dist(area.center_mm, board_led.center_mm))
     out.append((partial(ambient, tolerance), swapped(scene, farthest)))
-    proximal = min(areas, key=lambda area: area.center_mm[1])
-    past = Change(f"finger past {finger.length_mm:g} mm", False, "finger without an end")
-    out.append((lambda base, back: returning(past, base, base, back), swapped(scene, proximal)))
-    if (cut := shortened(scene)) is not None:
-        short = revised(scene, cut.changes)
-        out.append((partial(returning, cut), short, swapped(short, proximal)))
     shape = shape_of(scene)
     return sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
 
@@ -325,35 +316,3 @@ def without_deep(base: PairedReadings) -> PairedReadings:
     pulp = base.transfer.absorbers.index("pulp")
     shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
     return replace(base, parts=tuple(part * shade for part, shade in zip(base.parts, shallow, strict=True)))
-
-
-def returning(change: Change, base: PairedReadings, cut: PairedReadings, back: PairedReadings) -> Effect:
-    """Light that would come back from beyond a cut through the finger, at most.
-
-    cut, back : traces whose light left through the cut: from the LED, and (by reciprocity, from a Lambertian source
-        on the board) from the photodiode. Diffuse light from a cut of area A_cut reaches a photodiode of area A with
-        the probability that the photodiode's would reach the cut, times n^2 A / (n_cut^2 A_cut).
-    """
-    scene = base.transfer.scene
-    assert scene.finger is not None
-    area_mm2 = np.pi / 4 * scene.finger.width_mm * scene.finger.thickness_mm
-    diode = max(scene.layout.photodiode_areas, key=lambda r: r.area_mm2)
-    passed = 1.0
-    for variant in (cut, back):
-        left = variant.transfer.energy()["transmitted"]
-        # Of n photons none may have passed: with 95 % confidence the part is below 3 / n.
-        passed *= left["value"] + Z95 * left["stderr"] + 3 / variant.transfer.photons
-    wavelength = scene.leds[0].wavelength_nm
-    ratio_of_indices = index_of("epoxy", wavelength) / index_of("bed", wavelength)
-    returned = passed * ratio_of_indices**2 * diode.area_mm2 / area_mm2
-    with np.errstate(divide="ignore"):
-        most = np.where(base.level > 0, returned / base.level, np.inf)
-    # All that is known is what it is at most.
-    return effect_of(change, Difference(Estimates(np.zeros_like(most), most / Z95)), base, tolerance=RETURNING)
-
-
-def nothing(name: str, why: str, tolerance: float) -> Effect:
-    """An effect that is none by construction."""
-    none: dict[str, Any] = dict.fromkeys(("change", "stderr", "bound", "typical", "typical_stderr"), 0.0)
-    none |= {"how": "derived", "photodiode": "", "modulation_bound": 0.0, "tolerance": tolerance}
-    return Effect(name=name, modelled=False, changed_to=why, **none)

@@ -17,7 +17,7 @@ from ...options import TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.ambient import SOURCES, photocurrents_a
 from ...sensor.front_end import SampledFrontEnd
-from ...statistics import Z95, Array, jackknife, seed_of
+from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
@@ -60,17 +60,13 @@ class CalibratedOximeter:
     nominal: Pulsation
     seed: int
 
-    def bias(self, ratio: Array, *, independent: bool = False) -> tuple[Array, Array]:
+    def bias(self, ratio: Array) -> tuple[Array, Array]:
         """Bias of SpO2 and its standard error, (photodiodes, n) each. [percent]
 
         ratio : (1 + groups, photodiodes, n) float. With and without the same groups, so that shared noise
             cancels.
-        independent : it is of another trace, whose noise is its own.
         """
-        displayed, nominal = self._spo2(ratio), self._spo2(self.nominal.ratio)
-        if not independent:
-            return estimate(displayed - nominal)
-        return (displayed - nominal)[0], np.hypot(jackknife(displayed), jackknife(nominal))
+        return estimate(self._spo2(ratio) - self._spo2(self.nominal.ratio))
 
     def _spo2(self, ratio: Array) -> Array:
         out = np.full(ratio.shape, np.nan)
@@ -89,12 +85,11 @@ class CalibratedOximeter:
 
 
 def sensitivity_curves(
-    oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array, nails: dict[float, Transfer]
+    oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array
 ) -> dict[str, Variables]:
     """Bias of SpO2 over each disturbance, by its name.
 
     sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
-    nails : traces of the scene with a nail plate of other thicknesses, by thickness. [mm]
     """
     scene, leds, beat, curves = (
         oximeter.transfer.scene,
@@ -128,9 +123,6 @@ def sensitivity_curves(
     add("venous_below_arterial", text, "1", VENOUS_BELOW, at("blood.venous_so2", venous))
     text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_ends, sun_a)
     curves["sunlight_lux"] = _curve("sunlight_lux", text, "lx", SUN_LUX, *bias)
-    if nails:
-        name = "nail_thickness_mm"
-        curves[name] = _curve(name, "thickness of the nail plate", "mm", *_nails(oximeter, nails))
     return curves
 
 
@@ -152,21 +144,6 @@ def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], s
         diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
         ratios.append(diluted[:, 0] / diluted[:, 1])
     return oximeter.bias(np.stack(ratios, -1))
-
-
-def _nails(oximeter: CalibratedOximeter, nails: dict[float, Transfer]) -> tuple[Array, Array, Array]:
-    """Thicknesses of the nail plate, the scene's among them, which has no bias, and the bias at each."""
-    finger = oximeter.transfer.scene.finger
-    assert finger is not None
-    none = np.zeros((len(oximeter.transfer.photodiodes), 1))
-    curves = {finger.nail_thickness_mm: (none, none)}
-    for thickness_mm, light in nails.items():
-        states = [(light.scene.blood.so2, rest_beat(light.scene))]
-        ratio = read_pulsations(light, oximeter.leds, states, seed=oximeter.seed).ratio
-        curves.setdefault(thickness_mm, oximeter.bias(ratio, independent=True))
-    values_mm = sorted(curves)
-    bias, stderr = np.concatenate([curves[thickness_mm] for thickness_mm in values_mm], -1)
-    return np.array(values_mm), bias, stderr
 
 
 def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:

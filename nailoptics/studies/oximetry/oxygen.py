@@ -1,22 +1,20 @@
 """A pulse oximeter from touch to SpO2: R against saturation, its calibration, its error, and what disturbs it."""
 
 import time
-from dataclasses import replace
 from typing import Unpack
 
 import numpy as np
 import xarray as xr
 
-from ...errors import NotReachedError, as_far_as_reached
+from ...errors import as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
-from ...light import ProgressCallback, Transfer, trace
+from ...light import ProgressCallback, Transfer
 from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
-from ..prior_uncertainty import at_value
 from .disturbances import CalibratedOximeter, ambient_leakage, melanin_bound, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
@@ -31,14 +29,9 @@ from .ratio import (
 from .recording import light_of_touch
 
 SO2 = np.linspace(0.5, 1.0, 51)
-# Of nails as thin and as thick as these a trace of their own is made, of so many of the scene's photons. [mm]
-NAILS_MM = (0.35, 0.55, 0.70)
-NAIL_SHARE, LEAST_NAIL_PHOTONS = 0.15, 1 << 17
-# Part of the time, where it is limited, for the scene itself; the nails have equal parts of the rest.
-OWN_TIME = 0.7
 # Part of one slot's light that may be left in the next.
 MOST_CROSSTALK = 0.01
-_GROUPS, _LEAKAGE, _NAIL = 51, 52, 53
+_GROUPS, _LEAKAGE = 51, 52
 
 
 def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -61,48 +54,15 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
         value, error = estimate(read_pulsations(light, leds, states, seed=groups).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
-    limit_s = accuracy(scene, options).max_seconds
-    own_s = None if limit_s is None else OWN_TIME * limit_s
-    how = {"max_seconds": own_s, "progress": progress}
+    how = {"max_seconds": accuracy(scene, options).max_seconds, "progress": progress}
     transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, **how)
-    nails = {} if unmet else _nails(transfer, options, progress)
-    cut_off = str(unmet) if unmet else ""
-    if not unmet and len(nails) < len(NAILS_MM):
-        cut_off = f"interrupted: {len(nails)} of {len(NAILS_MM)} other thicknesses of the nail plate are traced."
-    result = oximeter_from(transfer, nails=nails, options=options)
+    result = oximeter_from(transfer, options=options)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
-    if cut_off:
-        result.attrs["cut_off"] = cut_off
-        raise NotReachedError(cut_off, result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
-def _nails(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> dict[float, Transfer]:
-    """Traces of the scene with a nail plate of other thicknesses; of these nothing is missed if time ends them.
-
-    An interrupt leaves out the one at work and those after it.
-    """
-    scene, lights = transfer.scene, {}
-    limit_s = accuracy(scene, options).max_seconds
-    each_s = None if limit_s is None else (1 - OWN_TIME) * limit_s / len(NAILS_MM)
-    photons = max(LEAST_NAIL_PHOTONS, round(NAIL_SHARE * transfer.photons / len(scene.leds)))
-    how = TraceOptions(backend=options.backend, photons=photons, max_seconds=each_s)
-    for k, thickness_mm in enumerate(NAILS_MM):
-        other = at_value(scene, "finger.nail_thickness_mm", thickness_mm)
-        other = other.model_copy(update={"accuracy": type(scene.accuracy)()})
-        fields = replace(how, seed=seed_of(options.seed, _NAIL, k) >> 1).fields
-        light, unmet = as_far_as_reached(trace, other, progress=progress, **fields)
-        if unmet and unmet.interrupted:
-            break
-        lights[thickness_mm] = light
-    return lights
-
-
-def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: TraceOptions) -> xr.Dataset:
-    """What `oximeter` returns, from light that is already traced.
-
-    nails : traces of the scene with a nail plate of other thicknesses, by thickness. [mm]
-    """
+def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
+    """What `oximeter` returns, from light that is already traced."""
     scene, leds, seed = transfer.scene, oximeter_leds(transfer.scene), seed_of(options.seed, _GROUPS)
     beat = rest_beat(scene)
     curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
@@ -126,7 +86,7 @@ def oximeter_from(transfer: Transfer, *, nails: dict[float, Transfer], options: 
     text = "detected fraction of the emitted power over the touch, frame by frame"
     data |= variable("detected_fraction", ("led", "photodiode", "time"), light, text)
     data |= _error_variables(oximeter, np.abs(fits[:, 1]), front_ends, data)
-    disturbances = sensitivity_curves(oximeter, front_ends, sun_a, nails)
+    disturbances = sensitivity_curves(oximeter, front_ends, sun_a)
     for curves in disturbances.values():
         data |= curves
     met, most = melanin_bound(oximeter)

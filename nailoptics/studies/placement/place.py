@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from ...assets import data_dir
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, NotReachedError, unless_cut_off
 from ...light import ProgressCallback
 from ...light import backend as backends
 from ...light.tracing import StageProgress
@@ -24,7 +24,7 @@ from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
-from .robustness import resolution_over_priors, resolution_vs_count
+from .robustness import resolution_over_priors
 from .verification import verify_layout
 
 log = logging.getLogger(__name__)
@@ -57,8 +57,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
-    rules, base = boards.rules(scene), boards.base_board(scene)
-    cases = boards.fingers(scene)
+    rules, base, cases = boards.rules(scene), boards.base_board(scene), boards.fingers(scene)
     conditions = [finger_condition(base, case, rules) for case in cases]
     oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
     objective = Objective(rules, [condition.point for condition in conditions], oxygen)
@@ -81,29 +80,23 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
-    maps = judging.maps(layouts[0].board)[0]
     closer = light | {"stop": partial(report_progress.is_over, 1.0)}
     verified, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:
-        limits: dict[str, Any] = {"photons": maps[0].photons, "max_seconds": VERIFY_SHARE * left_s}
+        limits: dict[str, Any] = {"photons": judging.photons_of(layouts[0].board), "max_seconds": VERIFY_SHARE * left_s}
         verified = verify_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
-    if not report_progress.is_late(1.0):
-        over = resolution_vs_count(layouts[0], boards.searchable_board(base, rules), judging, objective)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
-        over = over.merge(resolution_over_priors(layouts, rules, judging, stop=closer["stop"]))
+        over = resolution_over_priors(layouts, rules, judging, stop=closer["stop"])
     if store is not None:
         store.close()
     made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(scene, layouts, scores, conditions, maps, searched, verified, made).merge(over)
+    result = as_dataset(scene, layouts, scores, judging, searched, verified, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
     for known, what in ((verified, "verified"), (spread, "judged on other fingers")):
         unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
-    if unmet:
-        result.attrs["cut_off"] = unmet
-        raise NotReachedError(unmet, result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
 def _candidates(

@@ -18,7 +18,7 @@ from ...variables import Variables, estimated, variable
 from .boards import rules, straightened
 from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n
-from .photon_maps import FingerCondition
+from .photon_maps import FingerCondition, PhotonMapCache
 from .search import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
@@ -35,18 +35,17 @@ def as_dataset(
     scene: Scene,
     layouts: Sequence[CandidateLayout],
     scores: Sequence[LayoutScore],
-    conditions: Sequence[FingerCondition],
-    maps: Sequence[PhotonMap],
+    judged: PhotonMapCache,
     searched: Sequence[SearchedSite],
     verified: xr.Dataset,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Everything of a placement; layouts come best first.
 
-    maps : of the best layout's bare board on the first finger, one per LED.
+    judged : light that the layouts were judged by.
     verified : what `verify_layout` says of the best layout on the first finger.
     """
-    best = layouts[0].scene
+    best, conditions, maps = layouts[0].scene, judged.conditions, judged.maps(layouts[0].board)[0]
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
     coordinates = {
         "layout": [layout.name for layout in layouts],
@@ -190,9 +189,8 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     u, v = np.meshgrid(place_u, place_v, indexing="ij")
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
-    for k, (led, led_map) in enumerate(zip(scene.leds, maps, strict=True)):
-        values, amplifier = left_out(led_map.over(areas)), scene.electronics
-        read = information.response(values, led, photodiode, amplifier, point, number=k, replicates=True)
+    for led, light in enumerate(maps):
+        read = information.response(left_out(light.over(areas)), scene, led, photodiode, point, replicates=True)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             replicates = information.fixed_ratio_resolution_n(information.fisher_information(read), point)

@@ -1,7 +1,7 @@
-"""How far the best layout stays the best: with fewer and more photodiodes, and over the priors of the finger."""
+"""How far the best layout stays the best over the priors of the finger."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -13,12 +13,9 @@ from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...sensor.information import (
     OperatingPoint,
-    Response,
-    fisher_information,
     force_resolution_n,
     operating_point,
     over_fingers,
-    response,
     scene_responses,
     total_information,
 )
@@ -27,86 +24,13 @@ from ...variables import variable
 from ..prior_uncertainty import PriorSensitivity, only_absorbs, over_priors, prior_variables
 from . import boards
 from .candidates import CandidateLayout
-from .objective import Objective, resolution_stderr_n
 from .photon_maps import PhotonMapCache, Stopped, batch_seed
-from .search import coordinate_exchange
-from .sites import Sites
 
-COUNTS = (2, 3, 4, 6, 8, 12, 16)
 # The best layouts that are read again at every node of every prior, from so many blocks of photons.
 TOP_RANKED = 3
 BLOCKS = 16
 # Batches of photons for each change that makes light go otherwise.
 OWN_BATCHES = 2
-
-
-def resolution_vs_count(
-    layout: CandidateLayout, base: Scene, cache: PhotonMapCache, objective: Objective
-) -> xr.Dataset:
-    """The force that so many photodiodes resolve on a layout's board, where they are best for it.
-
-    base : the scene that was searched, with what stays of it.
-
-    Half of the photons choose, the others judge: what is chosen and judged by the same photons looks finer than it is.
-
-    Returns: Dataset over chosen_for, the body's noise (if there is a body) and the electronics alone, and over
-    photodiode_count; counts that have no room are NaN.
-    """
-    rules, board, force = objective.rules, layout.board.layout, replace(objective, oxygen=None)
-    # A given layout may lie on a board of its own.
-    has_own_board = layout.origin != "searched" and boards.with_explicit_walls(layout.scene, layout.name)
-    sites = Sites(boards.searchable_board(has_own_board, rules) if has_own_board else base, rules)
-    places = sites.photodiode_places(board.barriers, board.leds)
-    areas, free = places.areas, places.free
-
-    def read(values: Callable[[np.ndarray], np.ndarray], **how: Any) -> list[list[Response]]:
-        """What a photodiode at each place reads, by finger and LED; values : of blocks of photons."""
-        amplifier, leds = layout.scene.electronics, enumerate(layout.board.leds)
-        by_led = [(i, led, [values(by_led[i].over(areas)) for by_led in cache.maps(layout.board)]) for i, led in leds]
-        return [
-            [response(data[k], led, places.photodiodes, amplifier, point, number=i, **how) for i, led, data in by_led]
-            for k, point in enumerate(objective.points)
-        ]
-
-    def information(reads: list[list[Response]], alone: bool) -> np.ndarray:
-        """Of a photodiode at each place, then of those that stay, under all LEDs, (fingers, ..., m + s, n) float."""
-        matrices = [[fisher_information(led, electronics_alone=alone) for led in by_led] for by_led in reads]
-        return np.stack([np.sum(by_led, axis=0) for by_led in matrices])
-
-    has_body = any(point.body is not None for point in objective.points)
-    noises = ("body", "electronics") if has_body else ("electronics",)
-    counts = sorted({*COUNTS, len(layout.scene.layout.photodiodes)})
-    chosen_by = read(lambda blocks: blocks[::2].mean(0))
-    judged_by = read(lambda blocks: left_out(blocks[1::2]), replicates=True)
-    judging = [information(judged_by, alone) for alone in (False, True)]
-    replicates = np.full((judging[0].shape[1], 2, len(noises), len(counts)), np.nan)
-    centers_mm = np.full((len(noises), len(counts), counts[-1], 2), np.nan)
-    for i, purpose in enumerate(noises):
-        choosing = information(chosen_by, purpose == "electronics")
-        for j, count in enumerate(counts):
-            if not 0 <= count - places.staying <= free:
-                continue
-            best, score = coordinate_exchange(
-                choosing[:, :free],
-                places.centers_mm,
-                count=count - places.staying,
-                spacing_mm=places.spacing_mm,
-                score=force.force_n,
-                given=choosing[:, free:].sum(1),
-            )
-            if np.isfinite(score):
-                chosen = [*best, *range(free, len(areas))]
-                centers_mm[i, j, :count] = [areas[k].center_mm for k in chosen]
-                for k, judged in enumerate(judging):
-                    replicates[:, k, i, j] = force.force_n(judged[..., chosen, :].sum(-2))
-    over, value, errors = ("chosen_for", "photodiode_count"), replicates[0], resolution_stderr_n(replicates)
-    data = variable("count_place_mm", (*over, "count_place", "axis"), centers_mm, "their places", units="mm")
-    text = "force resolution of so many photodiodes by the noise of the electronics alone"
-    data |= variable("count_electronics_resolution_n", over, value[1], text, units="N", stderr=errors[1])
-    if has_body:
-        text = "force resolution of so many photodiodes through the body's noise"
-        data |= variable("count_resolution_n", over, value[0], text, units="N", stderr=errors[0])
-    return xr.Dataset(data, {"chosen_for": list(noises), "photodiode_count": counts})
 
 
 def resolution_over_priors(

@@ -56,25 +56,25 @@ LedPlaces = tuple[Point, ...]
 
 def coordinate_exchange(
     information: np.ndarray,
-    places: np.ndarray,
+    free: PhotodiodePlaces,
     *,
     count: int,
-    spacing_mm: tuple[float, float],
     score: Callable[[np.ndarray], np.ndarray],
     given: np.ndarray | float = 0.0,
     allowed: np.ndarray | None = None,
     starts: int = 1,
 ) -> tuple[list[int], float]:
-    """The places whose information together scores least, and the score: one after the other, then exchanged singly
-    until nothing improves; inf where they have no room.
+    """The free places whose information together scores least, and the score; inf where they have no room.
+
+    They are taken one after the other, then exchanged singly until nothing improves.
 
     information : (fingers, m, n) float. Of a photodiode at each place, as `fisher_information`.
-    spacing_mm : two photodiodes lie at least so far from each other in u or in v.
     score : of sums of information (fingers, ..., n) -> (...).
     given : (fingers, n) float. Information of others that stay.
     allowed : (m,) bool. Places that may be taken; all if not given.
     starts : number of first places, the best by themselves that leave room for each other, from which it begins.
     """
+    places, spacing_mm = free.centers_mm, free.spacing_mm
     given = np.zeros((len(information), information.shape[-1])) + given
     excluded = np.zeros(len(places), bool) if allowed is None else ~allowed
 
@@ -177,9 +177,8 @@ class RowDesign:
         staying = information[:, free:].sum(1)
         chosen, score = coordinate_exchange(
             information[:, :free],
-            self.places.centers_mm,
+            self.places,
             count=self.count,
-            spacing_mm=self.places.spacing_mm,
             score=self.objective.score,
             given=staying,
             allowed=None if self.row.side else self.sites.are_beside(self.places.areas[:free], leds),
@@ -344,10 +343,10 @@ class Search:
 
     def _columns(self, led: int, board: Scene, design: RowDesign) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
-        columns, kinds, amplifier = [], design.places.photodiodes, self.base.electronics
+        columns, kinds = [], design.places.photodiodes
         for finger, ((light, *_), case) in enumerate(zip(self.cache.maps(board), self.cache.conditions, strict=True)):
             values = light.over(design.places.areas).mean(0)
-            read = response(values, self.base.leds[led], kinds, amplifier, case.point, number=led)
+            read = response(values, self.base, led, kinds, case.point)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
 

@@ -192,9 +192,9 @@ class _Verification:
             # Where hardly any light comes only the prior remains, the same by every group of photons.
             all_light = replicates[..., 0].sum(-1)
             is_lit = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
-            how = self.scene.leds[i], photodiodes, self.scene.electronics, self.point
-            resolved = self.force_resolution_n([response(replicates, *how, number=i, replicates=True)])
-            unread = self.force_resolution_n([response(np.zeros_like(replicates), *how, number=i)])
+            how = self.scene, i, photodiodes, self.point
+            resolved = self.force_resolution_n([response(replicates, *how, replicates=True)])
+            unread = self.force_resolution_n([response(np.zeros_like(replicates), *how)])
             resolution.append(np.where(is_lit & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
         text = "part of the light of an LED at this place on each photodiode, by reciprocity"
         data |= estimated("led_place_fraction", (*pair, *places), np.stack(fraction, 1), text)

@@ -13,7 +13,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report.pages.force import calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
-from nailoptics.studies.force.calibrate import PAPER_FACTORS, _checked, _warnings, calibrate_with
+from nailoptics.studies.force.calibrate import REFILL_FACTORS, _checked, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.kalman import DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES
@@ -229,7 +229,7 @@ def test_missing_quick_touches_are_reported(let_go_s: float, advice: str) -> Non
     force = np.interp(time_s, [1.0, 1.5, 2.0, 2.0 + let_go_s], [0.0, 0.5, 0.5, 0.0])
     known = parse_subject(made_sensor.subject())
     subject = replace(known, covariance=np.eye(len(known.covariance)))
-    assert not any(subject.factor_table()[name]["informed"] for name in PAPER_FACTORS)
+    assert not any(subject.factor_table()[name]["informed"] for name in REFILL_FACTORS)
     [warning] = [one for one in _warnings(subject, [made_sensor.record(force, "distal", seed=1)]) if "refill" in one]
     assert warning.endswith(f"{advice}.")
 
@@ -325,8 +325,8 @@ def test_readings_that_depend_on_one_zone_alone_are_calibrated(table: ReadingTab
     coefficients = table.coefficients.copy()
     for zone, power in enumerate(((1, 0), (0, 1))):
         coefficients[:, POWERS.index(power)] *= alone[:, zone]
-    own = replace(table.with_coefficients(coefficients), slope_stderr=np.zeros((4, 2)))
-    free = np.array([name in PAPER_FACTORS for name in NAMES])
+    own = replace(table, ln_volts=dict(zip(table.names, coefficients, strict=True)), slope_stderr=np.zeros((4, 2)))
+    free = np.array([name in REFILL_FACTORS for name in NAMES])
     recording = _record(own, _steps()[: round(8.0 / STEP_S)], "proximal", seed=2)
     found = Fit([recording], own, nominal_finger(VESSELS), free=free).solve()
     searched = found.factors_ln != 0
@@ -353,11 +353,12 @@ def test_a_subject_file_of_version_0_2_is_read(subject: Subject) -> None:
         ("estimated_n_per_cm2", "told_n_per_cm2"),
         ("applied_n_per_cm2", "pressed_n_per_cm2"),
         ("waves = ", "rhythms = "),
+        ('model = "network"', 'model = "paper"'),
         ("[noise]", "[noise]\ntouch_rate_n_per_cm2_rt_s = 0.1\nmoved_error = 0.03\nheld_error = 0.01"),
     ):
         assert new in text
         text = text.replace(new, old)
-    assert subject_toml(parse_subject(text)) == subject_toml(subject)
+    assert subject_toml(replace(parse_subject(text), model="network")) == subject_toml(subject)
 
 
 @pytest.mark.parametrize(

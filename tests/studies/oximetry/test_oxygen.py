@@ -46,7 +46,7 @@ def light(chosen_jit) -> Transfer:
 
 @pytest.fixture(scope="module")
 def found(light):
-    result = oximeter_from(light, nails={}, options=TraceOptions(seed=SEED))
+    result = oximeter_from(light, options=TraceOptions(seed=SEED))
     result.attrs |= {"cpu_seconds": 0.0, "wall_seconds": 0.0}
     return result
 
@@ -147,7 +147,7 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
     20 s, which is marked."""
     for so2 in (0.80, 0.93):
         scene = with_saturation(shipped(), so2)
-        other = oximeter_from(replace(light, scene=scene), nails={}, options=TraceOptions(seed=SEED))
+        other = oximeter_from(replace(light, scene=scene), options=TraceOptions(seed=SEED))
         told = spo2_over_time(simulated(scene, other, seed=4), found, shipped()).sel(photodiode=found.attrs["best"])
         still = told.sel(time=slice(0.0, 15.0))
         assert np.all(abs(still.spo2 - 100 * so2) < 4 * still.spo2_stderr)
@@ -157,7 +157,6 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
 
 @pytest.mark.long
 def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
-    monkeypatch.setattr(oxygen, "NAILS_MM", ())
     monkeypatch.setattr(ratio, "FIRST_PHOTONS", 1 << 16)
     loose = oximeter(shipped(), relative_error=0.15, seed=2)
     best = loose.sel(photodiode=loose.attrs["best"])
@@ -175,7 +174,7 @@ def test_two_dies_along_the_nail_are_warned_of(light):
     leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))
     diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
     along = scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
-    result = oximeter_from(trace(along, photons=1 << 17, seed=1), nails={}, options=TraceOptions(seed=1))
+    result = oximeter_from(trace(along, photons=1 << 17, seed=1), options=TraceOptions(seed=1))
     told = " ".join(result.attrs["warnings"])
     assert '"axis.6"' in told and "on the axis between two dies side by side" in told
     assert float(result.path_ratio.min()) < 0.8

@@ -12,11 +12,7 @@ from nailoptics.errors import as_far_as_reached
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Candidate, Placement, Priors, Scene
-from nailoptics.sensor.information import force_resolution_n
-from nailoptics.statistics import Z95, jackknife
-from nailoptics.studies.placement import boards, place, robustness
-from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.placement.photon_maps import PhotonMapCache
+from nailoptics.studies.placement import place
 from nailoptics.studies.placement.result import rough_words, rows
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
@@ -93,35 +89,3 @@ def test_the_stated_error_of_oxygen(found):
     values, errors = (np.array([one[f"spo2_error_percent{end}"].values for one in found]) for end in ("", "_stderr"))
     away = (values - values.mean(0)) / errors * np.sqrt(len(values) / (len(values) - 1))
     assert 0.5 < np.sqrt(np.mean(away**2)) < 1.5, np.sqrt(np.mean(away**2))
-
-
-def test_resolution_by_count_holds_at_the_chosen_places(found, made_once):
-    """Rationale: every seed chooses places of its own. Expected: at these, sixteen times the photons resolve what was
-    told, as often as errors say."""
-    asked = scene()
-    base, rules = boards.base_board(asked), boards.rules(asked)
-    layout = place.given(base, rules)[0]
-    conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(asked)]
-    cache = PhotonMapCache(conditions, seed=999, stream=1, backend="auto", blocks=place.BLOCKS)
-    cache.extend(layout.board, 16 * PHOTONS)
-    points = [condition.point for condition in conditions]
-    places = robustness._read(layout, base, cache, Objective(rules, points))
-    z = []
-    for alone, name in ((False, "count_resolution_n"), (True, "count_electronics_resolution_n")):
-        information = robustness._information(places.judged_by, electronics_alone=alone)
-        for one in found:
-            for value, error, centers_mm in zip(
-                one[name].values.ravel(),
-                one[f"{name}_stderr"].values.ravel(),
-                one.count_place_mm.values.reshape(-1, *one.count_place_mm.shape[2:]),
-                strict=True,
-            ):
-                if np.isfinite(value):
-                    asked_mm = centers_mm[np.isfinite(centers_mm[:, 0])]
-                    near = np.linalg.norm(places.places.centers_mm[None] - asked_mm[:, None], axis=-1)
-                    assert near.min(axis=1).max() < 1e-6
-                    read = information[0][..., near.argmin(axis=1), :].sum(-2)
-                    truth = np.atleast_1d(force_resolution_n(read, points[0]))
-                    z.append((value - truth[0]) / np.hypot(error, jackknife(truth)))
-    assert len(z) >= 40 and (np.abs(z) < Z95).mean() > 0.85, ((np.abs(z) < Z95).mean(), np.sqrt(np.mean(np.square(z))))
-    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5

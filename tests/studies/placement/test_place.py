@@ -77,9 +77,9 @@ def test_resolution_is_the_error_of_a_least_squares_fit():
 
 
 def test_a_saturated_reading_tells_nothing(scene):
-    led, photodiode = scene.leds[0], scene.photodiodes[0]
+    photodiode = scene.photodiodes[0]
     values = np.array([[1e-4, 0, -1e-3, -1e-3], [0.5, 0, -1.0, -1.0]])
-    read = information.response(values, led, photodiode, scene.electronics, AT)
+    read = information.response(values, scene, 0, photodiode, AT)
     assert np.any(read.slope_v_per_pa[0] != 0) and np.all(read.slope_v_per_pa[1] == 0)
 
 
@@ -96,7 +96,7 @@ def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene)
         blocks = np.zeros((32, 1, 4))
         blocks[:, 0, 0] = limit * (0.98 + 0.02 * np.sqrt(32) * rng.standard_normal(32))
         blocks[:, 0, 2:] = -limit
-        how = led, photodiode, scene.electronics, AT
+        how = scene, 0, photodiode, AT
         read, below = (
             information.response(left_out(blocks), *how, replicates=True),
             information.response(blocks[0] * 0.1, *how),
@@ -139,12 +139,11 @@ def test_a_planted_optimum_is_found():
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
-    read = information.response(plane.over(areas)[0], scene.leds[0], scene.photodiodes[0], scene.electronics, AT)
+    read = information.response(plane.over(areas)[0], scene, 0, scene.photodiodes[0], AT)
     chosen, reached = search.coordinate_exchange(
         information.fisher_information(read)[None],
-        places,
+        sites.PhotodiodePlaces(tuple(Rectangle("", *area) for area in areas), (), len(areas), (0.5, 0.5)),
         count=2,
-        spacing_mm=(0.5, 0.5),
         score=lambda total: information.force_resolution_n(total[0], AT),
     )
     assert np.all(np.abs(np.sort(places[chosen], 0) - np.sort(spots, 0)) <= 0.25)
@@ -296,7 +295,7 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
 @pytest.mark.parametrize("body", [False, True])
 def test_each_photodiode_reads_as_what_it_is(scene, body):
     """Of two kinds in turn, as if each were there alone."""
-    one, led = scene.photodiodes[0], scene.leds[0]
+    one = scene.photodiodes[0]
     other = one.model_copy(update={"responsivity": ((700.0, 0.2), (900.0, 0.3)), "dark_current_na": 5.0})
     kinds, rng = [one, other, one, other, other], np.random.default_rng(0)
     values = rng.uniform(1e-5, 1e-4, (9, 5, 4)) * [1.0, 0.3, -2.0, -1.0]
@@ -304,17 +303,14 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
     point = information.operating_point(asked, 0.5)
     assert (point.body is not None) == body
     how = {"ambient_a": rng.uniform(0, 1e-8, 5), "replicates": True}
-    together = information.response(values, led, kinds, scene.electronics, point, **how)
+    together = information.response(values, scene, 0, kinds, point, **how)
     for i, kind in enumerate(kinds):
         alone = how | {"ambient_a": how["ambient_a"][[i]]}
-        single = information.response(values[:, [i]], led, kind, scene.electronics, point, **alone)
+        single = information.response(values[:, [i]], scene, 0, kind, point, **alone)
         told = information.fisher_information(together)[:, [i]]
         assert told == pytest.approx(information.fisher_information(single), rel=1e-9)
         assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
-    assert (
-        together.volts[0, 1]
-        != information.response(values, led, [one] * 5, scene.electronics, point, **how).volts[0, 1]
-    )
+    assert together.volts[0, 1] != information.response(values, scene, 0, [one] * 5, point, **how).volts[0, 1]
 
 
 def test_intervals_allow_for_errors_that_few_blocks_tell():
@@ -408,7 +404,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert text.count("<svg") == 7 and "http:" not in text and "https:" not in text and "paper" in text
+    assert text.count("<svg") == 6 and "http:" not in text and "https:" not in text and "paper" in text
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)

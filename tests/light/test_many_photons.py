@@ -1,0 +1,139 @@
+"""Traces of many photons: the error that ends them, the memory that they may fill, and an exact plate."""
+
+import math
+
+import numpy as np
+import pytest
+from small_scenes import phantom
+
+import nailoptics as nail
+from nailoptics import io
+from nailoptics.errors import NotReachedError
+from nailoptics.light import Transfer, optics
+from nailoptics.light.tracing import trace_scene, trigger
+from nailoptics.light.transfer.records import LedTrace
+from nailoptics.scene import Scene, parse_scene
+
+FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+fwhm_nm = {fwhm}
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "near"
+position_mm = [0.0, -1.6]
+size_mm = [1.0, 1.0]
+"""
+
+
+def slab(*, mu_a: float = 0.1, mu_s: float = 1.0, n: float = 1.4, size: float = 2.0) -> Scene:
+    layer = {"name": "layer", "thickness_mm": 1.0, "mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "n": n}
+    everywhere = {"name": "all", "position_mm": [0.0, 0.0], "size_mm": [size, size]}
+    return parse_scene(phantom(layer, photodiodes=[everywhere]))
+
+
+def is_true(z: np.ndarray) -> None:
+    """Departures in units of their stated errors, (runs,): a normal deviate's mean, spread and share within 1."""
+    runs = len(z)
+    assert abs(z.mean()) < 4 / math.sqrt(runs)
+    # The spread of a sample of n normal deviates has a standard error of 1 / sqrt(2 n).
+    assert abs(z.std(ddof=1) - 1) < 4 / math.sqrt(2 * runs)
+    assert abs(np.mean(np.abs(z) < 1) - 0.683) < 4 * math.sqrt(0.683 * 0.317 / runs)
+
+
+def test_a_sample_of_photons_stored_by_0_2_0_reads_as_the_light_that_it_stands_for(tmp_path):
+    """Rationale: of more than 8 million photons 0.2.0 stored a random part, weights divided by it, a random number of
+    each record, and sums over all of them at rest.
+    Expected: the weights alone give the reading, with an error that covers the loss."""
+    rng, scene, kept = np.random.default_rng(1), slab(), 1 / 16
+    weight, path_mm = rng.random(40_000) ** 2, rng.exponential(3.0, (40_000, 1)).astype(np.float32)
+
+    def light(chosen: np.ndarray, part: float) -> Transfer:
+        energy = {name: (1.0, 1.0) for name in ("reflected", "transmitted", "absorbed", "lost")}
+        where, mu_a = np.zeros(chosen.sum(), np.uint16), optics.absorption(scene, scene.leds[0].wavelength_nm)[0]
+        one = LedTrace(1_000_000, mu_a, where, weight[chosen] / part, path_mm[chosen], energy, (1,))
+        return Transfer(scene, (one,), "none")
+
+    everything, path = light(np.full(40_000, True), 1.0), tmp_path / "sample"
+    chosen = rng.random(40_000) < kept
+    light(chosen, kept).save(path)
+    header, arrays = io.unpack(path.read_bytes())
+    header["leds"][0]["keep"] = kept
+    arrays |= {"draw": np.zeros(chosen.sum(), np.float32), "full": np.ones((1, 1, 6))}
+    path.write_bytes(io.pack(header, arrays))
+    for mu_a in (0.1, 0.3):
+        exact, read = (t.at(mu_a_per_mm={"layer": mu_a}).squeeze() for t in (everything, Transfer.load(path)))
+        error = float(read.detected_fraction_stderr)
+        assert abs(float(read.detected_fraction - exact.detected_fraction)) < 4 * error
+        assert error == pytest.approx(4 * float(exact.detected_fraction_stderr), rel=0.1)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("required", [{"photons": 100_000}, {"relative_error": 1e-4}])
+def test_a_trace_that_fills_the_memory_ends_with_what_it_has(jit_backend, monkeypatch, required):
+    monkeypatch.setattr(trigger, "MAX_BYTES", 1e5)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    with pytest.raises(NotReachedError, match=r'LED "beam" fill .* of memory after \d+ photons') as caught:
+        nail.trace(slab(), **required)
+    (recorded,) = caught.value.result.traces
+    assert 1e5 < recorded.weight.nbytes + recorded.path_mm.nbytes + recorded.photodiode.nbytes < 3e5
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("which", ["phantom", pytest.param("finger", marks=pytest.mark.long)])
+def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monkeypatch, which):
+    """With a broad line, too, over which the state at rest is not the traced one."""
+    scene, target = (slab(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    told = []
+    traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)
+    seen = traced.at().squeeze()
+    error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+    assert error == pytest.approx(told[-1].relative_error, rel=1e-9) and 0.5 * target < error <= target
+
+
+@pytest.mark.jit
+def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypatch):
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    told = []
+    with pytest.raises(NotReachedError, match="max_seconds") as caught:
+        nail.trace(slab(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
+    seen = caught.value.result.at().squeeze()
+    error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+    assert error == pytest.approx(told[-1].relative_error, rel=1e-9)
+
+
+def plate(mu_a: float) -> float:
+    """Reflectance of a plate of n 4, 1 mm thick, at normal incidence: all orders of its ghosts (Fresnel)."""
+    r, t = (3 / 5) ** 2, math.exp(-mu_a)
+    return r + (1 - r) ** 2 * r * t**2 / (1 - r**2 * t**2)
+
+
+def plate_errors(traced: Transfer) -> list[float]:
+    """Departures of a clear plate's reflectance in units of their errors, at rest and at two absorptions."""
+    z = []
+    for mu_a in (0.0, 0.01, 0.3):
+        seen = traced.at(mu_a_per_mm={"layer": mu_a}).squeeze()
+        z.append(float((seen.detected_fraction - plate(mu_a)) / seen.detected_fraction_stderr))
+        if mu_a == 0.0:
+            ideal = math.sqrt((1 / plate(0.0) - 1) / traced.photons)
+            error = float(seen.detected_fraction_stderr / seen.detected_fraction)
+            assert error == pytest.approx(ideal, rel=0.02)
+    return z
+
+
+@pytest.mark.long
+@pytest.mark.jit
+def test_a_clear_plate_reads_its_exact_reflectance(jit_backend, monkeypatch):
+    """Expected: errors as small as the photons allow, and intervals that hold the plate's exact reflectance."""
+    monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
+    scene = slab(mu_a=0.0, mu_s=0.0, n=4.0, size=1000.0)
+    z = []
+    for seed in range(40):
+        traced = nail.trace(scene, photons=100_000, seed=seed)
+        z.append(plate_errors(traced))
+    for column in np.array(z).T:
+        is_true(column)
