@@ -44,7 +44,7 @@ def is_true(z: np.ndarray) -> None:
     assert abs(np.mean(np.abs(z) < 1) - 0.683) < 4 * math.sqrt(0.683 * 0.317 / runs)
 
 
-def test_a_sample_of_photons_stored_by_0_2_0_reads_as_the_light_that_it_stands_for(tmp_path):
+def test_photons_sampled_by_0_2_0_read_as_the_light_they_stand_for(tmp_path):
     """Rationale: of more than 8 million photons 0.2.0 stored a random part, weights divided by it, a random number of
     each record, and sums over all of them at rest.
     Expected: the weights alone give the reading, with an error that covers the loss."""

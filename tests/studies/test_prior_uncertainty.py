@@ -311,7 +311,7 @@ def test_every_prior_has_a_source_and_a_field_in_its_range():
     assert scene.priors.of_body(None) == ()
 
 
-def test_diameters_and_arterial_pressure_are_covered_by_the_priors_of_vessels():
+def test_priors_of_vessels_cover_diameters_and_arterial_pressure():
     """Rationale: steady, the network depends on its walls' stiffness over P_H, on resistances and on touch over P_H.
     Expected: to rounding, a diameter of capillaries acts as their stiffness and the fourth power of resistances, P_H as
     the stiffness of all walls and the contact area."""

@@ -85,7 +85,7 @@ def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, 
 
 
 @pytest.mark.slow
-def test_listed_layouts_and_the_best_are_judged_when_a_search_took_the_time(chosen_jit, monkeypatch):
+def test_listed_layouts_and_the_best_are_judged_after_a_long_search(chosen_jit, monkeypatch):
     clock = itertools.count()
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
     searched = parse_scene(SCENE.replace("search = false", "search = true"))

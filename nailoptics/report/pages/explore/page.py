@@ -95,7 +95,8 @@ def _half(values: np.ndarray) -> str:
 def _tables(exploration: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
     leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
-    nodes_u, nodes_v = exploration.ambient_nodes
+    (nodes_u, nodes_v), rest = exploration.ambient_nodes, scene.blood.rest_blood_fraction
+    pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
     return {
         "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
         "basis": {
@@ -120,10 +121,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "fewRelative": FEW_TERMS**-0.5,
         "sameNm": SAME_NM,
         # Blood at rest, from the least to the most that can be chosen.
-        "restRange": [
-            scene.blood.rest_blood_fraction * (factor if scene.blood.venous_so2 is None else 1.0)
-            for factor in BLOOD_RANGE
-        ],
+        "restRange": [rest * factor if scene.blood.venous_so2 is None else rest for factor in BLOOD_RANGE],
         "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
@@ -139,9 +137,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "rules": {
             "scene": _bare(Scene.model_json_schema()),
             "mostElements": MOST_PHOTODIODES,
-            "mostPairs": max(
-                MOST_PAIRS, len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
-            ),
+            "mostPairs": max(MOST_PAIRS, pairs),
             "mostBytes": MOST_SCENE_BYTES,
         },
         "formula": FORMULA,
