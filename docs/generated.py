@@ -25,7 +25,7 @@ LISTS = {"leds", "photodiodes", "layers", "steps", "slots", "candidates", "finge
 # Tables that decide the effort of a study, not its result.
 EFFORT = {"accuracy", "placement"}
 # Tables that are applied after tracing.
-READ_ONLY = {"touch", "body", "electronics", "oximeter", "colour", "priors"}
+READ_ONLY = {"touch", "body", "electronics", "ambient", "oximeter", "colour", "priors"}
 # Fields that set others, some of which change the light transport.
 FILLS = {
     "digit",

@@ -66,7 +66,7 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
         names = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
         return _summarised(result[names]), int(result.attrs["photons"]), not unmet
     transfer, photons, reached = _transfer(scene, options, stores, None)
-    result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), seed=options.seed)
+    result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), options=options)
     return _summarised(result), photons, reached
 
 

@@ -31,7 +31,7 @@ def light_scene(scene: Scene) -> Scene:
     )
     plain = ("touch", "colour", "electronics", "accuracy", "priors")
     update: dict[str, Any] = {name: type(getattr(scene, name))() for name in plain}
-    update |= dict.fromkeys(("body", "oximeter", "placement"))
+    update |= dict.fromkeys(("body", "ambient", "oximeter", "placement"))
     update |= {"blood": blood, "leds": leds, "photodiodes": photodiodes}
     update["light"] = scene.light.model_copy(update={"engine": "auto"})
     update["board"] = scene.board.model_copy(update=dict.fromkeys(("kicad", "positions", "unmapped")))

@@ -7,7 +7,7 @@ from typing import Any
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # What a terminal without Unicode lacks.
-_ASCII = str.maketrans({"±": "+-", "−": "-", "–": "-", "\u00a0": " ", "×": "x", "µ": "u", "∞": "inf"})
+ASCII = str.maketrans({"±": "+-", "−": "-", "–": "-", "\u00a0": " ", "×": "x", "µ": "u", "∞": "inf"})
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "−"
 TINY = 1e-290  # what is less has no power of ten to divide by
@@ -129,7 +129,7 @@ def duration(seconds: float) -> str:
 
 def aligned(rows: Sequence[Mapping[str, str]]) -> list[str]:
     """Lines of a table of records for the terminal, in ASCII but for names; columns of numbers end at the right."""
-    cells = [[str(cell).translate(_ASCII) for cell in row] for row in (rows[0], *(row.values() for row in rows))]
+    cells = [[str(cell).translate(ASCII) for cell in row] for row in (rows[0], *(row.values() for row in rows))]
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
     numeric = [2 * sum(cell[:1] in "-+(<0123456789" for cell in column[1:]) > len(column) for column in columns]

@@ -12,7 +12,7 @@ from ..scene import Scene
 from ..studies.simulate import hold_end
 from .files import run_summary
 from .maps import order_along_nail
-from .numbers import aligned, prefix, significant, with_error, with_stderr
+from .numbers import ASCII, aligned, prefix, quantity, significant, with_error, with_stderr
 from .uncertainty_section import spread_summary
 
 if TYPE_CHECKING:
@@ -79,8 +79,13 @@ def simulation_summary(result: xr.Dataset) -> dict[str, Any]:
         for led, region in product(part.led.values, part.region.values):
             end = with_stderr(part.sel(led=led, region=region), "absorbed_fraction")
             absorbed.setdefault(str(led), {})[str(region)] = end
-    readings = table[names].to_dict("records")
-    return {"readings": readings, "absorbed": absorbed} | spread_summary(result) | run_summary(result.attrs)
+    found: dict[str, Any] = {"readings": table[names].to_dict("records"), "absorbed": absorbed}
+    if "ambient_a" in result:
+        ambient = result[[name for name in result if str(name).startswith("ambient_")]]
+        found["ambient"] = ambient.to_dataframe().reset_index().to_dict("records")
+    if "false_force_n" in result:
+        found["false_force_n"] = result.false_force_n.to_series().to_dict()
+    return found | spread_summary(result) | run_summary(result.attrs)
 
 
 def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
@@ -111,6 +116,26 @@ def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
     return rows
 
 
+def disturbance_lines(result: xr.Dataset) -> list[str]:
+    """Ambient light on the photodiode that has most of it, and the false forces by the body, in words."""
+    lines = []
+    if "ambient_a" in result:
+        most = result.isel(photodiode=int(result.ambient_a.argmax()))
+        volts = f"{with_error(float(most.ambient_volts), float(most.ambient_volts_stderr))} V"
+        noise, left, flicker = (
+            f"{quantity(float(most[f'ambient_{name}']), 'V')}" for name in ("noise_v", "left_v", "flicker_v")
+        )
+        lines.append(
+            f"ambient light: at most {volts} at a stage's output ({most.photodiode.item()}), of whose readings it is "
+            f"{left} with {noise} of shot noise and {flicker} of flicker, rms"
+        )
+    if "false_force_n" in result:
+        forces = zip(result.disturbance.values, result.false_force_n.values, strict=True)
+        shown = ", ".join(f"{name} {quantity(float(force_n), 'N')}" for name, force_n in forces)
+        lines.append(f"false force at the end of the hold (rms of waves; – where no blood is left to move): {shown}")
+    return lines
+
+
 def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """The readings of a touch as a table, where the light ends, and conclusions over the priors."""
     table = photodiode_readings(result, None)
@@ -122,7 +147,8 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     lines = [*aligned(rows), f"{hold}; +-: standard error of the trace; resolution: noise over the slope"]
     if table.saturated.any():
         lines.append("saturated: the converter is at its limit, these volts do not measure the light")
-    return [*lines, *absorbed_lines(summary["absorbed"]), *summary.get("conclusions", [])]
+    lines += [*absorbed_lines(summary["absorbed"]), *(line.translate(ASCII) for line in disturbance_lines(result))]
+    return [*lines, *summary.get("conclusions", [])]
 
 
 def rest_lines(rest: "RestReadings") -> list[str]:

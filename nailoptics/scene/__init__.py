@@ -4,7 +4,7 @@ from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
 from .files import digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
 from .layout import Element, Layout
-from .models import Accuracy, Electronics, Layer, Light, Phantom, Scene, Viewing
+from .models import Accuracy, Ambient, Electronics, Layer, Light, Phantom, Scene, Viewing
 from .oximeter import Oximeter, Slot
 from .parts import Board, Led, Photodiode
 from .placement import Candidate, FingerCase, Placement

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, Name, NonNegative, Positive, Table, check_unique
+from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Positive, Table, check_unique
 from .body import Body
 from .finger import Finger
 from .importers.board_files import read_board_file
@@ -15,7 +15,7 @@ from .layout import Layout, lay_out
 from .oximeter import DARK, Oximeter, two_leds
 from .parts import Board, Led, Photodiode
 from .placement import Placement
-from .priors import Priors
+from .priors import Prior, Priors
 from .touch import Touch
 from .vessels import Blood
 
@@ -114,6 +114,58 @@ class Electronics(Table):
     """Full scale of the converter. [V]"""
     temperature_k: Positive = 305.0
     """Temperature of the electronics. [K]"""
+    ambient_rejection: Literal["dark_slot", "lock_in"] | None = None
+    """How readings are freed of steady ambient light and dark current: dark_slot subtracts a sample with the LED off,
+    lock_in demodulates an LED that is lit half of the time. Neither removes their noise, nor saturation."""
+    switching_hz: Positive | None = None
+    """Rate at which the LED is lit and dark in turn for ambient_rejection; if not given 0.3 of bandwidth_hz for
+    dark_slot and ten times it for lock_in. [Hz]"""
+
+    @model_validator(mode="after")
+    def _switching_suits_the_bandwidth(self) -> Self:
+        if self.switching_hz is not None and self.ambient_rejection is None:
+            raise ValueError("switching_hz is for ambient_rejection; give that, too, or leave it out")
+        # A dark slot must settle, and a lock-in's low pass must leave the switching out.
+        part = self.rejection_hz / self.bandwidth_hz
+        if not {None: True, "dark_slot": part <= 1 / 3, "lock_in": part >= 2}[self.ambient_rejection]:
+            raise ValueError(
+                f"switching_hz = {self.rejection_hz:g}: must be at most a third of bandwidth_hz for dark_slot, and at "
+                "least twice it for lock_in"
+            )
+        return self
+
+    @property
+    def rejection_hz(self) -> float:
+        """Rate at which the LED is lit and dark in turn. [Hz]"""
+        return self.switching_hz or self.bandwidth_hz * (10.0 if self.ambient_rejection == "lock_in" else 0.3)
+
+
+class Ambient(Table):
+    """Light from outside on the finger, from all sides."""
+
+    kind: Literal["sun", "lamp", "led"] = "lamp"
+    """Spectrum: sun, a black body of 5778 K; lamp, an incandescent lamp, a black body of 2856 K; led, the white LED-B3
+    of CIE 015:2018, without infrared."""
+    illuminance_lux: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Illuminance of the finger; full sun has 100 000, an office 500. Give this or irradiance_w_per_m2. [lux]"""
+    irradiance_w_per_m2: Annotated[float, Field(ge=0, le=1e4)] | None = None
+    """Irradiance of the finger over all wavelengths; full sun has some 1000. [W/m^2]"""
+    flicker: Fraction = 0.0
+    """Amplitude of its modulation, relative to its mean; 0 for a steady light."""
+    flicker_hz: Annotated[float, Field(gt=0, le=1e6)] = 100.0
+    """Frequency of the modulation; of lamps twice that of the mains. [Hz]"""
+
+    @model_validator(mode="after")
+    def _has_one_level(self) -> Self:
+        if (self.illuminance_lux is None) == (self.irradiance_w_per_m2 is None):
+            raise ValueError("[ambient] takes either illuminance_lux or irradiance_w_per_m2; give exactly one of them")
+        return self
+
+    @property
+    def words(self) -> str:
+        """The source and its level."""
+        lux = self.illuminance_lux
+        return f"{self.kind} of {self.irradiance_w_per_m2:g} W/m^2" if lux is None else f"{self.kind} of {lux:,g} lux"
 
 
 class Light(Table):
@@ -163,6 +215,8 @@ class Scene(Table):
     """The photodiodes."""
     electronics: Electronics = Electronics()
     """Amplifier and converter."""
+    ambient: Ambient | None = None
+    """Light from outside; none if not given, for nailoptics oximeter a lamp of 1000 lux."""
     oximeter: Oximeter | None = None
     """LED timing of the pulse oximeter."""
     colour: Viewing = Viewing()
@@ -189,6 +243,18 @@ class Scene(Table):
 
     @model_validator(mode="before")
     @classmethod
+    def _read_the_old_place_of_ambient_light(cls, data: object) -> object:
+        oximeter = data.get("oximeter") if isinstance(data, dict) else None
+        if not isinstance(data, dict) or not isinstance(oximeter, dict) or "ambient" in data:
+            return data
+        rest = {name: value for name, value in oximeter.items() if name not in ("ambient_light", "ambient_lux")}
+        if len(rest) == len(oximeter):
+            return data
+        moved = {"kind": oximeter.get("ambient_light", "lamp"), "illuminance_lux": oximeter.get("ambient_lux", 1000.0)}
+        return data | {"oximeter": rest, "ambient": moved}
+
+    @model_validator(mode="before")
+    @classmethod
     def _read_the_board_file(cls, data: object, info: ValidationInfo) -> object:
         board = data.get("board") if isinstance(data, dict) else None
         if not isinstance(data, dict) or not isinstance(board, dict) or not Board.is_to_be_read(board):
@@ -212,6 +278,8 @@ class Scene(Table):
     def _finger_or_phantom(self) -> Self:
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
+        if self.phantom is not None and self.ambient is not None:
+            raise ValueError("ambient needs a [finger], whose cover and skin it passes; leave it out of a [phantom]")
         check_unique([led.name for led in self.leds], "leds")
         elements = [name for p in self.photodiodes for name in p.element_names()]
         check_unique(elements, "photodiodes")
@@ -308,6 +376,12 @@ class Scene(Table):
             return self.blood.zone_width_mm
         # A little less than a zone, whose edges are rounded.
         return min(self.blood.zone_width_mm, (1 - 1e-9) * self.finger.nail_length_mm / self.blood.zones)
+
+    @property
+    def finger_priors(self) -> tuple[Prior, ...]:
+        """The priors of the finger, but for what the scene states: its contact, and a bed without blood."""
+        stated = set() if self.blood.rest_blood_fraction else {"blood.rest_blood_fraction"}
+        return tuple(prior for prior in self.priors.of_finger(self.touch) if prior.field not in stated)
 
     @property
     def layout(self) -> Layout:

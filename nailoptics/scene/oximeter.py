@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -38,10 +38,6 @@ class Oximeter(Table):
     """Number of samples averaged over the rest of a slot."""
     hold_pf: Positive = 10.0
     """Capacitor of the sample-and-hold, which adds its thermal noise to each sample. [pF]"""
-    ambient_light: Literal["lamp", "sun"] = "lamp"
-    """Spectrum of the ambient light."""
-    ambient_lux: NonNegative = 1000.0
-    """Illuminance of the skin by ambient light. [lux]"""
 
     @model_validator(mode="after")
     def _slots_follow_each_other(self) -> Self:

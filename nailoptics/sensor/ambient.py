@@ -1,6 +1,7 @@
 """Light from outside on a photodiode: by reciprocity, from the part of its own light that would leave the finger."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,9 +9,13 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..checks import Array
 from ..light import optics
-from ..light.board_map import Arrivals
+from ..light.board_map import Arrivals, BoardTracer
+from ..light.identity import light_scene
+from ..light.tracing.store import LightStore
 from ..light.transfer.reweight import attenuation
-from ..scene import Photodiode, Scene
+from ..options import TraceOptions
+from ..scene import Ambient, Photodiode, Scene
+from ..statistics import seed_of
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
@@ -18,41 +23,49 @@ PHOTOPIC_OBSERVER = "CIE 1924 Photopic Standard Observer"
 STEP_NM = 10.0
 # Silicon sees from here to there; where tissue has no data, that of the nearest wavelength stands for it.
 SILICON_NM = (380.0, 1100.0)
-
-
-@dataclass(frozen=True)
-class Ambient:
-    """Light from all sides with the spectrum of a black body; every part of the skin gets so much of it."""
-
-    name: str
-    kelvin: float
-    lux: float
-
-    def irradiance(self, wavelength_nm: ArrayLike) -> Array:
-        """Spectral irradiance. [W m^-2 nm^-1]"""
-        # Half a second, paid only where light from outside is requested.
-        import colour
-
-        def planck(nm: ArrayLike) -> Array:
-            return np.asarray(colour.colorimetry.planck_law(np.asarray(nm, float) * 1e-9, self.kelvin))
-
-        observer = colour.SDS_LEFS[PHOTOPIC_OBSERVER]
-        lumens = LUMENS_PER_WATT * np.trapezoid(observer.values * planck(observer.wavelengths), observer.wavelengths)
-        return planck(wavelength_nm) * self.lux / lumens
-
-    def photocurrent_a_per_mm2(self, photodiode: Photodiode) -> tuple[Array, Array]:
-        """Wavelengths that silicon sees [nm], and the photocurrent of each for a square millimetre in the open.
-        [A/mm^2]
-
-        Steps are equal, so that the sum is the integral.
-        """
-        wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
-        responsivity = electronics.photodiode_responsivity_a_per_w(photodiode, wavelength_nm)
-        return wavelength_nm, 1e-6 * STEP_NM * self.irradiance(wavelength_nm) * responsivity
-
-
+KELVIN = {"sun": 5778.0, "lamp": 2856.0}
+# Over these wavelengths a black body's irradiance is taken. [nm]
+ALL_NM = np.arange(100.0, 60_000.0)
 # Full sun, and a bright place in the light of incandescent lamps, the kind with the most infrared for its lux.
-SOURCES = (Ambient("sun", 5778.0, 1e5), Ambient("lamp", 2856.0, 1e3))
+SOURCES = (Ambient(kind="sun", illuminance_lux=1e5), Ambient(kind="lamp", illuminance_lux=1e3))
+# Photons that each photodiode sends back out: a leakage of 1e-4 is then known within a few parts in ten.
+PHOTONS = 1 << 16
+SPACING_MM = 0.2
+_BACK = 31
+
+
+def sources_of(scene: Scene) -> tuple[Ambient, ...]:
+    """The light from outside that a scene names, or the usual sun and lamp."""
+    return SOURCES if scene.ambient is None else (scene.ambient,)
+
+
+def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
+    """Irradiance of the finger by wavelength; every part of the skin gets so much of it. [W m^-2 nm^-1]"""
+    # Half a second, paid only where light from outside is requested.
+    import colour
+
+    def relative(nm: ArrayLike) -> Array:
+        nm = np.asarray(nm, float)
+        if ambient.kind in KELVIN:
+            return np.asarray(colour.colorimetry.planck_law(nm * 1e-9, KELVIN[ambient.kind]))
+        lamp = colour.SDS_ILLUMINANTS["LED-B3"]
+        return np.interp(nm, lamp.wavelengths, lamp.values, left=0.0, right=0.0)
+
+    if ambient.irradiance_w_per_m2 is not None:
+        return relative(wavelength_nm) * ambient.irradiance_w_per_m2 / np.trapezoid(relative(ALL_NM), ALL_NM)
+    observer = colour.SDS_LEFS[PHOTOPIC_OBSERVER]
+    lumens = LUMENS_PER_WATT * np.trapezoid(observer.values * relative(observer.wavelengths), observer.wavelengths)
+    return relative(wavelength_nm) * (ambient.illuminance_lux or 0.0) / lumens
+
+
+def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Array, Array]:
+    """Wavelengths that silicon sees [nm], and the photocurrent of each for a square millimetre in the open. [A/mm^2]
+
+    Steps are equal, so that the sum is the integral.
+    """
+    wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
+    responsivity = electronics.photodiode_responsivity_a_per_w(photodiode, wavelength_nm)
+    return wavelength_nm, 1e-6 * STEP_NM * spectral_irradiance(ambient, wavelength_nm) * responsivity
 
 
 def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
@@ -81,14 +94,52 @@ def photocurrents_a(
     """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
     that were emitted is the photocurrent. [A]
 
-    Absorption is that of every wavelength, scattering that of the one traced: at shorter ones light scatters more and
-    leaks less.
+    Absorption is that of every wavelength, with the blood at rest, scattering that of the one traced: at shorter ones
+    light scatters more and leaks less.
 
     traced : the scene whose light was traced, if another of the same shape and scattering.
     """
-    wavelength, per_mm2 = ambient.photocurrent_a_per_mm2(photodiode)
+    wavelength, per_mm2 = photocurrent_a_per_mm2(ambient, photodiode)
     inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
     change = optics.absorption(scene, inside) - optics.absorption(traced or scene, traced_nm)[0]
     part = attenuation(escaped.path_mm.astype(float), change) @ per_mm2
     n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)
+
+
+def ambient_photocurrent(
+    left: Arrivals, scene: Scene, photodiode: int, sources: Sequence[Ambient], *, traced: Scene, traced_nm: float
+) -> Array:
+    """The photocurrent of a photodiode by sources outside, from its own light that left the finger, (3, sources) float:
+    the estimate, its standard error, and that of the bare photodiode in the open. [A]
+
+    Where none of n photons left, the standard error is that of one.
+    """
+    element, rows = scene.layout.photodiodes[photodiode], []
+    how: dict[str, Any] = {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
+    for source in sources:
+        currents_a = photocurrents_a(left, scene, source, traced=traced, traced_nm=traced_nm, **how)
+        whole_a = element.area.area_mm2 * float(photocurrent_a_per_mm2(source, element.photodiode)[1].sum())
+        largest_a = float(currents_a.max(initial=0.0)) or whole_a / left.photons
+        total, square = float(currents_a.sum()), float((currents_a**2).sum())
+        rows.append((total, np.sqrt(max(square - total**2 / left.photons, largest_a**2)), whole_a))
+    return np.array(rows).T
+
+
+def trace_ambient(scene: Scene, sources: Sequence[Ambient], options: TraceOptions, *, seed: int) -> Array:
+    """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
+    photodiodes) float, as `ambient_photocurrent`. [A]
+
+    By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs.
+    """
+    store = LightStore.of_user() if options.store else None
+    tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
+    led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
+    light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
+    parts = []
+    for j in range(len(scene.layout.photodiodes)):
+        _, left = tracer.back(j, led, photons=PHOTONS, seed=seed_of(seed, _BACK, j))
+        parts.append(ambient_photocurrent(left, scene, j, sources, **light))
+    if store is not None:
+        store.close()
+    return np.stack(parts, -1)

@@ -31,8 +31,8 @@ class Output:
     """What a photodiode's stage and the converter behind it make of light, arrays of one shape.
 
     amplified_v : The stage's output, dark current included, as if the converter had no limit. [V]
-    volts : What the converter reads: the same, held at `adc_range_v`. [V]
-    noise_v2 : Variance that stage and converter add to one sample. [V^2]
+    volts : What the converter reads: the same, held at `adc_range_v`, less what ambient rejection takes away. [V]
+    noise_v2 : Variance that stage and converter add to one reading. [V^2]
     saturated : bool. The converter is at its limit: neither volts nor noise tell the light.
     """
 
@@ -43,7 +43,7 @@ class Output:
 
     @property
     def volts_noise_rms(self) -> Array:
-        """Noise of one sample. [V]"""
+        """Noise of one reading. [V]"""
         return np.sqrt(self.noise_v2)
 
 
@@ -136,6 +136,43 @@ def stage_noise(
     )
 
 
+def reading_noise_v2(
+    current_a: ArrayLike,
+    photodiode: Photodiode | Sequence[Photodiode],
+    amplifier: Electronics,
+    *,
+    ambient_a: ArrayLike = 0.0,
+) -> Array:
+    """Variance of one reading of a photocurrent, of which ambient_a is by light from outside, with its rejection. [V^2]
+
+    A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
+    bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
+    """
+    lit_v2 = sum(stage_noise(current_a, photodiode, amplifier))
+    if amplifier.ambient_rejection is None:
+        return np.asarray(lit_v2)
+    both_v2 = lit_v2 + sum(stage_noise(ambient_a, photodiode, amplifier))
+    return np.asarray(both_v2 if amplifier.ambient_rejection == "dark_slot" else 2 * both_v2)
+
+
+def flicker_gain(flicker_hz: float, amplifier: Electronics) -> float:
+    """What a reading has of ambient light's modulation, rms, relative to that in the stage's input.
+
+    The stage, or the lock-in's low pass, is of first order. A lock-in turns a frequency f into f_switching - f and
+    f_switching + f, by a square wave whose fundamental is 4 / pi.
+    """
+
+    def low_pass(hz: float) -> float:
+        return float(1 / np.hypot(1.0, hz * np.pi / (2 * amplifier.bandwidth_hz)))
+
+    switching_hz = amplifier.rejection_hz
+    if amplifier.ambient_rejection == "lock_in":
+        sidebands = (low_pass(switching_hz - flicker_hz), low_pass(switching_hz + flicker_hz))
+        return float(4 / np.pi * np.hypot(*sidebands))
+    later = abs(2 * np.sin(np.pi * flicker_hz / (2 * switching_hz))) if amplifier.ambient_rejection else 1.0
+    return float(later * low_pass(flicker_hz))
+
+
 def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArray[np.bool_]]:
     """Saturation: what the converter reads of the stage's output [V], within 0 and its range, and where it is at its
     limit; of any shape."""
@@ -166,7 +203,9 @@ def read(
     dark_a = _of_each(photodiode, lambda p: p.dark_current_a(amplifier.temperature_k))
     amplified = np.asarray((current + dark_a) * amplifier.feedback_ohm)
     volts, saturated = converted(amplified, amplifier)
-    noise_v2 = np.asarray(sum(stage_noise(current, photodiode, amplifier)))
+    if amplifier.ambient_rejection is not None:
+        volts = volts - converted((np.asarray(ambient_a) + dark_a) * amplifier.feedback_ohm, amplifier)[0]
+    noise_v2 = reading_noise_v2(current, photodiode, amplifier, ambient_a=ambient_a)
     return Output(amplified_v=amplified, volts=volts, noise_v2=noise_v2, saturated=saturated)
 
 

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, contact_at, steady_blood_at
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Photodiode, Scene
-from ..scene.body import Drift
+from ..scene.body import Body, Drift, WaveTable
 from ..statistics import covariance_root, jackknife
 from . import electronics
 
@@ -134,14 +134,35 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
     )
 
 
+def moves_blood(point: OperatingPoint) -> bool:
+    """Whether both pressures move the blood, so that readings of it know the force."""
+    return bool(np.linalg.cond(point.blood_per_pa) <= 1 / np.finfo(float).eps)
+
+
 def posture_force_n(scene: Scene, force_n: float) -> float:
     """The false force by the hand's height and venous pressure of a scene while a force is held: what their change of
-    both zones' blood is as a change of both touch pressures, on their areas. [N]"""
+    both zones' blood is as a change of both touch pressures, on their areas; NaN where a pressure moves no blood. [N]
+    """
     assert scene.body is not None
     without = scene.body.model_copy(update={"hand_height_m": 0.0, "venous_pressure_pa": None})
     usual = operating_point(scene.model_copy(update={"body": without}), force_n)
+    if not moves_blood(usual):
+        return float("nan")
     moved = operating_point(scene, force_n).blood_fraction - usual.blood_fraction
     return float(usual.force_per_pa @ np.linalg.lstsq(usual.blood_per_pa, moved)[0])
+
+
+def false_forces_n(scene: Scene, force_n: float) -> dict[str, float]:
+    """The false force by each thing that moves blood beside the touch while a force is held, by its name in [body]:
+    of waves of the arterial pressure the rms, of the hand's height and venous pressure the shift. [N]"""
+    out: dict[str, float] = {}
+    for name, value in scene.body or ():
+        alone = scene.model_copy(update={"body": Body().model_copy(update={name: value})})
+        if isinstance(value, WaveTable):
+            out[name] = physiological_noise_force_n(operating_point(alone, force_n))
+        elif name in ("hand_height_m", "venous_pressure_pa") and value:
+            out[name] = posture_force_n(alone, force_n)
+    return out
 
 
 @dataclass(frozen=True)
@@ -299,9 +320,9 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
     Their blood b is what the pressures B^-1 b would make of it: light that sees two zones cannot tell them apart, so
     that no layout resolves finer unless the split of the touch is known. NaN where a pressure moves no blood.
     """
-    if point.body is None or np.linalg.cond(point.blood_per_pa) > 1 / np.finfo(float).eps:
+    if point.body is None or not moves_blood(point):
         return 0.0 if point.body is None else float("nan")
-    return float(np.linalg.norm(point.force_per_pa @ np.linalg.solve(point.blood_per_pa, point.body.blood)))
+    return float(np.linalg.norm(point.force_per_pa @ np.linalg.lstsq(point.blood_per_pa, point.body.blood)[0]))
 
 
 def pressure_resolution_pa(information: Array) -> Array:

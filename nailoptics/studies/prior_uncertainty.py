@@ -277,7 +277,7 @@ def readings_over_priors(
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     """
     scene = transfer.scene
-    priors = sorted(scene.priors.of_finger(scene.touch), key=lambda prior: not only_absorbs(scene, prior))
+    priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
     needing_traces = [prior for prior in priors if not only_absorbs(scene, prior)]
     evaluated = priors if own_traces else priors[: len(priors) - len(needing_traces)]
     limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(needing_traces), 1)

@@ -1,4 +1,4 @@
-"""What a scene asks for, in numbers, and everything in it that a command would refuse; no light is traced."""
+"""What a scene asks for, in numbers, and everything in it that a command would refuse; only ambient light is traced."""
 
 import math
 from typing import Any
@@ -10,9 +10,12 @@ from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_
 from ..hemodynamics.parameters import beds, bounds
 from ..light import optics
 from ..light.diffusion import DiffusionModel
+from ..options import TraceOptions
 from ..scene import Scene
 from ..sensor import electronics
+from ..sensor.ambient import trace_ambient
 from ..sensor.information import posture_force_n
+from ..statistics import Z95
 from .oximetry.disturbances import warnings_without_light
 from .placement import boards, candidates
 
@@ -114,12 +117,16 @@ def _beyond_the_nail(scene: Scene) -> list[str]:
 
 
 def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
-    """Every LED with every photodiode: their distance, and the reading at rest and at most as diffusion tells it."""
+    """Every LED with every photodiode: their distance, and the reading at rest and at most as diffusion tells it, in
+    the upper end of the 95 % interval of the scene's ambient light."""
     layout, pairs, full = scene.layout, [], []
+    ambient_a = np.zeros(len(layout.photodiodes))
+    if scene.ambient is not None:
+        ambient_a = np.array([1, Z95]) @ trace_ambient(scene, [scene.ambient], TraceOptions(), seed=0)[:2, 0]
     fractions = DiffusionModel(scene).readings(np.maximum(blood_fraction, 0.0))
     for led, die, rows in zip(scene.leds, layout.leds, fractions, strict=True):
-        for element, row in zip(layout.photodiodes, rows, strict=True):
-            read = electronics.read(row, led, element.photodiode, scene.electronics)
+        for element, row, current_a in zip(layout.photodiodes, rows, ambient_a, strict=True):
+            read = electronics.read(row, led, element.photodiode, scene.electronics, ambient_a=current_a)
             most_v = float(read.amplified_v.max())
             pair: dict[str, Any] = {"led": led.name, "photodiode": element.name}
             pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm), "volts": float(read.volts[0])}
@@ -129,9 +136,10 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
     if not full:
         return pairs, []
     shown = ", ".join(full[:4]) + (f" and {len(full) - 4} more" if len(full) > 4 else "")
+    less = "" if scene.ambient is None else ", or the light of [ambient]"
     return pairs, [
         f"may be saturated, of {scene.electronics.adc_range_v:g} V: {shown}; lower leds.flux_mw or "
-        "electronics.feedback_ohm"
+        f"electronics.feedback_ohm{less}"
     ]
 
 

@@ -16,7 +16,9 @@ from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Scene
 from ..sensor import electronics
+from ..sensor.ambient import trace_ambient
 from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, worn_light
+from ..sensor.information import false_forces_n
 from ..variables import Variables, variable
 from .prior_uncertainty import read_by_groups, readings_over_priors
 
@@ -70,7 +72,7 @@ def simulate(
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
     (light, moved), unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)
-    result = simulate_from(scene, light, course=course, seed=options.seed, moved=moved)
+    result = simulate_from(scene, light, course=course, options=options, moved=moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())
     if picture:
@@ -84,18 +86,28 @@ def simulate(
 
 
 def simulate_from(
-    scene: Scene, light: DetectedLight, *, course: xr.Dataset, seed: int, moved: Sequence[MovedLight] = ()
+    scene: Scene, light: DetectedLight, *, course: xr.Dataset, options: TraceOptions, moved: Sequence[MovedLight] = ()
 ) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`.
 
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
-    result = course.merge(_read_volts(scene, light, course, moved))
-    result = result.merge(_fit_reduced(result, light.transfer, seed))
+    ambient = _ambient(scene, options)
+    result = course.merge(_read_volts(scene, light, course, moved, ambient))
+    result = result.merge(_fit_reduced(result, light.transfer, options.seed)).assign(ambient)
+    if ambient:
+        volts_stderr = result.volts_stderr.values
+        np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
+    if false_n := false_forces_n(scene, float(result.force_n[hold_end(result)])):
+        text = "false force at the end of the hold: rms by waves, shift by posture; NaN where a pressure moves no blood"
+        result = result.assign(variable("false_force_n", "disturbance", list(false_n.values()), text, units="N"))
+        result = result.assign_coords(
+            variable("disturbance", "disturbance", list(false_n), "what moves blood beside touch")
+        )
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
-        "seed": seed,
+        "seed": options.seed,
         "title": "nailoptics: touch to volts",
         "references": "S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
@@ -119,7 +131,8 @@ def _spread(
         same = varied.blood.model_copy(update=seen) == scene.blood
         course = result if same and varied.touch == scene.touch else blood_over_touch(varied)
         # Eq. (7): blood goes with the blood at rest.
-        part = varied.blood.rest_blood_fraction / scene.blood.rest_blood_fraction if course is result else 1.0
+        rest, usual = varied.blood.rest_blood_fraction, scene.blood.rest_blood_fraction
+        part = rest / usual if course is result and usual else 1.0
         return np.asarray(part * course.blood_fraction.values[:, ends].T)
 
     over_priors = readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)
@@ -132,10 +145,37 @@ def hold_end(result: xr.Dataset) -> int:
     return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
-def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight]) -> xr.Dataset:
+def _ambient(scene: Scene, options: TraceOptions) -> Variables:
+    """The scene's light from outside on its photodiodes, and what of it is in a reading; nothing without any."""
+    if scene.ambient is None:
+        return {}
+    current, error, bare = trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]
+    on_each: Variables = {}
+    stage = scene.electronics
+    flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
+    to_v, left = stage.feedback_ohm, 1.0 if stage.ambient_rejection is None else 0.0
+    with np.errstate(invalid="ignore"):
+        for name, factor, unit, text in (
+            ("a", 1.0, "A", "photocurrent of ambient light"),
+            ("fraction", 1 / bare, "1", "photocurrent of ambient light, of that of the bare photodiode in the open"),
+            ("volts", to_v, "V", "ambient light at the stage's output, before ambient rejection"),
+            ("left_v", left * to_v, "V", "mean of ambient light that is left in a reading"),
+            ("flicker_v", flicker * to_v, "V", "flicker of ambient light that is left in a reading, rms"),
+        ):
+            how = {"units": unit, "stderr": factor * error}
+            on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    dark_v2, lit_v2 = (electronics.reading_noise_v2(a, diodes, stage, ambient_a=a) for a in (0.0 * current, current))
+    text = "shot noise of ambient light in one reading, rms"
+    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(lit_v2 - dark_v2), text, units="V")
+
+
+def _read_volts(
+    scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight], ambient: Variables
+) -> xr.Dataset:
     """Detected fractions and volts over the course, with standard errors and noise, and the sensor's drift and motion.
 
-    moved : as for `simulate_from`.
+    moved : as for `simulate_from`. ambient : the light from outside, of `_ambient`.
     """
     blood = course.blood_fraction.values.T
     readings = _read_light(scene, light, course)
@@ -153,9 +193,10 @@ def _read_volts(scene: Scene, light: DetectedLight, course: xr.Dataset, moved: S
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
     saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
+    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(fraction.shape[1])
     for i, j in np.ndindex(*fraction.shape[:2]):
         led, diode = scene.leds[i], scene.layout.photodiodes[j].photodiode
-        read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics)
+        read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
         per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
         volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
         change[i, j] = read.volts - read.volts[0]

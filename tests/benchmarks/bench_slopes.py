@@ -105,6 +105,7 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     """Ten seconds at a higher rate: the vessels, the readings and the fits, without the photons."""
     from nailoptics.hemodynamics.for_scene import blood_over_touch
     from nailoptics.light import open_light
+    from nailoptics.options import TraceOptions
     from nailoptics.studies.simulate import simulate_from
 
     asked = shipped(name)
@@ -113,7 +114,7 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     asked = asked.model_copy(update={"touch": touch})
     start = asked.model_copy(update={"touch": touch.model_copy(update={"sample_rate_hz": 10.0})})
     light = open_light(asked, states=blood_over_touch(start).blood_fraction.values.T, photons=FEW)
-    return lambda: simulate_from(asked, light, course=blood_over_touch(asked), seed=1)
+    return lambda: simulate_from(asked, light, course=blood_over_touch(asked), options=TraceOptions(seed=1))
 
 
 def scenes(count: int, *, opening: bool = False) -> Callable[[], object]:

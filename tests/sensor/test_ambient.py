@@ -10,8 +10,17 @@ from nailoptics import geometry
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.reference import mitsuba_scene
-from nailoptics.scene import parse_scene
-from nailoptics.sensor.ambient import SOURCES, Ambient, collecting_area_mm2, photocurrents_a
+from nailoptics.options import TraceOptions
+from nailoptics.scene import Ambient, parse_scene
+from nailoptics.sensor.ambient import (
+    ALL_NM,
+    KELVIN,
+    SOURCES,
+    collecting_area_mm2,
+    photocurrents_a,
+    spectral_irradiance,
+    trace_ambient,
+)
 
 SCENE = """
 schema_version = 1
@@ -32,11 +41,31 @@ size_mm = [1.5, 1.5]
 
 
 @pytest.mark.parametrize(("kelvin", "lumens_per_watt"), [(5800.0, 93.0), (2800.0, 15.0), (7000.0, 95.0)])
-def test_black_bodies_shine_with_their_luminous_efficacy(kelvin, lumens_per_watt):
+def test_black_bodies_shine_with_their_luminous_efficacy(kelvin, lumens_per_watt, monkeypatch):
     """Efficacies of ideal black bodies as tables of photometry list them, rounded to whole lm/W."""
-    wavelength = np.arange(100.0, 60_000.0)
-    total = np.trapezoid(Ambient("one", kelvin, 1e5).irradiance(wavelength), wavelength)
+    monkeypatch.setitem(KELVIN, "sun", kelvin)
+    total = np.trapezoid(spectral_irradiance(SOURCES[0], ALL_NM), ALL_NM)
     assert 1e5 / total == pytest.approx(lumens_per_watt, abs=1.0)
+
+
+@pytest.mark.parametrize("kind", ["sun", "lamp", "led"])
+def test_an_irradiance_and_its_illuminance_are_the_same_light(kind):
+    lit = spectral_irradiance(Ambient(kind=kind, illuminance_lux=500.0), ALL_NM)
+    total = float(np.trapezoid(lit, ALL_NM))
+    assert np.allclose(spectral_irradiance(Ambient(kind=kind, irradiance_w_per_m2=total), ALL_NM), lit, rtol=1e-9)
+    # Only an LED lamp has no infrared.
+    assert (np.trapezoid(lit[ALL_NM > 800], ALL_NM[ALL_NM > 800]) < 1e-6 * total) == (kind == "led")
+
+
+def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, monkeypatch):
+    """Four seeds: chi squared of 3 degrees of freedom below its 99.9 % quantile, at an error of less than 3 %."""
+    monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
+    scene = parse_scene(SCENE.format(cover=0))
+    found = [trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=seed) for seed in range(4)]
+    current, error, bare = np.moveaxis(np.array(found)[..., 0], 1, 0)
+    chi2 = (((current - current.mean(0)) / error) ** 2).sum(0)
+    assert (chi2 < 16.3).all() and (error < 0.03 * current).all(), (chi2, error / current)
+    assert (current < bare).all()
 
 
 def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():

@@ -5,7 +5,14 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Electronics, Led, Photodiode
-from nailoptics.sensor.electronics import PHOTON_NM_PER_V, lsb_v, noise_budget, read, responsivity_a_per_w
+from nailoptics.sensor.electronics import (
+    PHOTON_NM_PER_V,
+    flicker_gain,
+    lsb_v,
+    noise_budget,
+    read,
+    responsivity_a_per_w,
+)
 
 # Of one watt, so that a detected fraction is a power in watts.
 LED = Led(name="watt", wavelength_nm=800, flux_mw=1000)
@@ -118,6 +125,54 @@ def test_light_from_outside_adds_its_current_and_its_noise():
     assert lit.volts - alone.volts == pytest.approx(2e-7 * amplifier.feedback_ohm, rel=1e-12)
     more = noise_budget(0.55e-7 + 2e-7, amplifier).shot_v2 - noise_budget(0.55e-7, amplifier).shot_v2
     assert lit.noise_v2 - alone.noise_v2 == pytest.approx(more, rel=1e-6)
+
+
+def test_a_dark_slot_takes_the_mean_away_and_adds_its_own_noise():
+    bare, slotted = Electronics(), Electronics(ambient_rejection="dark_slot")
+    plain, found = (read(1e-7, LED, DIODE, one, ambient_a=2e-7) for one in (bare, slotted))
+    dark = read(0.0, LED, DIODE, bare, ambient_a=2e-7)
+    assert found.volts == pytest.approx(0.55e-7 * bare.feedback_ohm, rel=1e-9)
+    assert found.noise_v2 == pytest.approx(plain.noise_v2 + dark.noise_v2, rel=1e-12)
+    assert found.amplified_v == plain.amplified_v and not found.saturated
+    # The stage is full all the same.
+    assert read(1e-7, LED, DIODE, slotted, ambient_a=1e-5).saturated
+
+
+def test_a_lock_in_has_the_noise_of_a_demodulated_square_wave():
+    """White noise of both states, sampled at 2 B over half a period each, as the sum of many such demodulations."""
+    lock_in = Electronics(ambient_rejection="lock_in")
+    lit, dark = (read(power, LED, DIODE, Electronics(), ambient_a=2e-7).noise_v2 for power in (1e-7, 0.0))
+    rng, halves = np.random.default_rng(1), 64
+    noise = rng.normal(size=(20_000, 2, halves)) * np.sqrt(2 * halves * np.array([lit, dark]))[:, None]
+    demodulated = 2 * (noise[:, 0].sum(1) - noise[:, 1].sum(1)) / (2 * halves)
+    assert read(1e-7, LED, DIODE, lock_in, ambient_a=2e-7).noise_v2 == pytest.approx(demodulated.var(), rel=0.04)
+
+
+@pytest.mark.parametrize("flicker_hz", [20.0, 100.0, 120.0, 950.0])
+@pytest.mark.parametrize(
+    "how",
+    [{}, {"ambient_rejection": "dark_slot", "switching_hz": 30.0}, {"ambient_rejection": "lock_in"}],
+    ids=["none", "dark slot", "lock-in"],
+)
+def test_flicker_is_left_as_in_a_stage_stepped_through_time(how, flicker_hz):
+    """A first-order stage of noise bandwidth B has the time constant 1 / (4 B); the lock-in's is behind its mixer."""
+    amplifier = Electronics(**how)
+    tau_s, step_s = 1 / (4 * amplifier.bandwidth_hz), 2e-5
+    time_s = np.arange(0.0, 2.0, step_s)
+    light = np.cos(2 * np.pi * flicker_hz * time_s)
+    if amplifier.ambient_rejection == "lock_in":
+        # Its switching a little off a multiple of the step.
+        light = 2 * light * np.sign(np.sin(2 * np.pi * amplifier.rejection_hz * time_s + 0.1))
+    out, level = np.empty_like(light), 0.0
+    kept = np.exp(-step_s / tau_s)
+    for i, value in enumerate(light):
+        level = value + (level - value) * kept
+        out[i] = level
+    if amplifier.ambient_rejection == "dark_slot":
+        later = round(0.5 / amplifier.rejection_hz / step_s)
+        out = out[later:] - out[:-later]
+    rms = out[len(out) // 4 :].std()
+    assert flicker_gain(flicker_hz, amplifier) / np.sqrt(2) == pytest.approx(rms, rel=0.03, abs=0.002)
 
 
 @pytest.mark.parametrize("power_w", [-1e-9, np.nan, np.inf])

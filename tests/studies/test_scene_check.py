@@ -6,7 +6,7 @@ from small_scenes import PLACEMENT
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.scene import load_scene, parse_scene
+from nailoptics.scene import Ambient, load_scene, parse_scene
 from nailoptics.studies.scene_check import check_scene
 
 # Two LEDs on a board as large as the nail, without a barrier, and a layout in a file.
@@ -47,6 +47,22 @@ def test_it_warns_of_readings_that_may_be_saturated():
     assert lit(0.5)["warnings"] == []
     (line,) = lit(20)["warnings"]
     assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
+
+
+def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend, monkeypatch):
+    monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 12)
+    prototype = load_scene(data_dir("scenes") / "prototype.toml")
+    leds = tuple(led.model_copy(update={"flux_mw": 0.5 * led.flux_mw}) for led in prototype.leds)
+
+    def lit(lux: float) -> dict:
+        return check_scene(
+            prototype.model_copy(update={"leds": leds, "ambient": Ambient(kind="sun", illuminance_lux=lux)})
+        )
+
+    (line,) = lit(1e5)["warnings"]
+    assert line.startswith("may be saturated") and line.endswith("or the light of [ambient]") and " and 4 more" in line
+    dim, dark = (lit(lux)["pairs"][0]["volts"] for lux in (1000.0, 0.0))
+    assert lit(1000.0)["warnings"] == [] and 0.05 < dim - dark < 0.5
 
 
 def test_a_phantom_is_checked_without_a_finger():

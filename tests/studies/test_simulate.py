@@ -17,7 +17,9 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
-from nailoptics.scene import Scene, digest, load_scene, parse_scene
+from nailoptics.options import TraceOptions
+from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
+from nailoptics.sensor.information import posture_force_n
 from nailoptics.studies.simulate import simulate, simulate_from
 
 
@@ -216,13 +218,83 @@ def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkey
                 assert np.array_equal(many[name], stored[name], equal_nan=True), name
 
 
+AMBIENT_NAMES = {f"ambient_{name}" for name in ("a", "fraction", "volts", "left_v", "flicker_v", "noise_v")}
+
+
+@pytest.fixture(scope="module")
+def in_ambient_light(chosen_jit, own_store) -> dict[str, xr.Dataset]:
+    """The prototype without light from outside, in a lamp's that flickers, in the sun, and with a dark slot."""
+    lamp = Ambient(kind="lamp", illuminance_lux=1000.0, flicker=0.1)
+    sun = Ambient(kind="sun", irradiance_w_per_m2=1000.0)
+    slot = Electronics(ambient_rejection="dark_slot")
+    lights = {"none": {}, "lamp": {"ambient": lamp}, "sun": {"ambient": sun}, "slot": {"ambient": lamp}}
+    lights["slot"]["electronics"] = slot
+    quiet = prototype(duration_s=1.0)
+    quiet = quiet.model_copy(update={"priors": quiet.priors.model_copy(update={"spread": False})})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NAILOPTICS_STORE", str(own_store))
+        patch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
+        return {
+            name: simulate(quiet.model_copy(update=update), photons=1 << 15, seed=1) for name, update in lights.items()
+        }
+
+
+@pytest.mark.jit
+def test_ambient_light_adds_its_volts_noise_and_error(in_ambient_light):
+    alone, lit = in_ambient_light["none"], in_ambient_light["lamp"]
+    assert not any("ambient" in str(name) for name in alone.variables) and set(lit.data_vars) >= AMBIENT_NAMES
+    assert np.array_equal(alone.detected_fraction, lit.detected_fraction)
+    # A constant offset takes nothing from the constants of the fits, nor from their errors.
+    fits = (one.beer_lambert_alpha_per_m2_stderr for one in (alone, lit))
+    assert np.allclose(*fits, rtol=1e-5, equal_nan=True)
+    assert np.allclose(lit.volts, alone.volts + lit.ambient_volts, rtol=1e-12) and (lit.ambient_volts > 0.1).all()
+    assert np.allclose(lit.volts_noise_rms**2, alone.volts_noise_rms**2 + lit.ambient_noise_v**2, rtol=1e-9)
+    assert np.allclose(lit.volts_stderr**2, alone.volts_stderr**2 + lit.ambient_left_v_stderr**2, rtol=1e-9)
+    assert np.array_equal(alone.volts_change_stderr, lit.volts_change_stderr)
+    assert (lit.ambient_volts_stderr < 0.05 * lit.ambient_volts).all() and (lit.ambient_fraction < 1).all()
+
+
+@pytest.mark.jit
+def test_a_dark_slot_leaves_noise_flicker_and_saturation(in_ambient_light):
+    alone, lit, slot, sun = (in_ambient_light[name] for name in ("none", "lamp", "slot", "sun"))
+    dark_v = (alone.volts - slot.volts).values
+    assert dark_v.max() < 1e-3 and np.ptp(dark_v) < 1e-9 and (slot.ambient_left_v == 0).all()
+    assert np.array_equal(slot.volts_stderr, alone.volts_stderr)
+    assert np.allclose(slot.ambient_noise_v, np.sqrt(2) * lit.ambient_noise_v, rtol=1e-9)
+    assert (slot.ambient_flicker_v > 0.01 * slot.ambient_volts).all()
+    assert bool(sun.saturated.all()) and not bool(lit.saturated.any())
+
+
+@pytest.mark.jit
+def test_a_bloodless_finger_is_a_control_whose_readings_stay(chosen_jit):
+    scene = prototype(duration_s=1.0)
+    bare = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.0})})
+    quick = {"priors": bare.priors.model_copy(update={"own_traces": False})}
+    result = simulate(bare.model_copy(update=quick), photons=1 << 14, seed=1)
+    assert (result.volts > 0.1).all() and (result.volts_change == 0).all() and (result.volts_change_stderr == 0).all()
+    assert "blood at rest" not in result.prior.values and "plate absorption" in result.prior.values
+
+
+@pytest.mark.jit
+def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
+    scene = prototype(duration_s=1.0, force_n=0.5)
+    body = Body(heartbeat=Heartbeat(), hand_height_m=-0.1)
+    quiet = {"body": body, "priors": scene.priors.model_copy(update={"spread": False})}
+    result = simulate(scene.model_copy(update=quiet), photons=1 << 13, seed=1)
+    at_hold_n = float(result.force_n.max())
+    alone = scene.model_copy(update={"body": Body(hand_height_m=-0.1)})
+    assert list(result.disturbance.values) == ["heartbeat", "hand_height_m"]
+    assert float(result.false_force_n[1]) == pytest.approx(posture_force_n(alone, at_hold_n), rel=0.02)
+    assert 0 < float(result.false_force_n[0]) < 1
+
+
 @pytest.mark.jit
 def test_very_many_samples_take_little_memory(chosen_jit):
     """Expected: 64 bytes at most for each sample of a reading; ten variables of single precision are 40."""
     scene = prototype(duration_s=3.0, sample_rate_hz=1e5)
     light = open_light(scene, states=np.full((1, 2), 0.03), photons=1 << 13)
     tracemalloc.start()
-    result = simulate_from(scene, light, course=blood_over_touch(scene), seed=1)
+    result = simulate_from(scene, light, course=blood_over_touch(scene), options=TraceOptions(seed=1))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert result.volts.shape == (1, 8, 300_001) and peak < 64 * result.volts.size
@@ -236,7 +308,7 @@ def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit)
     scene = scene.model_copy(update={"blood": scene.blood.model_copy(update={"zones": 8})})
     light, blood = open_light(scene, states=np.full((1, 8), 0.03), photons=1 << 13), blood_over_touch(scene)
     tracemalloc.start()
-    simulate_from(scene, light, course=blood, seed=1)
+    simulate_from(scene, light, course=blood, options=TraceOptions(seed=1))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert blood.blood_fraction.dtype == np.float32 and peak < 80 * 8 * blood.sizes["time"]

@@ -10,7 +10,7 @@ import xarray as xr
 
 from ...io import plain_cell, write_text
 from ...scene import Placement, Scene, parse_scene
-from ...sensor.ambient import SOURCES
+from ...sensor.ambient import sources_of
 from ...sensor.information import LIFT_PER_UM
 from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
@@ -289,10 +289,9 @@ def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
     alone = [result.predicted_volts.max(), 1e6 * result.predicted_noise_v.max(), 1e3 * result.finger_resolution_n[0, 0]]
     lines = [["none", "0", *(significant(float(value)) for value in alone)]]
     for cover in result.cover.values:
-        for source in SOURCES:
-            at = result.sel(cover=cover, ambient=source.name)
-            lux = f"{source.lux:,.0f}".replace(",", "\u202f")
-            name = f"{source.name}, {lux} lux, {'with the cover' if cover == 'covered' else 'without it'}"
+        for source in sources_of(chosen(result)):
+            at = result.sel(cover=cover, ambient=source.kind)
+            name = f"{source.words}, {'with the cover' if cover == 'covered' else 'without it'}"
             most = [1e6 * at.ambient_high_a.max(), at.ambient_volts.max(), 1e6 * at.ambient_noise_v.max()]
             current, output, noise = (significant(float(value)) for value in most)
             if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()):

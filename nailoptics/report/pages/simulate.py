@@ -14,7 +14,14 @@ from .. import maps, style
 from ..files import Report
 from ..html import Html, document, escaped, figure, section, small, subheading, table
 from ..numbers import estimated, quantity, significant, with_error
-from ..readings import hold_end, photodiode_readings, reading_rows, simulation_lines, simulation_summary
+from ..readings import (
+    disturbance_lines,
+    hold_end,
+    photodiode_readings,
+    reading_rows,
+    simulation_lines,
+    simulation_summary,
+)
 from ..scene_description import blood_words, body_words, touch_words
 from ..uncertainty_section import spread_section
 from . import simulate_figures as figures
@@ -98,6 +105,7 @@ def page(result: xr.Dataset) -> str:
                 figure(figures.overview(result, scene), OVERVIEW),
                 _pair_table(reading_rows(readings), readings, kind="readings dense"),
                 small(READINGS),
+                *map(small, disturbance_lines(result)),
             ),
             section("The touch and the blood", figure(figures.courses(result), COURSES), _bed(result, scene)),
             _space_section(result, scene),

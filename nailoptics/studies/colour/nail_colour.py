@@ -215,7 +215,7 @@ def spread_of_colours(
     the rays; what scatters or is shaped otherwise is walked anew, with the same random numbers at each of its values.
     """
     scene, sites = nail.scene, (ALONG // 2, 0)
-    priors = sorted(scene.priors.of_finger(scene.touch), key=lambda prior: not only_absorbs(scene, prior))
+    priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
     light_key = light_digest(scene)
 
     def lab(light: ColourRays, changed: Scene, chosen: tuple[int, ...]) -> Array:

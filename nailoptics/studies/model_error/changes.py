@@ -11,7 +11,6 @@ from ...scene import Led, Prior, Scene
 from ...scene.catalogue import LedPart, load_part
 from ...scene.files import scene_of
 from ...scene.layout import LEAST_EPOXY_UM
-from ...scene.rectangles import Rectangle
 from ..prior_uncertainty import value_of
 
 AIR_UM = 25.0  # of a board that is lifted, or not bonded; what light meets there hardly depends on it
@@ -104,7 +103,7 @@ def changes_of(scene: Scene) -> Iterator[Change]:
     """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
     yield from _parts(scene)
     if scene.priors.spread:
-        yield from (_unknown(scene, prior) for prior in scene.priors.of_finger(scene.touch))
+        yield from (_unknown(scene, prior) for prior in scene.finger_priors)
 
 
 def _unknown(scene: Scene, prior: Prior) -> Change:
@@ -163,23 +162,3 @@ def _parts(scene: Scene) -> Iterator[Change]:
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
-
-
-def swapped(scene: Scene, far: Rectangle) -> Scene:
-    """A photodiode, of this area, as a Lambertian LED, and a photodiode where the first LED was."""
-    outline, tables = scene.layout.outline, scene.model_dump()
-    # The board stays where it is, though its parts no longer span it evenly.
-    center, (du, dv), (u, v) = outline.center_mm, scene.board.center_mm, scene.leds[0].position_mm
-    led = tables["leds"][0] | {
-        "name": "swapped",
-        "part": None,
-        "pattern": "lambertian",
-        "pattern_deg": None,
-        "pattern_relative": None,
-        "position_mm": (far.center_mm[0] - center[0], far.center_mm[1] - center[1]),
-        "size_mm": far.size_mm,
-    }
-    place = (u + du - center[0], v + dv - center[1])
-    photodiode = {"name": "swapped", "position_mm": place, "size_mm": scene.leds[0].size_mm}
-    board = tables["board"] | {"size_mm": outline.size_mm, "center_mm": center}
-    return scene_of(tables | {"board": board, "leds": (led,), "photodiodes": (photodiode,)})

@@ -16,11 +16,10 @@ from ...light.identity import light_digest
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...sensor import electronics
-from ...sensor.ambient import SOURCES, collecting_area_mm2
+from ...sensor.ambient import SOURCES, trace_ambient
 from ...statistics import Z95
-from .changes import Change, changes_of, merged, revised, swapped
+from .changes import Change, changes_of, merged, revised
 from .paired import (
-    UNDETECTED,
     Difference,
     Estimates,
     PairedReadings,
@@ -139,7 +138,7 @@ def explain(
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()
-    planned = measurements(scene, limit)
+    planned = measurements(scene, limit, options)
     # The scene itself, and what is not needed left out of it.
     tracer = PairedTracer(2 + sum(len(scenes) for _, *scenes in planned), options, progress)
     base = tracer.trace(scene)
@@ -170,9 +169,9 @@ def explain(
     return result
 
 
-def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
+def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[Measurement]:
     """All effects of a scene; first those that need no trace, then those of its own geometry."""
-    finger, board_led = scene.finger, scene.layout.leds[0]
+    finger = scene.finger
     assert finger is not None
     out: list[Measurement] = [(from_deep,)]
     for change in changes_of(scene):
@@ -181,11 +180,10 @@ def measurements(scene: Scene, tolerance: float) -> list[Measurement]:
         out.append((partial(by_change, change, tolerance), *([] if same_light else [changed])))
     denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * finger.bed_scattering}})
     out.append((partial(blood_scattering, tolerance), denser))
-    areas = scene.layout.photodiode_areas
-    farthest = max(areas, key=lambda area: math.dist(area.center_mm, board_led.center_mm))
-    out.append((partial(ambient, tolerance), swapped(scene, farthest)))
     shape = shape_of(scene)
-    return sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
+    planned = sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
+    # Of light from outside the trace is its own, after all others.
+    return [*planned, (partial(ambient, tolerance, options),)]
 
 
 def effect_of(
@@ -272,37 +270,18 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     return effect_of(change, paired, base, tolerance=tolerance)
 
 
-def ambient(tolerance: float, base: PairedReadings, back: PairedReadings) -> Effect:
-    """A lamp's light from all sides on the farthest photodiode through the skin, beside the LED's light there.
-
-    All of it is taken to be absorbed as the LED's light is, which is less than blood does to what is shorter.
-
-    back : of the photodiode's light, by reciprocity.
-    """
-    lamp, scene = SOURCES[-1], base.transfer.scene
-    diode = scene.photodiodes[0]
-    per_mm2 = float(lamp.photocurrent_a_per_mm2(diode)[1].sum())
-    escapes, led = back.transfer.energy()["reflected"], back.transfer.scene.leds[0]
-    area_mm2, index = led.size_mm[0] * led.size_mm[1], index_of("epoxy", led.wavelength_nm)
-    # Of n photons one more may have left than were counted.
-    parts = [escapes["value"], math.hypot(escapes["stderr"], UNDETECTED / back.transfer.photons)]
-    current = [per_mm2 * float(collecting_area_mm2(part, area_mm2=area_mm2, n=index)) for part in parts]
-    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
-    response = electronics.photodiode_responsivity_a_per_w(diode, wavelength_nm)
-    full = 1e-3 * np.array([led.flux_mw for led in scene.leds]) * response
-    with np.errstate(divide="ignore"):
-        ratio, error = (np.where(base.level > 0, x / (base.level * full[:, None]), np.inf) for x in current)
-    paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
-    text = f"{lamp.name} of {lamp.lux:g} lux on all sides; a reading with the LED off takes it away"
-    effect = effect_of(Change("ambient light", False, text), paired, base, tolerance=tolerance)
-    # The light that leaves is one number for all photodiodes, so that its error does not shrink in their mean.
-    shared = effect.typical * parts[1] / (parts[0] or 1.0)
-    return replace(effect, typical_stderr=math.hypot(effect.typical_stderr, shared))
-
-
-def index_of(region: str, wavelength_nm: float) -> float:
-    """Refractive index of a region."""
-    return float(tissue.scattering(region, wavelength_nm)[2])  # type: ignore[arg-type]
+def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Effect:
+    """The light from outside that the scene names, or else a lamp's, beside the LED's light on each photodiode."""
+    scene = base.transfer.scene
+    source, stage = scene.ambient or SOURCES[-1], scene.electronics
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    full_v = np.array([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
+    outside_v = stage.feedback_ohm * trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio, error = (np.where(base.level > 0, volts / (base.level * full_v), np.inf) for volts in outside_v)
+        paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
+    text = f"{source.words} on all sides; a reading with the LED off takes it away"
+    return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)
 
 
 def from_deep(base: PairedReadings) -> Effect:

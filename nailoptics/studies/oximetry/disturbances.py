@@ -1,7 +1,6 @@
 """Disturbances of an oximeter: bias of SpO2 by touch, blood, melanin, the LEDs' lines, sunlight and unequal paths."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,15 +8,10 @@ from numpy.typing import NDArray
 from ... import tissue
 from ...hemodynamics.for_scene import BloodBeat, beat_at, red_and_infrared, rest_beat
 from ...light import Transfer, optics
-from ...light.board_map import BoardTracer
 from ...light.diffusion import DiffusionModel
-from ...light.identity import light_scene
-from ...light.tracing.store import LightStore
-from ...options import TraceOptions
-from ...scene import Oximeter, Scene
-from ...sensor.ambient import SOURCES, photocurrents_a
+from ...scene import Scene
 from ...sensor.front_end import SampledFrontEnd
-from ...statistics import Z95, Array, seed_of
+from ...statistics import Z95, Array
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
@@ -37,11 +31,6 @@ VENOUS_BELOW = np.linspace(0.0, 0.30, 7)
 MOST_BIAS = 2.0
 # The paths of layered diffusion follow from so much less blood.
 LESS_BLOOD = 0.01
-
-# Photons that each photodiode sends back out: a leakage of 1e-4 is then known within a few parts in ten.
-LEAKAGE_PHOTONS = 1 << 16
-SPACING_MM = 0.2
-_BACK = 31
 
 
 @dataclass(frozen=True)
@@ -267,35 +256,3 @@ def diffusion_paths_mm(scene: Scene) -> Array:
     readings = DiffusionModel(scene).readings(states)
     mu = np.array([float(tissue.blood_mu_a_per_mm(led.wavelength_nm, scene.blood.rest_so2)) for led in scene.leds])
     return np.asarray(np.log(readings[..., 1] / readings[..., 0]) / (mu[:, None] * rest * LESS_BLOOD))
-
-
-def ambient_leakage(scene: Scene, options: TraceOptions, *, seed: int) -> Array:
-    """Photocurrents of the ambient light that a scene names, and of full sun, (2, 2, photodiodes) float. [A]
-
-    Of each value and standard error. By reciprocity, from one trace of each photodiode's own light. Where none of n
-    photons left the finger, the standard error is that of one.
-    """
-    named = scene.oximeter or Oximeter()
-    by_name = {source.name: source for source in SOURCES}
-    sources = [
-        replace(by_name[named.ambient_light], lux=named.ambient_lux),
-        replace(by_name["sun"], lux=float(SUN_LUX[-1])),
-    ]
-    store = LightStore.of_user() if options.store else None
-    how: dict[str, Any] = {"backend": options.backend, "store": store, "seed": seed}
-    tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, **how)
-    led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
-    light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
-    current_a = np.zeros((len(sources), 2, len(scene.layout.photodiodes)))
-    for j, element in enumerate(scene.layout.photodiodes):
-        _, left = tracer.back(j, led, photons=LEAKAGE_PHOTONS, seed=seed_of(seed, _BACK, j))
-        diode, area = element.photodiode, element.area.area_mm2
-        for k, source in enumerate(sources):
-            currents_a = photocurrents_a(left, scene, source, photodiode=diode, area_mm2=area, **light)
-            whole = area * float(source.photocurrent_a_per_mm2(diode)[1].sum())
-            largest_a = float(currents_a.max(initial=0.0)) or whole / LEAKAGE_PHOTONS
-            total, square = float(currents_a.sum()), float((currents_a**2).sum())
-            current_a[k, :, j] = total, np.sqrt(max(square - total**2 / LEAKAGE_PHOTONS, largest_a**2))
-    if store is not None:
-        store.close()
-    return current_a

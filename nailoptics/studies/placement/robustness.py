@@ -45,7 +45,7 @@ def resolution_over_priors(
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
     scene = layouts[0].board
-    known = (*scene.priors.of_finger(scene.touch), *scene.priors.of_body(scene.body))
+    known = (*scene.finger_priors, *scene.priors.of_body(scene.body))
     priors = sorted(known, key=lambda prior: not only_absorbs(scene, prior))
     untraced = [prior for prior in priors if not (only_absorbs(scene, prior) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]

@@ -15,7 +15,7 @@ from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blo
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Scene
-from ...sensor.ambient import SOURCES, photocurrents_a
+from ...sensor.ambient import ambient_photocurrent, sources_of
 from ...sensor.information import (
     OperatingPoint,
     Response,
@@ -119,7 +119,7 @@ class _Verification:
         maps = [[new() for _ in photodiodes] for _ in self.blood]
         # Means and variances, summed; of what comes from outside with the cover and without it.
         on_die = np.zeros((2, len(self.blood), len(photodiodes)))
-        outside = np.zeros((2, len(COVERS), len(SOURCES), len(photodiodes)))
+        outside = np.zeros((2, len(COVERS), len(sources_of(self.scene)), len(photodiodes)))
         uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
         bare, usual = self.tracer.scene.model_copy(update={"board": uncovered}), self.tracer
         how: dict[str, Any] = {"backend": usual.backend.name, "store": usual.store, "seed": usual.seed}
@@ -151,17 +151,14 @@ class _Verification:
 
     def _from_outside(self, left: Arrivals, photodiode: int) -> np.ndarray:
         """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
-        element, nm = self.scene.layout.photodiodes[photodiode], self.scene.leds[0].wavelength_nm
-        how: dict[str, Any] = {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
-        how |= {"traced": self.tracer.scene, "traced_nm": nm}
-        currents_a = np.stack([photocurrents_a(left, self.scene, source, **how) for source in SOURCES], 1)
-        # Most photons did not leave: each of them counts 0.
-        return np.stack([currents_a.sum(0), (currents_a**2).sum(0) - currents_a.sum(0) ** 2 / left.photons])
+        light: dict[str, Any] = {"traced": self.tracer.scene, "traced_nm": self.scene.leds[0].wavelength_nm}
+        value, error, _ = ambient_photocurrent(left, self.scene, photodiode, sources_of(self.scene), **light)
+        return np.stack([value, error**2])
 
     def _ambient(self, values: np.ndarray, current: np.ndarray, error: np.ndarray) -> Variables:
         """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
-        dims, sources = ("cover", "ambient", "best_photodiode"), np.array([source.name for source in SOURCES])
-        data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), sources, {})}
+        dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources_of(self.scene)]
+        data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
         text = "photocurrent by light from outside, from all sides"
         data |= variable("ambient_a", dims, current, text, units="A", stderr=error)
         high = current + Z95 * error

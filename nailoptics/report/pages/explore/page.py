@@ -142,7 +142,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         },
         "formula": FORMULA,
         "ambient": {
-            "names": [f"{source.name}, {source.lux:g} lux" for source in SOURCES],
+            "names": [source.words for source in SOURCES],
             "nodesU": nodes_u,
             "nodesV": nodes_v,
             "aPerMm2": exploration.ambient_a_per_mm2,
@@ -216,7 +216,7 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
     """What makes volts and noise of a photodiode's light: the variance is linear in the current."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    noise_v2 = [float(sum(electronics.stage_noise(current, photodiode, stage))) for current in (0.0, TEST_CURRENT_A)]
+    noise_v2 = [float(electronics.reading_noise_v2(current, photodiode, stage)) for current in (0.0, TEST_CURRENT_A)]
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
