@@ -22,7 +22,7 @@ from ..identity import light_scene
 from ..tracing.store import LightStore, made_by, stored_or_made
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
-from .sampling import TOP, PhotonEnds, lanes
+from .sampling import TOP, Photon, PhotonEnds, lanes
 
 # Photons walked at once.
 BATCH = 1 << 18
@@ -40,11 +40,14 @@ class Patch:
     """A rectangle of the finger, seen from above, and how many rays go to it for each that goes to others.
 
     center_mm, size_mm : across and along the nail, from its centre, towards the tip positive. [mm]
+    port_mm : diameter of a spectrophotometer's port around the centre, on the pulp, seen from below: only light counts
+        that leaves through it. None where light from all sides is seen from above. [mm]
     """
 
     center_mm: tuple[float, float]
     size_mm: tuple[float, float]
     share: int = 1
+    port_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,8 @@ class NailReflectance:
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
         least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
-        parameters = {"patches": [[*patch.center_mm, *patch.size_mm, patch.share] for patch in patches]}
+        rows = [[*patch.center_mm, *patch.size_mm, patch.share] for patch in patches]
+        parameters: dict[str, Any] = {"patches": rows, "ports_mm": [patch.port_mm for patch in patches]}
         parameters["least_mu_a_per_mm"] = [least_mu_a_per_mm.tolist()]
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
@@ -116,7 +120,7 @@ class NailReflectance:
             table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
             cycle = len(table) * groups
             regions = self._regions(wavelength_nm, least_mu_a_per_mm)
-            beam = _Beam(patches, table, float(self.finger[0].bounds_mm[1, 2]) + ABOVE_MM, regions.air)
+            beam = _Beam(patches, table, self.finger[0].bounds_mm[:, 2] + [-ABOVE_MM, ABOVE_MM], regions.air)
             batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
             for number in range(-(-photons // batch)):
                 count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
@@ -147,28 +151,52 @@ class NailReflectance:
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
         """Index, weight, paths and cosine of the rays that came back."""
         paths = len(optics.TISSUES) + len(self.zones.edges_mm)
-        ends = PhotonEnds(count, paths=paths, media=len(regions.absorbing))
+        ends = _Ends(count, paths=paths, media=len(regions.absorbing))
         walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
         rng, per_lane = lanes(count, seed)
         walked = ends.evaluated(walk.run(rng, per_lane, dr.arange(mi.UInt32, dr.width(per_lane))))
-        back = np.flatnonzero(walked.outcome == TOP)
+        inside = beam.within_port(np.stack([np.array(x) for x in ends.place], -1))
+        back = np.flatnonzero((walked.outcome == TOP) & inside)
         path = FingerTracer.by_zone(walked.path_mm[:, back]).astype(np.float16)
         return back, walked.weight[back], path, walked.cosine[back]
 
 
-class _Beam:
-    """Parallel rays from above onto patches, to each in its turn."""
+class _Ends(PhotonEnds):
+    """With where each photon ended, across and along the nail. [mm]"""
 
-    def __init__(self, patches: Sequence[Patch], table: np.ndarray, height_mm: float, air: Any) -> None:
-        corner = np.array([patch.center_mm for patch in patches]) - 0.5 * np.array([p.size_mm for p in patches])
-        self.rectangle = table_of_rows(np.hstack([corner, [patch.size_mm for patch in patches]])[table])
-        self.count, self.height, self.region = dr.opaque(mi.UInt32, len(table)), dr.opaque(mi.Float, height_mm), air
+    def __init__(self, photons: int, **sizes: int) -> None:
+        super().__init__(photons, **sizes)
+        self.place = [dr.zeros(mi.Float, photons) for _ in range(2)]
+
+    def record_path(self, photon: Photon, *more: Any) -> None:
+        super().record_path(photon, *more)
+        for target, value in zip(self.place, (photon.p.x, photon.p.y), strict=True):
+            dr.scatter(target, value, photon.index)
+
+
+class _Beam:
+    """Parallel rays onto patches, to each in its turn: from above, or through a port from below."""
+
+    def __init__(self, patches: Sequence[Patch], table: np.ndarray, heights_mm: np.ndarray, air: Any) -> None:
+        """heights_mm : below and above the finger. [mm]"""
+        center = np.array([patch.center_mm for patch in patches])[table]
+        size, port = np.array([p.size_mm for p in patches])[table], np.array([p.port_mm or np.nan for p in patches])
+        self.center_mm, self.radius_mm = center, port[table] / 2
+        self.rectangle = table_of_rows(np.hstack([center - size / 2, size]))
+        self.height = mi.Float(np.where(np.isnan(self.radius_mm), heights_mm[1], heights_mm[0]).astype(np.float32))
+        self.count, self.region = dr.opaque(mi.UInt32, len(table)), air
 
     def emit(self, rng: Any, index: Any) -> tuple[Any, Any, Any]:
         """Place and direction of a new photon, whichever of the batch it is, and the cosine of its angle."""
         box = dr.gather(mi.Vector4f, self.rectangle, index % self.count)
+        height = dr.gather(mi.Float, self.height, index % self.count)
         x, y = dr.fma(rng.next_float32(), box.z, box.x), dr.fma(rng.next_float32(), box.w, box.y)
-        return mi.Point3f(x, y, self.height), mi.Vector3f(0, 0, -1), mi.Float(1)
+        return mi.Point3f(x, y, height), mi.Vector3f(0, 0, dr.select(height > 0, mi.Float(-1), mi.Float(1))), mi.Float(1)
+
+    def within_port(self, place_mm: np.ndarray) -> np.ndarray:
+        """Whether the photons of a batch that ended there, (n, 2) float [mm], count by their patch's port, (n,) bool."""
+        each = np.arange(len(place_mm)) % len(self.radius_mm)
+        return ~(np.linalg.norm(place_mm - self.center_mm[each], axis=1) > self.radius_mm[each])
 
 
 def as_seen(scene: Scene) -> Scene:
