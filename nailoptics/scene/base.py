@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
 
 # What a scene has where its author says nothing, and what later rooms take where nobody says more.
 USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.01 to 0.05
-USUAL_PULP_BLOOD_FRACTION = 0.019  # fitted to the skin of ring fingers: assets/spectra/fit_fingertip_skin.py
+USUAL_PULP_BLOOD_FRACTION = 0.024  # fitted to the skin of ring fingers: assets/spectra/fit_fingertip_skin.py
 USUAL_SO2 = 0.97  # arterial blood of a healthy adult at sea level, whose pulse oximeter shows 95 to 99 %
 USUAL_MELANIN_FRACTION = 0.013  # the middle of the 0.9 to 1.7 % that the epidermis beside nails holds
 # Over such a length the bone's end stops to shield the bed: with it the white band is as wide as in the paper's Fig. 2.

@@ -4,7 +4,7 @@ The tables are in assets/real, each with its source; tables of one's own with th
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -19,10 +19,11 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, blood_model, heart_rate_per_min, rest_beat
 from ..hemodynamics.waves import HEARTBEAT, Lines, waves_of, waves_pressure
 from ..light import ProgressCallback, backend, trace
+from ..light.optics import zones
 from ..light.tracing.store import LightStore
-from ..light.walk.nail_reflectance import NailReflectance
+from ..light.walk.nail_reflectance import NailReflectance, Patch
 from ..options import Requested, TraceOptions
-from ..scene import Body, Scene, load_scene
+from ..scene import Body, Finger, Scene, load_scene
 from ..scene.base import USUAL_PULP_BLOOD_FRACTION
 from ..scene.priors import shipped_priors
 from ..statistics import Z95, jackknife, seed_of
@@ -30,7 +31,7 @@ from .colour.adaptive_sampling import ALONG, patches_of
 from .colour.colorimetry import WAVELENGTHS_NM, Viewer
 from .colour.nail_colour import spread_of_colours
 from .colour.reflectance import ColourRays, walk_colour
-from .oximetry.ratio import FIT_SO2, calibrate_curve, estimate, read_pulsations, saturation_curve
+from .oximetry.ratio import FIT_SO2, calibrate_curve, read_pulsations, saturation_curve
 from .prior_uncertainty import at_value
 
 if TYPE_CHECKING:
@@ -43,8 +44,14 @@ COVERAGE, COVERAGE_OF_FEW = (0.85, 0.99), (0.85, 1.0)
 RAYS, PHOTONS = 400_000, 1_000_000
 # Step of haemoglobin, and the skin with which photographs are scaled. [g/l]
 HAEMOGLOBIN_STEP, SCALED_TO = 10.0, ("CA", "CN")
+# Of a ring finger's pulp, what a spectrophotometer measures: light from all sides (CIE 15, d:8), gloss included, falls
+# through a port of 11 mm onto the skin, of which 8 mm are seen (Konica Minolta CM-700d; that it was that is judgement).
+PAD = Patch((0.0, 0.0), (7.1, 7.1), port_mm=11.0)
 # Recordings in which motion spoils the pulse correlate less than this.
 LEAST_CORRELATION = 0.9
+# Of the reference oximeter, one on one person, so that it is common to all recordings: the root mean square error that
+# makers state for 70 to 100 % (ISO 80601-2-61 requires 4 or less). [percent]
+REFERENCE_SPO2_ERROR = 2.0
 # Of the finger's recordings, those at a saturation near the scene's. [percent]
 NORMAL_SPO2 = 94.0
 # Melanin, and blood of the skin, between which those of a group of people are sought.
@@ -137,15 +144,10 @@ def validate(
             f"{data}: holds none of {', '.join(f'{name}.csv' for name in COLUMNS)}; see docs/validation.md."
         )
     tables = {name: read_people(name, data) for name in COLUMNS}
-    result: dict[str, Comparison] = {}
-    steps: tuple[Callable[[], dict[str, Comparison]], ...] = (
-        lambda: _waves(tables["fingertip_waves"]),
-        lambda: {"pulse_over_contact_pressure": _contact_pressure(tables["pulse_against_contact_pressure"])},
-        lambda: _pulse(tables["red_infrared_pulse"], options, progress),
-        lambda: _Surface(options).compare(tables["nail_photos"], tables["skin_spectra"]),
-    )
-    for step in steps:
-        result |= step()
+    result = _waves(tables["fingertip_waves"])
+    result["pulse_over_contact_pressure"] = _contact_pressure(tables["pulse_against_contact_pressure"])
+    result |= _pulse(tables["red_infrared_pulse"], options, progress)
+    result |= _Surface(options).compare(tables["nail_photos"], tables["skin_spectra"])
     seconds = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds)
 
@@ -210,6 +212,12 @@ def _coverage(values: ArrayLike, model: Array, *, few: bool = False, **about: An
     return Comparison(people=_spread_of(values), model=model, **how, accepted=accepted, **about)
 
 
+def _curve(inside: Array, people: Array, model: Array, **about: Any) -> Comparison:
+    """A quantity over something, (3, n) float each, and at which of its points the two agree, (n,) bool."""
+    how: dict[str, Any] = {"statistic": "coverage", "value": float(inside.mean()), "accepted": COVERAGE_OF_FEW}
+    return Comparison(people=people, model=model, **how, **about)
+
+
 def _shipped_scene(name: str) -> Scene:
     return load_scene(data_dir("scenes") / f"{name}.toml")
 
@@ -264,16 +272,13 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
     both = people[["red_660_nm", "infrared_850_nm"]].to_numpy()
     measured = both / both.mean(0)
     middle = measured.mean(1)
-    inside = (middle >= model[0]) & (middle <= model[2])
-    return Comparison(
+    return _curve(
+        (middle >= model[0]) & (middle <= model[2]),
+        np.stack([measured.min(1), middle, measured.max(1)]),
+        model,
         quantity="amplitude of the pulse under a contact pressure, over its mean",
         units="1",
         source=_source("pulse_against_contact_pressure"),
-        people=np.stack([measured.min(1), middle, measured.max(1)]),
-        model=model,
-        statistic="coverage",
-        value=float(inside.mean()),
-        accepted=COVERAGE_OF_FEW,
         x=pressure,
         x_label="contact pressure [mmHg]",
         remark="People: red and infrared; means of all, whose records were normalised before.",
@@ -294,73 +299,78 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
     measured, spo2 = still["ratio_of_ratios"].to_numpy(), still["spo2_percent"].to_numpy()
     line, covariance = np.polyfit(measured, spo2, 1, cov=True)
     at = float(measured.mean())
-    level_stderr = float(np.std(spo2 - np.polyval(line, measured), ddof=2) / np.sqrt(len(spo2)))
+    scatter = float(np.std(spo2 - np.polyval(line, measured), ddof=2) / np.sqrt(len(spo2)))
     slope, level = lines[:, best, 1], lines[:, best] @ [1.0, at]
     remark = "One finger on a reflectance module; the model is the shipped oximeter on a nail."
+    about: dict[str, Any] = {"units": "percent", "source": source}
     result = {
         "spo2_slope": _z(
             (float(line[0]), float(np.sqrt(covariance[0, 0]))),
             (float(slope[0]), float(jackknife(slope))),
             quantity="slope of SpO2 over the ratio of ratios, 70 to 100 %",
-            units="percent",
-            source=source,
             remark=remark,
+            **about,
         ),
         "spo2_level": _z(
-            (float(spo2.mean()), level_stderr),
+            (float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))),
             (float(level[0]), float(jackknife(level))),
             quantity=f"SpO2 at a ratio of ratios of {at:.3f}",
-            units="percent",
-            source=source,
-            remark=remark,
+            remark=f"{remark} The reference, an oximeter on the same person, may be off by {REFERENCE_SPO2_ERROR:g} %.",
+            **about,
         ),
     }
     prior = {prior.field: prior for prior in shipped_priors()}["body.heartbeat.arteriolar_blood_fraction"]
     scenes = [scene, *(at_value(scene, prior.field, value) for value in (prior.low, prior.high))]
-    states = [(scene.blood.so2, rest_beat(one)) for one in scenes]
-    index = 100 * estimate(read_pulsations(transfer, (0, 1), states, seed=seed).perfusion_index)[0]
+    beats = [rest_beat(one) for one in scenes]
+    index = read_pulsations(transfer, (0, 1), [(scene.blood.so2, beat) for beat in beats], seed=seed).perfusion_index
+    # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
+    as_sine = [np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1)) for beat in beats]
     normal = still[still["spo2_percent"] >= NORMAL_SPO2]
     for k, name in enumerate(("red", "infrared")):
-        middle, low, high = index[k, best]
+        middle, low, high = 100 * index[0, k, best] * as_sine
         result[f"pulse_{name}"] = _coverage(
             normal[f"{name}_ac_over_dc_percent"],
             np.array([[low], [middle], [high]]),
             few=True,
             quantity=f"amplitude of the pulse over the mean, {name}",
-            units="percent",
-            source=source,
-            remark=f"{remark} Recordings at {NORMAL_SPO2:g} % saturation or more; the model's is from peak to peak.",
+            remark=f"{remark} Recordings at {NORMAL_SPO2:g} % saturation or more; rms times the root of 2.",
+            **about,
         )
     return result
 
 
 class _Surface:
-    """Colours and reflectance of the nail and the skin behind it, of the shipped prototype without its board."""
+    """Colours of the shipped prototype's nail without its board, and reflectance of it and of a ring finger's pulp."""
 
     def __init__(self, options: TraceOptions) -> None:
-        self.viewer, self.seed = Viewer(), options.seed
-        chosen = backend.choose_jit(options.backend, "validate")
-        backend.activate(chosen)
-        store = LightStore.of_user() if options.store else None
-        self.nail = NailReflectance(_shipped_scene("prototype"), backend=chosen.name, stores=[store] if store else [])
-        # With the epidermis, which the prototype's readings can do without.
-        self.scene = self.nail.scene
-        photons = options.photons or RAYS
-        self.rays: ColourRays = walk_colour(self.nail, patches_of(self.scene), photons=photons, seed=options.seed)
+        self.viewer, self.options = Viewer(), options
+        self.backend = backend.choose_jit(options.backend, "validate")
+        backend.activate(self.backend)
+        self.store = LightStore.of_user() if options.store else None
+        scene = _shipped_scene("prototype")
+        self.nail, self.rays = self._walked(scene, patches_of(scene))
+        self.finger, self.rays_of_pad = self._walked(scene.model_copy(update={"finger": Finger(digit="ring")}), (PAD,))
 
-    def reflectance(self, *, nail: bool, scene: Scene | None = None, gloss: bool = False) -> Array:
-        """Of the nail's middle or the skin behind it, by all rays and without each group, (1 + groups, q) float."""
-        one = scene or self.scene
-        blood = np.full((1, self.nail.zones.count), one.blood.rest_blood_fraction)
-        viewing = self.scene.colour.model_copy(update={"gloss": gloss})
-        patch = ALONG // 2 if nail else 0
-        return self.rays.reflectance(blood, viewing, scene=one, patches=(patch,))[:, 0, 0]
+    def _walked(self, scene: Scene, patches: tuple[Patch, ...]) -> tuple[NailReflectance, ColourRays]:
+        nail = NailReflectance(scene, backend=self.backend.name, stores=[self.store] if self.store else [])
+        return nail, walk_colour(nail, patches, photons=self.options.photons or RAYS, seed=self.options.seed)
+
+    def reflectance(self, scene: Scene) -> Array:
+        """Of the nail's middle, gloss excluded, by all rays and without each group of them, (1 + groups, q) float."""
+        return self.rays.reflectance(_rest(scene), scene.colour, scene=scene, patches=(ALONG // 2,))[:, 0, 0]
+
+    def skin(self, scene: Scene) -> Array:
+        """Of the pad, gloss included, at the wavelengths of the tables, (q,) float. [percent]"""
+        viewing = scene.colour.model_copy(update={"gloss": True})
+        read = self.rays_of_pad.reflectance(_rest(scene), viewing, scene=scene)[0, 0, 0]
+        return 100 * np.interp(SPECTRUM_NM, WAVELENGTHS_NM, read)
 
     @cached_property
     def nail_lab(self) -> tuple[Array, Array]:
         """L*, a*, b* of the nail, and their standard deviations over the priors and by the rays, (3,) float each."""
-        lab = self.viewer.lab(self.reflectance(nail=True))
-        spread = spread_of_colours(self.nail, self.rays, self.viewer, self.scene.colour, seed=self.seed)
+        scene = self.nail.scene
+        lab = self.viewer.lab(self.reflectance(scene))
+        spread = spread_of_colours(self.nail, self.rays, self.viewer, scene.colour, seed=self.options.seed)
         # The mean over the priors, which the scene's own values need not be.
         own = spread.sel(site="nail")
         return lab[0] + own.lab_shift.values, np.hypot(own.lab_spread.values, jackknife(lab))
@@ -389,9 +399,9 @@ class _Surface:
 
     def _slopes(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
         mean_g_per_l = float(photos["hb_g_per_l"].mean())
-        blood = self.scene.blood.rest_blood_fraction * (1 + HAEMOGLOBIN_STEP / mean_g_per_l)
-        more = self.reflectance(nail=True, scene=at_value(self.scene, "blood.rest_blood_fraction", blood))
-        both = np.stack([self.reflectance(nail=True), more]) @ self.viewer.weights
+        scene, more = self.nail.scene, 1 + HAEMOGLOBIN_STEP / mean_g_per_l
+        bled = at_value(scene, "blood.rest_blood_fraction", more * scene.blood.rest_blood_fraction)
+        both = np.stack([self.reflectance(scene), self.reflectance(bled)]) @ self.viewer.weights
         red_green_blue, lab = np.log(both @ np.linalg.inv(XYZ_OF_RGB).T), lab_of(both)
         measured = photos[_RGB[:3]].to_numpy()
         logarithm = np.log(measured)
@@ -418,41 +428,38 @@ class _Surface:
         return result
 
     def _spectra(self, spectra: "pd.DataFrame") -> dict[str, Comparison]:
-        """Ring fingers of all groups beside the scene's own skin; hands of each group with the melanin and the blood of
-        skin that come nearest to its median."""
+        """Ring fingers beside the shipped skin; hands of each group with the melanin and the blood that come nearest to
+        its median, all through the spectrophotometer's port."""
         result = {}
         fingers = spectra[spectra.place == "ring finger"]
-        own = 100 * self.reflectance(nail=False, gloss=True)[0]
         everyone, quartiles = self._pooled(fingers, (5, 50, 95)), self._pooled(fingers, (25, 75))
         what, count = "reflectance of skin: ring finger", int(fingers[fingers.percentile == 50].people.sum())
         result["ring_finger"] = self._spectrum(
-            np.interp(SPECTRUM_NM, WAVELENGTHS_NM, own),
+            self.skin(self.finger.scene),
             everyone,
             quartiles,
             quantity=f"{what}, {count} people",
             remark="Coverage is the part of wavelengths within 25-75 % of people.",
         )
+        blood, melanin, skins = self._skins()
         for group, table in spectra[spectra.place == "back of hand"].groupby("group", sort=False):
             low, middle, high = (self._percentile(table, percent) for percent in (5, 50, 95))
-            misfit = (np.log(self._skin / middle) ** 2).sum(-1)
-            blood, melanin = np.unravel_index(misfit.argmin(), misfit.shape)
+            best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
             result[f"back_of_hand_{group}"] = self._spectrum(
-                self._skin[blood, melanin],
+                skins[best],
                 np.stack([low, middle, high]),
                 np.stack([low, high]),
                 quantity=f"reflectance of skin: back of hand, group {group}, {int(table.people.iloc[0])} people",
-                remark=f"Melanin of {100 * MELANIN[melanin]:.2g} % and blood are fitted to the group's median; "
-                "coverage is the part of wavelengths within 5-95 % of people.",
+                remark=f"Melanin of {100 * melanin[best]:.2g} % and blood of {100 * blood[best]:.2g} % are fitted to "
+                "its median; coverage is the part of wavelengths within 5-95 % of people.",
             )
         return result
 
     @staticmethod
     def _spectrum(model: Array, people: Array, ends: Array, **about: Any) -> Comparison:
-        inside = (model >= ends[0]) & (model <= ends[1])
-        how: dict[str, Any] = {"statistic": "coverage", "value": float(inside.mean()), "accepted": COVERAGE_OF_FEW}
         over: dict[str, Any] = {"x": SPECTRUM_NM, "x_label": "wavelength [nm]", "units": "percent"}
-        source = _source("skin_spectra")
-        return Comparison(people=people, model=np.stack([model] * 3), source=source, **how, **over, **about)
+        inside = (model >= ends[0]) & (model <= ends[1])
+        return _curve(inside, people, np.stack([model] * 3), source=_source("skin_spectra"), **over, **about)
 
     def _pooled(self, table: "pd.DataFrame", percentiles: tuple[int, ...]) -> Array:
         """Percentiles of all groups' people together, from those of each, (n, q) float."""
@@ -470,15 +477,19 @@ class _Surface:
             raise InputError(f"skin_spectra.csv: needs one row of percentile {percent} for each place and group.")
         return np.asarray(row[_SPECTRUM].to_numpy(float)[0])
 
-    @cached_property
-    def _skin(self) -> Array:
-        """Reflectance of skin at the wavelengths of the tables over `SKIN_BLOOD` and `MELANIN`. [percent]"""
-        rows = []
-        for blood in SKIN_BLOOD:
-            bled = at_value(self.scene, "blood.pulp_blood_fraction", float(blood))
-            scenes = [at_value(bled, "finger.melanin_fraction", float(melanin)) for melanin in MELANIN]
-            rows.append([self.reflectance(nail=False, scene=scene, gloss=True)[0] for scene in scenes])
-        return 100 * np.apply_along_axis(lambda row: np.interp(SPECTRUM_NM, WAVELENGTHS_NM, row), -1, np.array(rows))
+    def _skins(self) -> tuple[Array, Array, Array]:
+        """Blood and melanin, (n,) float each [1], and the reflectance of such skin, (n, q) float. [percent]"""
+        blood, melanin = (axis.ravel() for axis in np.meshgrid(SKIN_BLOOD, MELANIN))
+        scenes = [
+            at_value(at_value(self.finger.scene, "blood.pulp_blood_fraction", b), "finger.melanin_fraction", m)
+            for b, m in zip(blood.tolist(), melanin.tolist(), strict=True)
+        ]
+        return blood, melanin, np.stack([self.skin(scene) for scene in scenes])
+
+
+def _rest(scene: Scene) -> Array:
+    """The bed's blood at rest, (1, zones) float. [1]"""
+    return np.full((1, zones(scene).count), scene.blood.rest_blood_fraction)
 
 
 def lab_of(xyz: Array) -> Array:

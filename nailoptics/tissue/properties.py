@@ -53,7 +53,7 @@ ANISOTROPY = 0.9
 # fit_fingertip_skin.py) by a factor on its scattering, with a power of the wavelength over 500 nm, and one on its
 # bloodless absorption.
 _BED_WATER, _EPIDERMIS_WATER, _PULP_FAT = 0.65, 0.60, 0.30
-PULP_SCATTERING, PULP_SCATTERING_POWER, PULP_ABSORPTION = 1.256, 0.086, 0.613
+PULP_SCATTERING, PULP_SCATTERING_POWER, PULP_ABSORPTION = 1.297, 0.096, 0.572
 
 # mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014): 1.34
 # per mm at 800 nm, 1.26 to 1.47 between 450 and 1000 nm.

@@ -12,6 +12,7 @@ from nailoptics import tissue
 from nailoptics.assets import asset_path, read_table
 from nailoptics.errors import InputError
 from nailoptics.scene import Priors
+from nailoptics.scene.base import USUAL_PULP_BLOOD_FRACTION
 from nailoptics.scene.priors import shipped_priors
 from nailoptics.tissue import properties
 
@@ -188,7 +189,7 @@ def test_ring_fingers_have_the_skin_that_the_pulp_is_fitted_to():
     fit = re.search(r"scattering x(.*) \(wavelength/500\)\^(.*), absorption x(.*), blood (.*)", printed)
     shipped = (
         *(getattr(properties, f"PULP_{name}") for name in ("SCATTERING", "SCATTERING_POWER", "ABSORPTION")),
-        0.019,
+        USUAL_PULP_BLOOD_FRACTION,
     )
     assert [float(one) for one in fit.groups()] == pytest.approx(shipped, abs=0.005)
     assert int(re.search(r"quartiles at (\d+) of 31", printed)[1]) >= 27

@@ -22,7 +22,7 @@ from ..identity import light_scene
 from ..tracing.store import LightStore, made_by, stored_or_made
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
-from .sampling import TOP, Photon, PhotonEnds, lanes
+from .sampling import TOP, PhotonEnds, lanes
 
 # Photons walked at once.
 BATCH = 1 << 18
@@ -168,7 +168,7 @@ class _Ends(PhotonEnds):
         super().__init__(photons, **sizes)
         self.place = [dr.zeros(mi.Float, photons) for _ in range(2)]
 
-    def record_path(self, photon: Photon, *more: Any) -> None:
+    def record_path(self, photon: Any, *more: Any) -> None:
         super().record_path(photon, *more)
         for target, value in zip(self.place, (photon.p.x, photon.p.y), strict=True):
             dr.scatter(target, value, photon.index)
@@ -189,12 +189,12 @@ class _Beam:
     def emit(self, rng: Any, index: Any) -> tuple[Any, Any, Any]:
         """Place and direction of a new photon, whichever of the batch it is, and the cosine of its angle."""
         box = dr.gather(mi.Vector4f, self.rectangle, index % self.count)
-        height = dr.gather(mi.Float, self.height, index % self.count)
+        z = dr.gather(mi.Float, self.height, index % self.count)
         x, y = dr.fma(rng.next_float32(), box.z, box.x), dr.fma(rng.next_float32(), box.w, box.y)
-        return mi.Point3f(x, y, height), mi.Vector3f(0, 0, dr.select(height > 0, mi.Float(-1), mi.Float(1))), mi.Float(1)
+        return mi.Point3f(x, y, z), mi.Vector3f(0, 0, -dr.sign(z)), mi.Float(1)
 
     def within_port(self, place_mm: np.ndarray) -> np.ndarray:
-        """Whether the photons of a batch that ended there, (n, 2) float [mm], count by their patch's port, (n,) bool."""
+        """Whether photons of a batch that ended there, (n, 2) float [mm], count by their patch's port, (n,) bool."""
         each = np.arange(len(place_mm)) % len(self.radius_mm)
         return ~(np.linalg.norm(place_mm - self.center_mm[each], axis=1) > self.radius_mm[each])
 
