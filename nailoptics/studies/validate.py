@@ -6,7 +6,6 @@ The tables are in assets/real, each with its source; tables of one's own with th
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -47,8 +46,11 @@ HAEMOGLOBIN_STEP, SCALED_TO = 10.0, ("CA", "CN")
 # Of a ring finger's pulp, what a spectrophotometer measures: light from all sides (CIE 15, d:8), gloss included, falls
 # through a port of 11 mm onto the skin, of which 8 mm are seen (Konica Minolta CM-700d; that it was that is judgement).
 PAD = Patch((0.0, 0.0), (7.1, 7.1), port_mm=11.0)
+EFFECTS = {"green": "ln(green) in percent", "green_over_red": "ln(green/red) in percent", "redness": "a*"}
 # Recordings in which motion spoils the pulse correlate less than this.
 LEAST_CORRELATION = 0.9
+# Of the module MAXM86161 that recorded the finger; its red is that of the scene, 660 nm.
+MODULE_INFRARED_NM = 880.0
 # Of the reference oximeter, one on one person, so that it is common to all recordings: the root mean square error that
 # makers state for 70 to 100 % (ISO 80601-2-61 requires 4 or less). [percent]
 REFERENCE_SPO2_ERROR = 2.0
@@ -147,7 +149,8 @@ def validate(
     result = _waves(tables["fingertip_waves"])
     result["pulse_over_contact_pressure"] = _contact_pressure(tables["pulse_against_contact_pressure"])
     result |= _pulse(tables["red_infrared_pulse"], options, progress)
-    result |= _Surface(options).compare(tables["nail_photos"], tables["skin_spectra"])
+    surface, photos, spectra = _Surface(options), tables["nail_photos"], tables["skin_spectra"]
+    result |= surface.colours(photos, spectra) | surface.haemoglobin(photos) | surface.skin(spectra)
     seconds = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds)
 
@@ -288,32 +291,34 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
 def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCallback | None) -> dict[str, Comparison]:
     """Saturation over the ratio of ratios, and the pulse's amplitude in red and infrared light."""
     scene, source, seed = _shipped_scene("pulse_oximeter"), _source("red_infrared_pulse"), seed_of(options.seed, 1)
-    plain = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
+    red, infrared = scene.leds
+    leds = red, infrared.model_copy(update={"wavelength_nm": MODULE_INFRARED_NM})
+    scene = scene.model_copy(update={"leds": leds, "accuracy": type(scene.accuracy)()})
     how = options.fields | {"photons": options.photons or PHOTONS, "relative_error": None}
-    transfer = trace(plain, progress=progress, **how)
+    transfer = trace(scene, progress=progress, **how)
     curve = saturation_curve(transfer, (0, 1), rest_beat(scene), low=FIT_SO2[0], high=FIT_SO2[-1], seed=seed)
-    ratio = curve(FIT_SO2).ratio
-    best = int(np.nanargmin(jackknife(ratio[..., 0])))
-    lines, _ = calibrate_curve(FIT_SO2, ratio, 1)
+    lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
     still = people[people["correlation"] > LEAST_CORRELATION]
     measured, spo2 = still["ratio_of_ratios"].to_numpy(), still["spo2_percent"].to_numpy()
     line, covariance = np.polyfit(measured, spo2, 1, cov=True)
     at = float(measured.mean())
     scatter = float(np.std(spo2 - np.polyval(line, measured), ddof=2) / np.sqrt(len(spo2)))
-    slope, level = lines[:, best, 1], lines[:, best] @ [1.0, at]
-    remark = "One finger on a reflectance module; the model is the shipped oximeter on a nail."
+    remark = (
+        f"One finger on a reflectance module; the model is the shipped oximeter, at {MODULE_INFRARED_NM:g} nm "
+        "as the module, with an error as large as its photodiodes differ, whose distances are not the module's."
+    )
     about: dict[str, Any] = {"units": "percent", "source": source}
     result = {
         "spo2_slope": _z(
             (float(line[0]), float(np.sqrt(covariance[0, 0]))),
-            (float(slope[0]), float(jackknife(slope))),
+            _over_photodiodes(lines[..., 1]),
             quantity="slope of SpO2 over the ratio of ratios, 70 to 100 %",
             remark=remark,
             **about,
         ),
         "spo2_level": _z(
             (float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))),
-            (float(level[0]), float(jackknife(level))),
+            _over_photodiodes(lines @ [1.0, at]),
             quantity=f"SpO2 at a ratio of ratios of {at:.3f}",
             remark=f"{remark} The reference, an oximeter on the same person, may be off by {REFERENCE_SPO2_ERROR:g} %.",
             **about,
@@ -327,7 +332,7 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
     as_sine = [np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1)) for beat in beats]
     normal = still[still["spo2_percent"] >= NORMAL_SPO2]
     for k, name in enumerate(("red", "infrared")):
-        middle, low, high = 100 * index[0, k, best] * as_sine
+        middle, low, high = 100 * np.nanmean(index[0, k], axis=0) * as_sine
         result[f"pulse_{name}"] = _coverage(
             normal[f"{name}_ac_over_dc_percent"],
             np.array([[low], [middle], [high]]),
@@ -339,48 +344,44 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
     return result
 
 
+def _over_photodiodes(replicates: Array) -> tuple[float, float]:
+    """Mean of (1 + groups, photodiodes) float, and its error for a photodiode of another distance."""
+    mean = np.nanmean(replicates, axis=1)
+    return float(mean[0]), float(np.hypot(np.nanstd(replicates[0], ddof=1), jackknife(mean)))
+
+
 class _Surface:
-    """Colours of the shipped prototype's nail without its board, and reflectance of it and of a ring finger's pulp."""
+    """Reflectance of the shipped prototype's nail, without its board, and of a ring finger's pulp."""
 
     def __init__(self, options: TraceOptions) -> None:
-        self.viewer, self.options = Viewer(), options
+        self.options, scene = options, _shipped_scene("prototype")
         self.backend = backend.choose_jit(options.backend, "validate")
         backend.activate(self.backend)
-        self.store = LightStore.of_user() if options.store else None
-        scene = _shipped_scene("prototype")
         self.nail, self.rays = self._walked(scene, patches_of(scene))
         self.finger, self.rays_of_pad = self._walked(scene.model_copy(update={"finger": Finger(digit="ring")}), (PAD,))
 
     def _walked(self, scene: Scene, patches: tuple[Patch, ...]) -> tuple[NailReflectance, ColourRays]:
-        nail = NailReflectance(scene, backend=self.backend.name, stores=[self.store] if self.store else [])
+        stores = [LightStore.of_user()] if self.options.store else []
+        nail = NailReflectance(scene, backend=self.backend.name, stores=[store for store in stores if store])
         return nail, walk_colour(nail, patches, photons=self.options.photons or RAYS, seed=self.options.seed)
 
-    def reflectance(self, scene: Scene) -> Array:
+    def of_nail(self, scene: Scene) -> Array:
         """Of the nail's middle, gloss excluded, by all rays and without each group of them, (1 + groups, q) float."""
         return self.rays.reflectance(_rest(scene), scene.colour, scene=scene, patches=(ALONG // 2,))[:, 0, 0]
 
-    def skin(self, scene: Scene) -> Array:
-        """Of the pad, gloss included, at the wavelengths of the tables, (q,) float. [percent]"""
+    def of_skin(self, scene: Scene) -> Array:
+        """Of the pulp, gloss included, at the wavelengths of the tables, (q,) float. [percent]"""
         viewing = scene.colour.model_copy(update={"gloss": True})
         read = self.rays_of_pad.reflectance(_rest(scene), viewing, scene=scene)[0, 0, 0]
         return 100 * np.interp(SPECTRUM_NM, WAVELENGTHS_NM, read)
 
-    @cached_property
-    def nail_lab(self) -> tuple[Array, Array]:
-        """L*, a*, b* of the nail, and their standard deviations over the priors and by the rays, (3,) float each."""
-        scene = self.nail.scene
-        lab = self.viewer.lab(self.reflectance(scene))
-        spread = spread_of_colours(self.nail, self.rays, self.viewer, scene.colour, seed=self.options.seed)
+    def colours(self, photos: "pd.DataFrame", spectra: "pd.DataFrame") -> dict[str, Comparison]:
+        """L*, a*, b* of nails, one value for each person."""
+        people, scene, viewer = nails_lab(photos, spectra), self.nail.scene, Viewer()
+        own = viewer.lab(self.of_nail(scene))
+        spread = spread_of_colours(self.nail, self.rays, viewer, scene.colour, seed=self.options.seed).sel(site="nail")
         # The mean over the priors, which the scene's own values need not be.
-        own = spread.sel(site="nail")
-        return lab[0] + own.lab_shift.values, np.hypot(own.lab_spread.values, jackknife(lab))
-
-    def compare(self, photos: "pd.DataFrame", spectra: "pd.DataFrame") -> dict[str, Comparison]:
-        """Nails' colours, their slopes with haemoglobin, and spectra of skin."""
-        return self._colours(photos, spectra) | self._slopes(photos) | self._spectra(spectra)
-
-    def _colours(self, photos: "pd.DataFrame", spectra: "pd.DataFrame") -> dict[str, Comparison]:
-        people, (lab, sd) = nails_lab(photos, spectra), self.nail_lab
+        lab, sd = own[0] + spread.lab_shift.values, np.hypot(spread.lab_spread.values, jackknife(own))
         remark = (
             "Photographs, scaled to skin under a spectrophotometer: exposure and tone curve are unknown. Every third "
             "person was left out when the nail plate was fitted."
@@ -397,28 +398,17 @@ class _Surface:
             for k, band in enumerate(("L*", "a*", "b*"))
         }
 
-    def _slopes(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
-        mean_g_per_l = float(photos["hb_g_per_l"].mean())
-        scene, more = self.nail.scene, 1 + HAEMOGLOBIN_STEP / mean_g_per_l
+    def haemoglobin(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
+        """Change of nails' colours with haemoglobin."""
+        scene, more = self.nail.scene, 1 + HAEMOGLOBIN_STEP / float(photos["hb_g_per_l"].mean())
         bled = at_value(scene, "blood.rest_blood_fraction", more * scene.blood.rest_blood_fraction)
-        both = np.stack([self.reflectance(scene), self.reflectance(bled)]) @ self.viewer.weights
-        red_green_blue, lab = np.log(both @ np.linalg.inv(XYZ_OF_RGB).T), lab_of(both)
-        measured = photos[_RGB[:3]].to_numpy()
-        logarithm = np.log(measured)
-        rows = {
-            "green": ("ln(green) in percent", 100 * logarithm[:, 1], 100 * red_green_blue[..., 1]),
-            "green_over_red": (
-                "ln(green/red) in percent",
-                100 * (logarithm[:, 1] - logarithm[:, 0]),
-                100 * (red_green_blue[..., 1] - red_green_blue[..., 0]),
-            ),
-            "redness": ("a*", lab_of(measured @ XYZ_OF_RGB.T)[:, 1], lab[..., 1]),
-        }
+        both = np.stack([self.of_nail(scene), self.of_nail(bled)]) @ Viewer().weights
+        people, model = _effects(photos[_RGB[:3]].to_numpy()), _effects(both @ np.linalg.inv(XYZ_OF_RGB).T)
         result = {}
-        for name, (words, values, model) in rows.items():
-            change = model[1] - model[0]
+        for name, words in EFFECTS.items():
+            change = model[name][1] - model[name][0]
             result[f"haemoglobin_{name}"] = _z(
-                slope_within_days(photos, values),
+                slope_within_days(photos, people[name]),
                 (float(change[0]), float(jackknife(change))),
                 quantity=f"{words} of nails per 10 g/l of haemoglobin",
                 units="1",
@@ -427,7 +417,7 @@ class _Surface:
             )
         return result
 
-    def _spectra(self, spectra: "pd.DataFrame") -> dict[str, Comparison]:
+    def skin(self, spectra: "pd.DataFrame") -> dict[str, Comparison]:
         """Ring fingers beside the shipped skin; hands of each group with the melanin and the blood that come nearest to
         its median, all through the spectrophotometer's port."""
         result = {}
@@ -435,7 +425,7 @@ class _Surface:
         everyone, quartiles = self._pooled(fingers, (5, 50, 95)), self._pooled(fingers, (25, 75))
         what, count = "reflectance of skin: ring finger", int(fingers[fingers.percentile == 50].people.sum())
         result["ring_finger"] = self._spectrum(
-            self.skin(self.finger.scene),
+            self.of_skin(self.finger.scene),
             everyone,
             quartiles,
             quantity=f"{what}, {count} people",
@@ -484,12 +474,18 @@ class _Surface:
             at_value(at_value(self.finger.scene, "blood.pulp_blood_fraction", b), "finger.melanin_fraction", m)
             for b, m in zip(blood.tolist(), melanin.tolist(), strict=True)
         ]
-        return blood, melanin, np.stack([self.skin(scene) for scene in scenes])
+        return blood, melanin, np.stack([self.of_skin(scene) for scene in scenes])
 
 
 def _rest(scene: Scene) -> Array:
     """The bed's blood at rest, (1, zones) float. [1]"""
     return np.full((1, zones(scene).count), scene.blood.rest_blood_fraction)
+
+
+def _effects(rgb: Array) -> dict[str, Array]:
+    """What of linear sRGB, (..., 3) float, is compared over haemoglobin, by the names of `EFFECTS`."""
+    red, green, _ = 100 * np.moveaxis(np.log(rgb), -1, 0)
+    return {"green": green, "green_over_red": green - red, "redness": lab_of(rgb @ XYZ_OF_RGB.T)[..., 1]}
 
 
 def lab_of(xyz: Array) -> Array:
