@@ -49,7 +49,7 @@ PAD = Patch((0.0, 0.0), (7.1, 7.1), port_mm=11.0)
 EFFECTS = {"green": "ln(green) in percent", "green_over_red": "ln(green/red) in percent", "redness": "a*"}
 # Recordings in which motion spoils the pulse correlate less than this.
 LEAST_CORRELATION = 0.9
-# Of the module MAXM86161 that recorded the finger; its red is that of the scene, 660 nm.
+# Of the module MAXM86161 that recorded the finger; judgement, its data sheet was not at hand. Red is 660 nm as here.
 MODULE_INFRARED_NM = 880.0
 # Of the reference oximeter, one on one person, so that it is common to all recordings: the root mean square error that
 # makers state for 70 to 100 % (ISO 80601-2-61 requires 4 or less). [percent]
