@@ -35,6 +35,7 @@ from nailoptics.io import write_text
 from nailoptics.light import DetectedLight, trace
 from nailoptics.light.detect import light_of
 from nailoptics.light.transfer import Transfer
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, Touch, digest, load_scene
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
 from nailoptics.studies.force.reading_table import record
@@ -141,7 +142,7 @@ def record_touch(
     body = scene.body.model_copy(update={"seed": seed}) if scene.body else None
     touched = scene.model_copy(update={"touch": touch, "body": body})
     course = blood_over_touch(touched, model=model, rtol=RTOL)
-    return record(touched, simulate_from(touched, light, course=course, seed=seed), seed=seed)
+    return record(touched, simulate_from(touched, light, course=course, options=TraceOptions(seed=seed)), seed=seed)
 
 
 def record_person(

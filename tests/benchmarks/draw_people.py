@@ -6,7 +6,8 @@ LED's flux. Vessels, contact, pulse and board stay as they are.
   index fingers; the factors of one person are correlated by SIZE_CORRELATION, a judgement.
 - Melanin is that of eight groups of people, from the lightest ring finger to the darkest back of a hand, as
   assets/spectra/fit_fingertip_skin.py fits it to the medians in assets/real/skin_spectra.csv.
-- Tissue and blood are drawn from the joint prior (assets/priors.toml), each within the range of its own prior.
+- Tissue and blood are drawn from the joint prior (assets/priors.toml), each within the range of its own prior:
+  as that was when the scenes were drawn, since another prior draws other people.
 - The flux keeps every reading below the range of the converter.
 """
 
