@@ -320,11 +320,16 @@ def _signal(values: np.ndarray, base: np.ndarray) -> np.ndarray:
 
 
 def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(
-            np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1]) / np.abs(np.expm1(base[..., 1]))
-        )
+    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels.
+
+    NaN where the scene's own is 0.
+    """
+    scene_change = np.abs(np.expm1(base[..., 1]))
+    return np.asarray(
+        np.exp(values[..., 0] - base[..., 0])
+        * np.expm1(values[..., 1])
+        / np.where(scene_change > 0, scene_change, np.nan)
+    )
 
 
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
