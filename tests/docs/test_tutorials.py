@@ -33,7 +33,6 @@ LONG = {"cluster", "colour", "oximetry", "taylor", "tradeoff"}
 MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
     "colour.nail_colour.OWN_PHOTONS": 2000,
-    "oximetry.oxygen.LEAST_NAIL_PHOTONS": 1 << 12,
     # So many, on any machine, in place of as many as there is time for.
     "model_error.paired.LEAST_PHOTONS": 1 << 16,
     "model_error.paired.PLANNED_SHARE": 0,
