@@ -97,17 +97,6 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
-@pytest.mark.long
-@pytest.mark.jit
-def test_an_oximeter_is_kept_without_the_nails_that_were_not_traced(folder, chosen_jit):
-    """Expected: no further nail is traced after the interrupt, and the page says so."""
-    command = ("oximeter", "pulse_oximeter", "--photons", "20000", "-o", "out")
-    ended = interrupted_at("nailoptics.studies.oximetry.oxygen:trace", *command)
-    why = "interrupted: 0 of 3 other thicknesses of the nail plate are traced."
-    assert (ended.code, ended.later) == (3, 0) and ended.said[-1].endswith(f"{why} What was reached is in out.")
-    assert why in Path("out/oximeter.html").read_text(encoding="utf-8").split("</header>")[0]
-
-
 @pytest.mark.jit
 def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, store):
     """An interrupt while light is traced, and a second one; expected: neither a fault of ours nor a subject."""
