@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, contact_at, steady_blood_at
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Photodiode, Scene
-from ..scene.body import Body, Drift, WaveTable
+from ..scene.body import Body, Drift
 from ..statistics import covariance_root, jackknife
 from . import electronics
 
@@ -31,6 +31,8 @@ STEP_PA = 100.0
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
 LIFT_PER_UM = 0.001
+# Fields of the body that move the blood once and for all, as they are where nothing does.
+POSTURE = {"hand_height_m": 0.0, "venous_pressure_pa": None}
 
 
 @dataclass(frozen=True)
@@ -74,20 +76,19 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
     led_drift, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
     leds = len(scene.leds)
     return PhysiologicalNoise(
-        blood=covariance_root(_blood_covariance(scene, force_n) if body.moves else np.zeros((2, 2))),
+        blood=covariance_root(_blood_covariance(scene, force_n, body) if body.moves else np.zeros((2, 2))),
         led_gain=covariance_root(led_drift**2 * np.eye(leds) + all_leds**2),
         reading_gain=float(drift.reading_per_rt_min * np.sqrt(minutes)),
     )
 
 
-def _blood_covariance(scene: Scene, force_n: float) -> Array:
-    """Covariance of both zones' blood by waves of the arterial pressure, (2, 2) float.
+def _blood_covariance(scene: Scene, force_n: float, waves: Body) -> Array:
+    """Covariance of both zones' blood by a body's waves of the arterial pressure, (2, 2) float.
 
     They reach the blood through the network, each with the gain G of its frequency: the sum of G G^H times their
     variances. Waves faster than the stage's bandwidth are left out, as its noise is.
     """
-    assert scene.body is not None
-    frequency_hz, variance_pa2 = pressure_lines(scene.body)
+    frequency_hz, variance_pa2 = pressure_lines(waves)
     slow = frequency_hz <= scene.electronics.bandwidth_hz
     gain = blood_by_arterial_pressure(scene, frequency_hz[slow], force_n)
     return np.asarray(np.real(np.einsum("if,f,jf->ij", gain, variance_pa2[slow], gain.conj())))
@@ -134,9 +135,13 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
     )
 
 
-def moves_blood(point: OperatingPoint) -> bool:
-    """Whether both pressures move the blood, so that readings of it know the force."""
-    return bool(np.linalg.cond(point.blood_per_pa) <= 1 / np.finfo(float).eps)
+def _as_force_n(point: OperatingPoint, blood: Array) -> Array:
+    """The force of touch pressures that change the blood of both zones as given, (zones, ...) float, to first order,
+    (...) float; NaN where a pressure moves no blood. [N]
+    """
+    if np.linalg.cond(point.blood_per_pa) > 1 / np.finfo(float).eps:
+        return np.full(blood.shape[1:], np.nan)
+    return np.asarray(point.force_per_pa @ np.linalg.lstsq(point.blood_per_pa, blood)[0])
 
 
 def posture_force_n(scene: Scene, force_n: float) -> float:
@@ -144,24 +149,26 @@ def posture_force_n(scene: Scene, force_n: float) -> float:
     both zones' blood is as a change of both touch pressures, on their areas; NaN where a pressure moves no blood. [N]
     """
     assert scene.body is not None
-    without = scene.body.model_copy(update={"hand_height_m": 0.0, "venous_pressure_pa": None})
+    without = scene.body.model_copy(update=POSTURE)
     usual = operating_point(scene.model_copy(update={"body": without}), force_n)
-    if not moves_blood(usual):
-        return float("nan")
-    moved = operating_point(scene, force_n).blood_fraction - usual.blood_fraction
-    return float(usual.force_per_pa @ np.linalg.lstsq(usual.blood_per_pa, moved)[0])
+    return float(_as_force_n(usual, operating_point(scene, force_n).blood_fraction - usual.blood_fraction))
 
 
 def false_forces_n(scene: Scene, force_n: float) -> dict[str, float]:
     """The false force by each thing that moves blood beside the touch while a force is held, by its name in [body]:
-    of waves of the arterial pressure the rms, of the hand's height and venous pressure the shift. [N]"""
-    out: dict[str, float] = {}
-    for name, value in scene.body or ():
-        alone = scene.model_copy(update={"body": Body().model_copy(update={name: value})})
-        if isinstance(value, WaveTable):
-            out[name] = physiological_noise_force_n(operating_point(alone, force_n))
-        elif name in ("hand_height_m", "venous_pressure_pa") and value:
-            out[name] = posture_force_n(alone, force_n)
+    of waves of the arterial pressure the rms, of the hand's height and venous pressure the shift. [N]
+    """
+    if (body := scene.body) is None:
+        return {}
+    point, out = operating_point(scene, force_n), {}
+    waves = {name: Body().model_copy(update={name: wave}) for name, wave in body.waves.items()}
+    for name, alone in ({"file": body} if body.recorded_time_s is not None else waves).items():
+        blood = covariance_root(_blood_covariance(scene, force_n, alone))
+        out[name] = float(np.linalg.norm(_as_force_n(point, blood)))
+    for name, usual in POSTURE.items():
+        if getattr(body, name) != usual:
+            alone = body.model_copy(update=POSTURE | {name: getattr(body, name)})
+            out[name] = posture_force_n(scene.model_copy(update={"body": alone}), force_n)
     return out
 
 
@@ -320,9 +327,7 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
     Their blood b is what the pressures B^-1 b would make of it: light that sees two zones cannot tell them apart, so
     that no layout resolves finer unless the split of the touch is known. NaN where a pressure moves no blood.
     """
-    if point.body is None or not moves_blood(point):
-        return 0.0 if point.body is None else float("nan")
-    return float(np.linalg.norm(point.force_per_pa @ np.linalg.lstsq(point.blood_per_pa, point.body.blood)[0]))
+    return 0.0 if point.body is None else float(np.linalg.norm(_as_force_n(point, point.body.blood)))
 
 
 def pressure_resolution_pa(information: Array) -> Array:

@@ -8,7 +8,12 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, contact_at, steady_blood
 from nailoptics.scene import parse_scene
-from nailoptics.sensor.information import posture_force_n
+from nailoptics.sensor.information import (
+    false_forces_n,
+    operating_point,
+    physiological_noise_force_n,
+    posture_force_n,
+)
 from nailoptics.studies.scene_check import check_scene
 
 FORCES_N = [0.0, 0.5, 1.0]
@@ -62,6 +67,19 @@ def test_the_false_force_of_a_small_change_moves_the_blood_as_it_does() -> None:
         )
     assert false_n == pytest.approx(areas_m2 @ np.linalg.solve(np.transpose(per_pa), change[0]), rel=0.02)
     assert posture_force_n(scene_with("[body]\nhand_height_m = 0.0\n"), force_n) == 0.0
+
+
+def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
+    """Expected: squares of waves add up; each part is at the mean pressure, posture and arterioles of the scene."""
+    body = "[body]\nhand_height_m = 0.3\nvenous_pressure_pa = {}\n[body.breathing]\n[body.heartbeat]\n"
+    tuning = "mean_pressure_pa = 9000.0\n[blood.tuning]\nvenous_pressure_pa = 1000.0\n"
+    scene = scene_with(body.format(1000.0) + tuning)
+    parts = false_forces_n(scene, 0.5)
+    waves_n = physiological_noise_force_n(operating_point(scene, 0.5))
+    assert np.hypot(parts["breathing"], parts["heartbeat"]) == pytest.approx(waves_n, rel=1e-9)
+    assert parts["hand_height_m"] == posture_force_n(scene, 0.5) and parts["venous_pressure_pa"] == 0.0
+    assert false_forces_n(scene_with(body.format(0.0) + tuning), 0.5)["venous_pressure_pa"] < -0.001
+    assert false_forces_n(scene_with(""), 0.5) == {}
 
 
 def test_check_states_the_false_force() -> None:
