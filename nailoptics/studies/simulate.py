@@ -154,7 +154,7 @@ def _ambient(scene: Scene, options: TraceOptions) -> Variables:
     stage = scene.electronics
     flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
     to_v, left = stage.feedback_ohm, 1.0 if stage.ambient_rejection is None else 0.0
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
         for name, factor, unit, text in (
             ("a", 1.0, "A", "photocurrent of ambient light"),
             ("fraction", 1 / bare, "1", "photocurrent of ambient light, of that of the bare photodiode in the open"),

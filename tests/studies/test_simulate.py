@@ -228,6 +228,7 @@ def in_ambient_light(chosen_jit, own_store) -> dict[str, xr.Dataset]:
     sun = Ambient(kind="sun", irradiance_w_per_m2=1000.0)
     slot = Electronics(ambient_rejection="dark_slot")
     lights = {"none": {}, "lamp": {"ambient": lamp}, "sun": {"ambient": sun}, "slot": {"ambient": lamp}}
+    lights["dark"] = {"ambient": Ambient(illuminance_lux=0.0)}
     lights["slot"]["electronics"] = slot
     quiet = prototype(duration_s=1.0)
     quiet = quiet.model_copy(update={"priors": quiet.priors.model_copy(update={"spread": False})})
@@ -252,6 +253,13 @@ def test_ambient_light_adds_its_volts_noise_and_error(in_ambient_light):
     assert np.allclose(lit.volts_stderr**2, alone.volts_stderr**2 + lit.ambient_left_v_stderr**2, rtol=1e-9)
     assert np.array_equal(alone.volts_change_stderr, lit.volts_change_stderr)
     assert (lit.ambient_volts_stderr < 0.05 * lit.ambient_volts).all() and (lit.ambient_fraction < 1).all()
+
+
+@pytest.mark.jit
+def test_ambient_light_of_0_lux_leaves_the_readings_as_they_are(in_ambient_light):
+    alone, dark = in_ambient_light["none"], in_ambient_light["dark"]
+    assert np.array_equal(alone.volts, dark.volts) and (dark.ambient_noise_v == 0).all()
+    assert dark.ambient_fraction.isnull().all()
 
 
 @pytest.mark.jit
