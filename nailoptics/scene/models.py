@@ -380,8 +380,8 @@ class Scene(Table):
     @property
     def finger_priors(self) -> tuple[Prior, ...]:
         """The priors of the finger, but for what the scene states: its contact, and a bed without blood."""
-        stated = set() if self.blood.rest_blood_fraction else {"blood.rest_blood_fraction"}
-        return tuple(prior for prior in self.priors.of_finger(self.touch) if prior.field not in stated)
+        bloodless = set() if self.blood.rest_blood_fraction else {"blood.rest_blood_fraction"}
+        return self.priors.of_finger(self.touch.stated_contact | bloodless)
 
     @property
     def layout(self) -> Layout:

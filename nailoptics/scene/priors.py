@@ -1,7 +1,7 @@
 """Prior ranges of a scene's fields, shipped with their sources and correlations, and a scene's own [priors]."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import cache
 from typing import Annotated, Any, Literal, Self
 
@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from ..assets import asset_path
 from .base import Table, check_unique
 from .body import Body
-from .touch import Touch
 
 
 class PriorRange(Table):
@@ -68,12 +67,11 @@ class Priors(Table):
                 raise ValueError(f"ranges: low = {one.low:g} must be above 0 for {one.field}")
         return self
 
-    def of_finger(self, touch: Touch | None = None) -> tuple[Prior, ...]:
+    def of_finger(self, stated: Collection[str] = ()) -> tuple[Prior, ...]:
         """The shipped priors without the known fields and those of [body], with the scene's own ranges.
 
-        touch : of the scene, which may state its contact: then that is no unknown. All are given without it.
+        stated : fields that are no unknowns of the scene, too.
         """
-        stated = set() if touch is None else touch.stated_contact
         return tuple(
             prior for prior in self._unknown() if not prior.field.startswith("body.") and prior.field not in stated
         )

@@ -53,7 +53,7 @@ def rank() -> None:
         scale = "log" if name in FACTORS else "linear"
         prior = Prior(field="blood.tuning", low=low, high=high, name=name, scale=scale, source="")
         rows[name] = np.array([signal(of_tuning(scene, name, max(value, 1e-6))) for value in nodes_of(prior)])
-    for prior in scene.priors.of_finger(scene.touch):
+    for prior in scene.finger_priors:
         if prior.field.split(".")[0] in ("blood", "touch"):
             rows[prior.field] = np.array([signal(at_value(scene, prior.field, v)) for v in nodes_of(prior)])
     print("signal", np.round(signal(scene), 2))

@@ -331,7 +331,7 @@ def test_priors_of_vessels_cover_diameters_and_arterial_pressure():
 def test_contact_is_no_unknown_where_the_touch_states_it():
     def unknown(**fields) -> set[str]:
         touch = Touch(profile="step", force_n=1.0, **fields)
-        return {prior.field for prior in Priors().of_finger(touch) if prior.field.startswith("touch.")}
+        return {prior.field for prior in Priors().of_finger(touch.stated_contact) if prior.field.startswith("touch.")}
 
     assert unknown() == {"touch.contact_area_mm2", "touch.proximal_share"}
     assert unknown(site="distal") == {"touch.contact_area_mm2"}
@@ -344,7 +344,7 @@ def test_contact_reach_and_vessels_move_the_signal_alone(zones):
     scene = at_value(prototype(), "blood.zones", zones)
     usual, held = ends(scene), operating_point(scene, 1.0).blood_fraction
     light = {"rest_blood_fraction", "pulp_blood_fraction", "so2"}
-    of_blood = [one for one in scene.priors.of_finger(scene.touch) if one.field.split(".")[0] in ("blood", "touch")]
+    of_blood = [one for one in scene.finger_priors if one.field.split(".")[0] in ("blood", "touch")]
     priors = [one for one in of_blood if one.field.split(".")[1] not in light]
     assert len(priors) == 7
     for prior in priors:

@@ -53,7 +53,7 @@ def test_eight_people_differ_in_all_that_the_papers_did():
 def test_all_of_people_but_their_skin_lies_within_the_shipped_priors():
     for name in people():
         scene = load_person(name)
-        for prior in scene.priors.of_finger(scene.touch):
+        for prior in scene.finger_priors:
             # That of melanin is of the epidermis beside nails alone.
             assert (
                 prior.field == "finger.melanin_fraction" or prior.low <= value_of(scene, prior.field) <= prior.high
