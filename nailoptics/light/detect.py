@@ -222,13 +222,12 @@ def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dat
     if light.transfer is None:
         return _section(scene, options, geometry.build(scene))
     options = replace(options, backend=backends.choose(options.backend).name)
-    store, lights = LightStore.of_user() if options.store else None, []
-    if store is not None:
-        made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
-        lights = [store.light(made | {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]})]
-
+    made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
+    made |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
+    stores = LightStore.of_command(options)
+    lights = [store.light(made) for store in stores]
     result, _ = stored_or_made(lights, "section", lambda: to_record(_section(light_scene(scene), options)), from_record)
-    if store is not None:
+    for store in stores:
         store.close()
     # Its light knows no names.
     result.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))

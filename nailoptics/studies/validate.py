@@ -361,8 +361,7 @@ class _Surface:
         self.finger, self.rays_of_pad = self._walked(scene.model_copy(update={"finger": Finger(digit="ring")}), (PAD,))
 
     def _walked(self, scene: Scene, patches: tuple[Patch, ...]) -> tuple[NailReflectance, ColourRays]:
-        stores = [LightStore.of_user()] if self.options.store else []
-        nail = NailReflectance(scene, backend=self.backend.name, stores=[store for store in stores if store])
+        nail = NailReflectance(scene, backend=self.backend.name, stores=LightStore.of_command(self.options))
         return nail, walk_colour(nail, patches, photons=self.options.photons or RAYS, seed=self.options.seed)
 
     def of_nail(self, scene: Scene) -> Array:
