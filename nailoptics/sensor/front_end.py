@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array
+from ..errors import InputError
+from ..hemodynamics.for_scene import heart_rate_per_min
 from ..scene import Oximeter, Photodiode, Scene, Slot
-from ..scene.oximeter import DARK
+from ..scene.oximeter import DARK, two_leds
 from . import electronics
 
 # A usual oximeter averages over so long. [s]
@@ -152,6 +154,26 @@ class SampledFrontEnd:
     def reading_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
         """Variance of the red and the infrared reading of one frame by its cause, (2,) float each. [V^2]"""
         return {name: self.weights**2 @ values for name, values in self.slot_noise_v2(fraction).items()}
+
+
+def red_and_infrared(scene: Scene) -> tuple[int, int]:
+    """The numbers of a scene's red and infrared LED; raises InputError without two of different wavelengths."""
+    try:
+        return two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
+    except ValueError as error:
+        raise InputError(f"leds: {error}.") from None
+
+
+def oximeter_leds(scene: Scene) -> tuple[int, int]:
+    """The numbers of a scene's red and infrared LED.
+
+    Raises: InputError for a scene without a finger, a pulse, or two LEDs of different wavelengths.
+    """
+    if scene.finger is None:
+        raise InputError("oximeter needs a [finger] scene, whose blood beats; a [phantom] has none.")
+    leds = red_and_infrared(scene)
+    heart_rate_per_min(scene)
+    return leds
 
 
 def front_ends_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None = None) -> list[SampledFrontEnd]:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ..hemodynamics.for_scene import blood_by_arterial_pressure, contact_at, steady_blood_at
+from ..hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
+from ..hemodynamics.touch_course import contact_at
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Photodiode, Scene
 from ..scene.body import Body, Drift

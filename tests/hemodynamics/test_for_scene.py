@@ -11,14 +11,12 @@ from nailoptics.hemodynamics.for_scene import (
     blood_model,
     blood_over_touch,
     capillary_zones,
-    contact_at,
-    largest_force_n,
     steady_blood,
     steady_blood_at,
-    touch_pressures_pa,
     vessels,
     zones_of_photodiodes,
 )
+from nailoptics.hemodynamics.touch_course import contact_at, largest_force_n, touch_course
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
 
@@ -36,7 +34,7 @@ def test_recorded_pressures_drive_the_blood_and_give_the_force(tmp_path):
     assert run.proximal_pressure_pa[-1] == 8000.0 and run.distal_pressure_pa[25] == 1000.0
     # Half of 100 mm^2 on either side.
     assert run.force_n[-1] == pytest.approx(0.5) and largest_force_n(scene) == pytest.approx(0.5)
-    assert np.array(touch_pressures_pa(scene, 0.25)) == pytest.approx([4000.0, 1000.0])
+    assert np.array(touch_course(scene.touch).sides_pa(0.25)) == pytest.approx([4000.0, 1000.0])
     assert steady_blood(scene, [0.0])[0] == pytest.approx([0.03, 0.03], rel=1e-9)
 
 
@@ -172,7 +170,7 @@ def test_the_bone_shields_the_bed_behind_its_end():
 
 
 def steady_reading(text, force_n):
-    return touch_pressures_pa(scene_with("[touch]\n" + text), force_n)
+    return touch_course(scene_with("[touch]\n" + text).touch).sides_pa(force_n)
 
 
 def test_contact_grows_with_force_and_reaches_the_tip_late():
@@ -192,7 +190,7 @@ def test_a_growing_contact_is_followed_between_corners(law):
     text = f'{law}\nprofile = "ramp"\nforce_n = 3.0\nsample_rate_hz = 997.0\n'
     scene = scene_with("[touch]\n" + text)
     run = blood_over_touch(scene)
-    exact = touch_pressures_pa(scene, run.force_n.values)
+    exact = touch_course(scene.touch).sides_pa(run.force_n.values)
     for row, expected in zip((run.proximal_pressure_pa, run.distal_pressure_pa), exact, strict=True):
         assert np.abs(row.values - expected).max() < 0.01 * expected.max()
     cycle = scene_with(f'[touch]\n{law}\nprofile = "cycle"\nforce_n = 0.0\nperiod_s = 1.0\ncycles = 1')

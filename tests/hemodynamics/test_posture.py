@@ -6,7 +6,8 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, contact_at, steady_blood
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
+from nailoptics.hemodynamics.touch_course import contact_at
 from nailoptics.scene import parse_scene
 from nailoptics.sensor.information import (
     false_forces_n,

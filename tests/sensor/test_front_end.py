@@ -6,10 +6,9 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics.for_scene import oximeter_leds
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.sensor import electronics
-from nailoptics.sensor.front_end import SampledFrontEnd, front_ends_of, ratio_stderr
+from nailoptics.sensor.front_end import SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 
 TEXT = (data_dir("scenes") / "pulse_oximeter.toml").read_text(encoding="utf-8")
 LIGHT = np.array([4e-3, 5e-3])

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
-from ...hemodynamics.for_scene import BloodBeat, beat_at, red_and_infrared, rest_beat
+from ...hemodynamics.for_scene import BloodBeat, beat_at, rest_beat
 from ...light import Transfer, optics
 from ...light.diffusion import DiffusionModel
 from ...scene import Scene
-from ...sensor.front_end import SampledFrontEnd
+from ...sensor.front_end import SampledFrontEnd, red_and_infrared
 from ...statistics import Z95, Array
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value

@@ -7,13 +7,13 @@ import numpy as np
 import xarray as xr
 
 from ...errors import as_far_as_reached, unless_cut_off
-from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, oximeter_leds, rest_beat
+from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, rest_beat
 from ...light import ProgressCallback, Transfer
 from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.ambient import SOURCES, trace_ambient
-from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, ratio_stderr
+from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
 from .disturbances import CalibratedOximeter, melanin_bound, path_warnings, sensitivity_curves

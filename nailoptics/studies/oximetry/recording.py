@@ -10,14 +10,14 @@ from ... import hemodynamics, tissue
 from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
-from ...hemodynamics.for_scene import blood_over_touch, oximeter_leds
+from ...hemodynamics.for_scene import blood_over_touch
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
 from ...scene.importers.sensor_recordings import SATURATED, OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
-from ...sensor.front_end import AVERAGE_S, front_ends_of
+from ...sensor.front_end import AVERAGE_S, front_ends_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
 from .ratio import read_states, saturation_of

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
-from ...errors import InputError, NotReachedError
-from ...hemodynamics.for_scene import beat_at, oximeter_leds
+from ...errors import NotReachedError
+from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
-from ...scene.oximeter import two_leds
-from ...sensor.front_end import AVERAGE_S
+from ...sensor.front_end import AVERAGE_S, oximeter_leds
 from ...sensor.information import (
     OperatingPoint,
     Response,
@@ -80,11 +79,7 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> 
 
     Raises: InputError for a scene without a pulse or without two LEDs of different wavelengths.
     """
-    try:
-        leds = two_leds(base.leds, base.oximeter.slots if base.oximeter else None)
-    except ValueError as error:
-        raise InputError(f"placement.rank_by, oxygen: {error}.") from None
-    oximeter_leds(base)
+    leds = oximeter_leds(base)
     pulse, shape, blood = [], [], base.blood
     wavelength = np.array([base.leds[i].wavelength_nm for i in leds])
     fresher = tissue.blood_mu_a_per_mm(wavelength, blood.so2) / tissue.blood_mu_a_per_mm(wavelength, blood.rest_so2)

@@ -7,7 +7,8 @@ import pytest
 from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
-from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at, touch_pressures_pa
+from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
+from nailoptics.hemodynamics.touch_course import touch_course
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
 from nailoptics.report.pages.placement import write_placement
@@ -166,7 +167,7 @@ def test_a_wave_moves_the_blood_as_a_simulation_says():
     """Rationale: 20 Pa of a sine through the full equations over its last period, amplitude and phase in both zones."""
     scene = parse_scene(_with_body("").replace('"best"', '"listed"'))
     frequency_hz, force_n = 1.2, 0.3
-    proximal, distal = touch_pressures_pa(scene, force_n)
+    proximal, distal = touch_course(scene.touch).sides_pa(force_n)
     parameters = hemodynamics.parameters("listed")
     time_s = np.linspace(0.0, 6.0 / frequency_hz, 6 * 64 + 1)
     wave = parameters.arterial_pressure_pa + 20.0 * np.sin(2 * np.pi * frequency_hz * time_s)
@@ -187,7 +188,7 @@ def test_a_wave_moves_the_blood_as_a_simulation_says():
 
 def test_the_slowest_waves_move_the_blood_as_steady_states_do():
     scene = parse_scene(_with_body(""))
-    proximal, distal = touch_pressures_pa(scene, 0.5)
+    proximal, distal = touch_course(scene.touch).sides_pa(0.5)
     blood = []
     for change_pa in (-10.0, 10.0):
         heartbeat = f"[body.heartbeat]\nmean_pressure_pa = {1e4 + change_pa}\npulse_pressure_pa = 0.0"
