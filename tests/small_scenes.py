@@ -15,6 +15,19 @@ position_mm = [-1.2, 0.0]
 name = "pd"
 position_mm = [0.5, 0.0]
 """
+# The same without parts: an LED of one wavelength.
+PLAIN_FINGER = """
+schema_version = 1
+[finger]
+[[leds]]
+name = "ir"
+wavelength_nm = 800.0
+position_mm = [-1.2, 0.0]
+[[photodiodes]]
+name = "near"
+position_mm = [0.0, 0.0]
+size_mm = [1.0, 0.25]
+"""
 SMALL_FINGER_BEST = SMALL_FINGER + '[blood]\nparameters = "best"\n'
 
 # A board of its own size, whose LED lies behind the barrier, without a search.

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from small_scenes import phantom
+from small_scenes import PLAIN_FINGER, phantom
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -16,26 +16,12 @@ from nailoptics.light.transfer import Transfer
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
 
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "near"
-position_mm = [0.0, 0.0]
-size_mm = [1.0, 0.25]
-[light]
-engine = "{engine}"
-"""
 SCALAR = backend.Backend("scalar", None, ("volpath",), "requested")
 LLVM = backend.Backend("llvm", "libLLVM.so", backend.ENGINES, "requested")
 
 
 def finger(engine: str = "auto") -> Scene:
-    return parse_scene(FINGER.format(engine=engine))
+    return parse_scene(PLAIN_FINGER + f'[light]\nengine = "{engine}"\n')
 
 
 def test_photons_run_on_jit_backends_and_volpath_elsewhere():

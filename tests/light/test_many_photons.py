@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from small_scenes import phantom
+from small_scenes import PLAIN_FINGER, phantom
 
 import nailoptics as nail
 from nailoptics import io
@@ -14,19 +14,9 @@ from nailoptics.light.tracing import trace_scene, trigger
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
 
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-fwhm_nm = {fwhm}
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "near"
-position_mm = [0.0, -1.6]
-size_mm = [1.0, 1.0]
-"""
+# Of a broad line, on a larger photodiode beside it.
+FINGER = PLAIN_FINGER.replace("800.0", "800.0\nfwhm_nm = 50.0").replace("0.0]\nsize_mm", "-1.6]\nsize_mm")
+FINGER = FINGER.replace("[1.0, 0.25]", "[1.0, 1.0]")
 
 
 def slab(*, mu_a: float = 0.1, mu_s: float = 1.0, n: float = 1.4, size: float = 2.0) -> Scene:
@@ -86,7 +76,7 @@ def test_a_trace_that_fills_the_memory_ends_with_what_it_has(jit_backend, monkey
 @pytest.mark.parametrize("which", ["phantom", pytest.param("finger", marks=pytest.mark.long)])
 def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monkeypatch, which):
     """With a broad line, too, over which the state at rest is not the traced one."""
-    scene, target = (slab(), 0.01) if which == "phantom" else (parse_scene(FINGER.format(fwhm=50.0)), 0.016)
+    scene, target = (slab(), 0.01) if which == "phantom" else (parse_scene(FINGER), 0.016)
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     told = []
     traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)

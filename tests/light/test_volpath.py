@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scenes import phantom
+from small_scenes import PLAIN_FINGER, phantom
 
 from nailoptics import geometry
 from nailoptics.errors import InputError
@@ -162,24 +162,10 @@ def test_the_bed_varies_along_the_nail_as_requested():
         assert np.allclose(total * (1 - share), expected, rtol=1e-3)
 
 
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "near"
-position_mm = [0.0, 0.0]
-size_mm = [1.0, 0.25]
-"""
-
-
 @pytest.fixture(scope="module")
 def finger():
     """A finger with one LED and one photodiode beside it, and its media in three blood states."""
-    return prepare(FINGER)
+    return prepare(PLAIN_FINGER)
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +233,7 @@ name = "far"
 position_mm = [0.0, 1.0]
 size_mm = [1.0, 1.0]
 """
-    scene, shape, media, bed = prepare(FINGER.replace("[1.0, 0.25]", "[1.0, 0.8]") + two)
+    scene, shape, media, bed = prepare(PLAIN_FINGER.replace("[1.0, 0.25]", "[1.0, 0.8]") + two)
     rest = BedAbsorption(bed.v_mm, bed.mu_a_per_mm[:1])
     scalar = backend.choose("scalar")
 

@@ -41,6 +41,14 @@ def write(tmp_path, *, more="", side="B.Cu", turn=90, scene=SCENE):
     return tmp_path / "mine.toml"
 
 
+def write_positions(tmp_path, positions, **how):
+    """The same scene with a position file in place of the board."""
+    path = write(tmp_path, **how)
+    (tmp_path / "pos.csv").write_text(positions)
+    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    return path
+
+
 def test_mapped_parts_lie_where_the_file_has_them_and_others_are_named(tmp_path):
     scene = load_scene(write(tmp_path))
     (led,), (diode,) = scene.leds, scene.photodiodes
@@ -115,20 +123,16 @@ def test_parts_that_are_not_fitted_are_left_out(tmp_path, caplog):
 
 
 def test_coordinates_of_a_page_are_taken_from_the_middle_of_the_parts(tmp_path, caplog):
-    path = write(tmp_path)
-    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,97,-99,90,bottom\nPD1,101,-101,30,bottom\n")
-    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    text = "Ref,PosX,PosY,Rot,Side\nD1,97,-99,90,bottom\nPD1,101,-101,30,bottom\n"
+    path = write_positions(tmp_path, text)
     scene = load_scene(path)
     assert scene.leds[0].position_mm == (-2, 1) and scene.photodiodes[0].position_mm == (2, -1)
     assert "pos.csv: has no origin; the middle of its mapped parts lies on the nail's centre" in caplog.text
 
 
 def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
-    path = write(tmp_path)
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,150\n"
-    (tmp_path / "pos.csv").write_text(text)
-    board = load_scene(path)
-    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
     assert load_scene(path).photodiodes[0].rotation_deg == 150
     said = "the rotation of PD1 on the bottom is read as KiCad writes it, but its header is"
     assert caplog.text.count(said) == 1
@@ -139,20 +143,15 @@ def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
 
 
 def test_position_files_serve_as_boards(tmp_path, caplog):
-    path = write(tmp_path)
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
-    (tmp_path / "pos.csv").write_text(text)
-    board = load_scene(path)
-    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
     scene = load_scene(path)
     assert (scene.leds, scene.photodiodes) == (board.leds, board.photodiodes) and scene.board.unmapped == ("C1",)
     assert caplog.text.count("add negate_x_on_bottom") == 1
 
 
 def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, capsys):
-    path = write(tmp_path)
-    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
-    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    path = write_positions(tmp_path, "Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
     more = '[placement]\nphotodiodes = 1\n[[placement.candidates]]\nname = "drawn"\npositions = "pos.csv"\n'
     path.write_text(path.read_text() + more)
     assert run(["check", str(path), "--json"]) == 0
@@ -173,9 +172,8 @@ def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys):
 
 
 def test_a_position_file_without_a_unit_is_read_in_that_of_the_scene(tmp_path, capsys):
-    path = write(tmp_path, more='positions_unit = "inch"')
-    (tmp_path / "pos.csv").write_text("Ref,PosX,PosY,Rot,Side\nD1,-0.1,0,90,top\nPD1,0.1,0.05,30,top\n")
-    path.write_text(path.read_text().replace('kicad = "x.kicad_pcb"', 'positions = "pos.csv"'))
+    text = "Ref,PosX,PosY,Rot,Side\nD1,-0.1,0,90,top\nPD1,0.1,0.05,30,top\n"
+    path = write_positions(tmp_path, text, more='positions_unit = "inch"')
     assert load_scene(path).leds[0].position_mm == pytest.approx((2.54, 0.0))  # the top faces the nail: mirrored
     path.write_text(path.read_text().replace('"inch"', '"cubit"'))
     assert (
