@@ -81,7 +81,7 @@ class ReflectedLight:
 
 
 class NailReflectance:
-    """The finger of a scene without its board, and rays from above into it; neither is made before it is needed."""
+    """The finger of a scene without its board, and rays into it; neither is made before it is needed."""
 
     def __init__(self, scene: Scene, *, backend: str = "auto", stores: Sequence[LightStore] = ()) -> None:
         """backend : what walks the rays. stores : where rays may be stored; new ones go to the first."""
@@ -110,9 +110,8 @@ class NailReflectance:
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
         least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
-        rows = [[*patch.center_mm, *patch.size_mm, patch.share] for patch in patches]
-        parameters: dict[str, Any] = {"patches": rows, "ports_mm": [patch.port_mm for patch in patches]}
-        parameters["least_mu_a_per_mm"] = [least_mu_a_per_mm.tolist()]
+        rows = [[*patch.center_mm, *patch.size_mm, patch.share, patch.port_mm] for patch in patches]
+        parameters = {"patches": rows, "least_mu_a_per_mm": [least_mu_a_per_mm.tolist()]}
         made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
 
@@ -195,8 +194,8 @@ class _Beam:
 
     def within_port(self, place_mm: np.ndarray) -> np.ndarray:
         """Whether photons of a batch that ended there, (n, 2) float [mm], count by their patch's port, (n,) bool."""
-        each = np.arange(len(place_mm)) % len(self.radius_mm)
-        return ~(np.linalg.norm(place_mm - self.center_mm[each], axis=1) > self.radius_mm[each])
+        ray = np.arange(len(place_mm)) % len(self.radius_mm)
+        return ~(np.linalg.norm(place_mm - self.center_mm[ray], axis=1) > self.radius_mm[ray])
 
 
 def as_seen(scene: Scene) -> Scene:

@@ -151,7 +151,7 @@ def _origin(
     if outline is not None:
         named["outline"] = middle(outline)
     preferred = (origin,) if origin is not None else ("auxiliary", "outline")
-    point = next((point for name in preferred if (point := named.get(name)) is not None), None)
+    point = next((point for choice in preferred if (point := named.get(choice)) is not None), None)
     if point is None and origin is None:
         return _middle_of(mapped, name)
     if point is None:

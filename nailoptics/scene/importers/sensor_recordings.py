@@ -255,7 +255,7 @@ def read_oximeter_recording(
     # Everything at the times of the red readings, which are a few milliseconds from the others.
     time_s, red = series[leds[0]]
     infrared, *dark = (
-        np.array([np.interp(time_s, own_s, series) for series in volts])
+        np.array([np.interp(time_s, own_s, row) for row in volts])
         for own_s, volts in (series[light] for light in lights[1:] if light in series)
     )
     for kind, volts in (("red", red), ("infrared", infrared)):
