@@ -142,6 +142,15 @@ def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
     assert caplog.text.count(said) == 1
 
 
+def test_the_rotation_of_a_part_beside_its_footprint_is_warned_of(tmp_path, caplog):
+    path = write_positions(tmp_path, "Ref,PosX,PosY,Rot,Side\nD1,-3,1,0,bottom\nPD1,1,-1,90,bottom\n")
+    load_scene(path)
+    assert "the rotation of" not in caplog.text
+    path.write_text(path.read_text().replace('"led_660"', '"led_660", offset_mm = [0.5, 0.2]'))
+    load_scene(path)
+    assert "the rotation of D1 on the bottom" in caplog.text
+
+
 def test_position_files_serve_as_boards(tmp_path, caplog):
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
     board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)

@@ -85,7 +85,8 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     mapped = _mapped(placed, uses, name)
     if board is None:
         warn_of_mirrored(table, placed, mapped)
-        warn_of_rotation(table, path, [part for part in mapped if part.rotation_deg % 90 or "module" in uses[part.ref]])
+        lopsided = {part.ref for part in mapped if {"module", "offset_mm"} & uses[part.ref].keys()}
+        warn_of_rotation(table, path, [part for part in mapped if part.rotation_deg % 90 or part.ref in lopsided])
     whole, origin = _outline(board, mapped, name), table.get("origin")
     view = View(
         _origin(origin, board, whole, mapped, name),
