@@ -116,7 +116,8 @@ class Electronics(Table):
     """Temperature of the electronics. [K]"""
     ambient_rejection: Literal["dark_slot", "lock_in"] | None = None
     """How readings are freed of steady ambient light and dark current: dark_slot subtracts a sample with the LED off,
-    lock_in demodulates an LED that is lit half of the time. Neither removes their noise, nor saturation."""
+    lock_in demodulates an LED that is lit half of the time. Neither removes their noise, nor saturation. An oximeter
+    has the slots of [oximeter] instead."""
     switching_hz: Positive | None = None
     """Rate at which the LED is lit and dark in turn for ambient_rejection; if not given 0.3 of bandwidth_hz for
     dark_slot and ten times it for lock_in. [Hz]"""
