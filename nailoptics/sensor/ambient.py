@@ -27,7 +27,7 @@ KELVIN = {"sun": 5778.0, "lamp": 2856.0}
 # Over these wavelengths a black body's irradiance is taken. [nm]
 ALL_NM = np.arange(100.0, 60_000.0)
 # Full sun, and a bright place in the light of incandescent lamps, the kind with the most infrared for its lux.
-SOURCES = (Ambient(kind="sun", illuminance_lux=1e5), Ambient(kind="lamp", illuminance_lux=1e3))
+SOURCES = SUN, LAMP = Ambient(kind="sun", illuminance_lux=1e5), Ambient(kind="lamp", illuminance_lux=1e3)
 # Photons that each photodiode sends back out: a leakage of 1e-4 is then known within a few parts in ten.
 PHOTONS = 1 << 16
 SPACING_MM = 0.2

@@ -16,7 +16,7 @@ from ...light.identity import light_digest
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...sensor import electronics
-from ...sensor.ambient import SOURCES, trace_ambient
+from ...sensor.ambient import LAMP, trace_ambient
 from ...statistics import Z95
 from .changes import Change, changes_of, merged, revised
 from .paired import (
@@ -273,7 +273,7 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
 def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Effect:
     """The light from outside that the scene names, or else a lamp's, beside the LED's light on each photodiode."""
     scene = base.transfer.scene
-    source, stage = scene.ambient or SOURCES[-1], scene.electronics
+    source, stage = scene.ambient or LAMP, scene.electronics
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     full_v = np.array([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
     outside_v = stage.feedback_ohm * trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]

@@ -12,7 +12,7 @@ from ...light import ProgressCallback, Transfer
 from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
-from ...sensor.ambient import SOURCES, trace_ambient
+from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
@@ -68,7 +68,7 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     beat = rest_beat(scene)
     curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
     oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2), seed)
-    sources = (scene.ambient or SOURCES[1], SOURCES[0])
+    sources = (scene.ambient or LAMP, SUN)
     outside_a = trace_ambient(scene, sources, options, seed=seed_of(options.seed, _LEAKAGE))
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = outside_a
     front_ends = front_ends_of(scene, leds, ambient_a)
