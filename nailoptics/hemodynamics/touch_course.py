@@ -99,8 +99,7 @@ def touch_course(touch: Touch) -> TouchCourse:
 
 def contact(touch: Touch) -> dict[str, Any]:
     """Where a force presses, as `hemodynamics.pressures` takes it."""
-    fields = {name: getattr(touch, name) for name in CONTACT}
-    return fields | {"distal_onset_n": touch.distal_onset_n or 0.0}
+    return {name: getattr(touch, name) for name in CONTACT} | {"distal_onset_n": touch.distal_onset_n or 0.0}
 
 
 def _stated(touch: Touch) -> dict[str, Any]:

@@ -69,17 +69,12 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
     body = scene.body
     if body is None or not (body.moves or body.drift or body.motion):
         return None
-    drift, motion, minutes = (
-        body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0),
-        body.motion,
-        since_rest_s / 60,
-    )
-    led_drift, all_leds = drift.led_per_rt_min * np.sqrt(minutes), LIFT_PER_UM * (motion.lift_um if motion else 0.0)
-    leds = len(scene.leds)
+    drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
+    led_drift, all_leds = drift.led_per_rt_min * rt_min, LIFT_PER_UM * (body.motion.lift_um if body.motion else 0.0)
     return PhysiologicalNoise(
         blood=covariance_root(_blood_covariance(scene, force_n, body) if body.moves else np.zeros((2, 2))),
-        led_gain=covariance_root(led_drift**2 * np.eye(leds) + all_leds**2),
-        reading_gain=float(drift.reading_per_rt_min * np.sqrt(minutes)),
+        led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + all_leds**2),
+        reading_gain=float(drift.reading_per_rt_min * rt_min),
     )
 
 

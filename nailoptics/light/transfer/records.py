@@ -79,8 +79,7 @@ class LedTrace:
 
     def select(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
-        records = {name: getattr(self, name)[chosen] for name in COLUMNS}
-        return replace(self, **records)
+        return replace(self, **{name: getattr(self, name)[chosen] for name in COLUMNS})
 
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state.

@@ -128,7 +128,7 @@ def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
 def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
     """Say in a line that X of the bottom side may be negated, where the scene does not say whether it is.
 
-    table : of the scene, that names the file. found, used : all parts of the file as they stand, and those that count.
+    table : of the scene, that names the file. parts, used : all parts of the file as they stand, and those that count.
     """
     if "negate_x_on_bottom" in table or all(part.side == "top" for part in used):
         return
