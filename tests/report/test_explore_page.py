@@ -15,7 +15,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import FORMULA
-from nailoptics.report.pages.explore.page import MOST_POINTS, page
+from nailoptics.report.pages.explore.page import MOST_POINTS, _readout, page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.importers.positions import read_positions
@@ -148,11 +148,31 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
         expected = electronics.read(fraction, led, photodiode, scene.electronics)
         current = fraction * led.flux_mw * 1e-3
         displayed = shown.evaluate(
-            "x => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0])", current
+            "x => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0], 0)", current
         )
         assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
         assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
         assert displayed["saturated"] == bool(expected.saturated)
+
+
+@pytest.mark.parametrize("rejection", [None, "dark_slot", "lock_in"])
+def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Exploration, rejection: str | None):
+    led, photodiode, ambient_a = explored.scene.leds[0], explored.scene.photodiodes[0], 3e-7
+    stage = explored.scene.electronics.model_copy(update={"ambient_rejection": rejection})
+    expected = electronics.read(1e-4, led, photodiode, stage, ambient_a=ambient_a)
+    scene = explored.scene.model_copy(update={"electronics": stage})
+    kind = _readout(photodiode, [{"fields": {"wavelength_nm": led.wavelength_nm}}], scene)
+    lit_a = 1e-7 * led.flux_mw * float(kind.pop("responsivity")[0])
+    displayed = shown.evaluate(
+        """([kind, lit, ambient, rejects]) => {
+            const before = tables.stage.rejects;
+            try { tables.stage.rejects = rejects; return stage(kind, lit, ambient); }
+            finally { tables.stage.rejects = before; }
+        }""",
+        [kind, lit_a, ambient_a, rejection is not None],
+    )
+    assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
+    assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
 
 
 def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: Exploration):

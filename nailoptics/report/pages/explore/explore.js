@@ -120,14 +120,15 @@ function stateAt(force, rest, so2) {
   return [...atForce(tables.touch.blood, force).map((x) => Math.min(high, Math.max(low, x * rest))), so2];
 }
 
-/** Noise variance of one sample at a photocurrent, the stage's mean output and whether the converter is at its limit. */
-function stage(kind, current) {
-  const volts = (current + kind.darkA) * tables.stage.feedbackOhm;
+/** Noise variance of one reading at the photocurrents of LED and ambient light [A], its mean, the stage's output [V] and whether the converter is at its limit. */
+function stage(kind, lit, ambient) {
+  const { feedbackOhm, rangeV, lsbV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * feedbackOhm;
   return {
-    volts: Math.min(volts, tables.stage.rangeV),
-    amplified: volts,
-    noiseV2: kind.fixedNoiseV2 + kind.noiseV2PerA * current,
-    saturated: volts >= tables.stage.rangeV - tables.stage.lsbV,
+    volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * feedbackOhm, rangeV) : 0),
+    amplified,
+    // What rejection subtracts has the noise of ambient light, too.
+    noiseV2: kind.fixedNoiseV2 + kind.noiseV2PerA * (lit + (rejects ? 2 : 1) * ambient),
+    saturated: amplified >= rangeV - lsbV,
   };
 }
 
@@ -237,7 +238,7 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
   // What either zone's blood changes by itself, added up: both may cancel in a reading, their errors do not.
   const gross = Math.abs(moved[0] * slope[0]) + Math.abs(moved[1] * slope[1]), changeCounted = jackknife(linear);
   const light = Math.max(now, 0), ambient = ambientCurrent(element, layout.ambient);
-  const read = stage(diode, (light * gain) / tables.stage.feedbackOhm + ambient);
+  const read = stage(diode, (light * gain) / tables.stage.feedbackOhm, ambient);
   const change = (now - atRest) * gain;
   return {
     led: number, element, few, fraction: now, fractionRest: atRest, gain, ambientA: ambient, ...read,

@@ -129,6 +129,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
             "feedbackOhm": scene.electronics.feedback_ohm,
             "rangeV": scene.electronics.adc_range_v,
             "lsbV": electronics.lsb_v(scene.electronics),
+            "rejects": scene.electronics.ambient_rejection is not None,
         },
         "touch": exploration.touch,
         "board": _board(scene),

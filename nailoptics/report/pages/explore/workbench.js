@@ -316,7 +316,7 @@ function drawPlots() {
     const state = stateAt(force, layout.rest, layout.so2), slopes = [monomials(state, 0), monomials(state, 1)], now = monomials(state);
     const there = rows.map((one) => {
       const light = Math.max(dot(now, one.pair.coefficients), 0) * one.gain;
-      const read = stage(tables.photodiodeKinds[one.element.kind], light / tables.stage.feedbackOhm + one.ambientA);
+      const read = stage(tables.photodiodeKinds[one.element.kind], light / tables.stage.feedbackOhm, one.ambientA);
       return { led: one.led, light, zone: slopes.map((slope) => dot(slope, one.pair.coefficients) * one.gain), ...read };
     });
     const scaled = atForce(tables.touch.blood_per_pa, force).map((x) => x.map((y) => y * layout.rest));
