@@ -8,7 +8,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
 from nailoptics.hemodynamics.touch_course import contact_at
-from nailoptics.scene import parse_scene
+from nailoptics.scene import Body, parse_scene
 from nailoptics.sensor.information import (
     false_forces_n,
     operating_point,
@@ -81,6 +81,12 @@ def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
     assert parts["hand_height_m"] == posture_force_n(scene, 0.5) and parts["venous_pressure_pa"] == 0.0
     assert false_forces_n(scene_with(body.format(0.0) + tuning), 0.5)["venous_pressure_pa"] < -0.001
     assert false_forces_n(scene_with(""), 0.5) == {}
+    time_s = np.linspace(0.0, 10.0, 501)
+    columns = {"time_s": time_s, "arterial_pressure_pa": 1e4 + 2e3 * np.sin(6.0 * time_s)}
+    body = Body(**{f"recorded_{name}": tuple(column) for name, column in columns.items()})
+    recorded = scene_with("").model_copy(update={"body": body})
+    waves_n = physiological_noise_force_n(operating_point(recorded, 0.5))
+    assert false_forces_n(recorded, 0.5) == {"file": pytest.approx(waves_n, rel=1e-9)} and waves_n > 0.01
 
 
 def test_check_states_the_false_force() -> None:
