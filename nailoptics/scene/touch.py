@@ -119,14 +119,11 @@ class Touch(Table):
     @property
     def stated_contact(self) -> set[str]:
         """Fields of the contact that this touch makes no unknown: measured, or of a touch on one side alone."""
-        stated = set()
-        if self.recorded_proximal_pressure_pa is not None or self.proximal_area_mm2 or self.distal_area_mm2:
-            stated |= {"touch.contact_area_mm2", "touch.proximal_share"}
-        if self.recorded_contact_area_mm2 is not None:
-            stated.add("touch.contact_area_mm2")
-        if self.recorded_proximal_share is not None or self.proximal_share in (0.0, 1.0):
-            stated.add("touch.proximal_share")
-        return stated
+        sides = self.recorded_proximal_pressure_pa is not None or self.proximal_area_mm2 or self.distal_area_mm2
+        area = sides or self.recorded_contact_area_mm2 is not None
+        share = sides or self.recorded_proximal_share is not None or self.proximal_share in (0.0, 1.0)
+        stated = {"touch.contact_area_mm2": area, "touch.proximal_share": share}
+        return {field for field, is_stated in stated.items() if is_stated}
 
     @model_validator(mode="before")
     @classmethod
