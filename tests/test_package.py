@@ -161,7 +161,8 @@ def test_the_version_is_that_of_the_citation():
     assert f"\nversion: {nailoptics.__version__}\n" in text and "\ncff-version: 1.2.0\n" in f"\n{text}"
 
 
-def test_the_commit_is_that_of_the_clone_or_of_its_work_tree(tmp_path):
+def test_the_commit_is_that_of_the_clone_or_of_its_work_tree(tmp_path, monkeypatch):
+    """Whatever repository a hook of git names, within which the command may run."""
     clone, tree = tmp_path / "clone", tmp_path / "tree"
 
     def git(*words):
@@ -173,8 +174,9 @@ def test_the_commit_is_that_of_the_clone_or_of_its_work_tree(tmp_path):
     for message in "ab":
         git("commit", "-q", "--allow-empty", "-m", message)
     git("worktree", "add", "-q", "--detach", tree, "HEAD~1")
-    assert commit._of_clone(clone) == git("rev-parse", "HEAD").strip()
-    assert commit._of_clone(tree) == git("rev-parse", "HEAD~1").strip() != commit._of_clone(clone)
+    last, before = git("rev-parse", "HEAD", "HEAD~1").split()
+    monkeypatch.setenv("GIT_DIR", str(tmp_path))
+    assert commit._of_clone(clone) == last and commit._of_clone(tree) == before
 
 
 def test_the_licence_is_the_one_that_the_package_names():
