@@ -15,8 +15,8 @@ KINDS = {"reading": "Reading", "change": "Change", "resolution": "Resolution"}
 
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
-    """The priors with the largest standard deviation due to each, and conclusions; empty where none was requested."""
-    if "prior" not in result.dims:
+    """The priors with the largest standard deviation due to each, and conclusions; empty without any."""
+    if not result.sizes.get("prior"):
         return {}
     rows = _rows(result)
     return {"unknowns": rows, "conclusions": conclusions(result, rows)}
@@ -113,8 +113,8 @@ def _range(spread: xr.DataArray) -> str:
 
 
 def spread_section(result: xr.Dataset) -> str:
-    """The section of a page on uncertainty over the priors; empty where none was requested."""
-    if "prior" not in result.dims:
+    """The section of a page on uncertainty over the priors; empty without any."""
+    if not result.sizes.get("prior"):
         return ""
     rows = _rows(result)
     lines = []

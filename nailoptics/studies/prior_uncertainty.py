@@ -137,14 +137,11 @@ class PriorSensitivity:
     @property
     def by_prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviation that each prior makes alone, and its standard error, (priors, ...) float each."""
-        variances = []
+        variances, shape = [], (len(self.priors), len(NODES), *self.own_answer.shape[1:])
         for group, base in enumerate(self.own):
-            spread = (
-                np.stack([self.answer(node, base) for node in self.nodes[:, :, group]], 1)
-                if self.priors
-                else base[None]
-            )
-            variances.append(np.tensordot(WEIGHTS, spread**2, 1) - np.tensordot(WEIGHTS, spread, 1) ** 2)
+            answers = [self.answer(node, base) for node in self.nodes[:, :, group]]
+            by_node = np.moveaxis(np.reshape(answers, shape), 1, 0)
+            variances.append(np.tensordot(WEIGHTS, by_node**2, 1) - np.tensordot(WEIGHTS, by_node, 1) ** 2)
         return _root(np.stack(variances))
 
     @property
@@ -223,7 +220,7 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
     data: Variables = {}
     for field, text in (("field", "field of the scene"), ("source", "where its range comes from")):
         data |= variable(f"prior_{field}", "prior", [getattr(prior, field) for prior in priors], text)
-    ends = [[prior.low, prior.high] for prior in priors]
+    ends = np.reshape([(prior.low, prior.high) for prior in priors], (-1, 2))
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
     offsets = [offset_of(scene, prior) for prior in priors]
     text = "the scene's value less the mean of its prior, in standard deviations"

@@ -15,6 +15,7 @@ from nailoptics.light import ReweightWarning, Transfer, optics, trace
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.options import TraceOptions
+from nailoptics.report.uncertainty_section import spread_section, spread_summary
 from nailoptics.scene import Priors, Scene, Touch
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.scene.vessels import Tuning
@@ -188,6 +189,13 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     assert (nodes[2, 2:6] < nodes[1, 2:6]).all()
     value, error = found.level.total
     assert (value + 2 * error >= without.level.total[0]).all() and (value - 2 * error > without.level.total[0]).any()
+
+
+def test_a_finger_of_which_all_is_known_has_no_spread(traced):
+    scene = prototype(*all_but())
+    found = readings_over_priors(replace(traced, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
+    assert found.sizes["prior"] == 0 and (found.reading_spread < 1e-9).all() and (found.signal_spread < 1e-9).all()
+    assert spread_summary(found) == {} and spread_section(found) == ""
 
 
 def test_a_sign_holds_where_nearly_all_draws_have_it_beyond_noise():
