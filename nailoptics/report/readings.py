@@ -79,13 +79,13 @@ def simulation_summary(result: xr.Dataset) -> dict[str, Any]:
         for led, region in product(part.led.values, part.region.values):
             end = with_stderr(part.sel(led=led, region=region), "absorbed_fraction")
             absorbed.setdefault(str(led), {})[str(region)] = end
-    found: dict[str, Any] = {"readings": table[names].to_dict("records"), "absorbed": absorbed}
+    summary: dict[str, Any] = {"readings": table[names].to_dict("records"), "absorbed": absorbed}
     if "ambient_a" in result:
         ambient = result[[name for name in result if str(name).startswith("ambient_")]]
-        found["ambient"] = ambient.to_dataframe().reset_index().to_dict("records")
+        summary["ambient"] = ambient.to_dataframe().reset_index().to_dict("records")
     if "false_force_n" in result:
-        found["false_force_n"] = result.false_force_n.to_series().to_dict()
-    return found | spread_summary(result) | run_summary(result.attrs)
+        summary["false_force_n"] = result.false_force_n.to_series().to_dict()
+    return summary | spread_summary(result) | run_summary(result.attrs)
 
 
 def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
@@ -122,12 +122,12 @@ def disturbance_lines(result: xr.Dataset) -> list[str]:
     if "ambient_a" in result:
         most = result.isel(photodiode=int(result.ambient_a.argmax()))
         volts = f"{with_error(float(most.ambient_volts), float(most.ambient_volts_stderr))} V"
-        noise, left, flicker = (
-            f"{quantity(float(most[f'ambient_{name}']), 'V')}" for name in ("noise_v", "left_v", "flicker_v")
+        left, noise, flicker = (
+            quantity(float(most[f"ambient_{name}"]), "V") for name in ("left_v", "noise_v", "flicker_v")
         )
         lines.append(
-            f"ambient light: at most {volts} at a stage's output ({most.photodiode.item()}), of whose readings it is "
-            f"{left} with {noise} of shot noise and {flicker} of flicker, rms"
+            f"ambient light: at most {volts} at the stage's output ({most.photodiode.item()}), of which {left} are "
+            f"left in a reading, with {noise} of shot noise and {flicker} of flicker, rms"
         )
     if "false_force_n" in result:
         forces = zip(result.disturbance.values, result.false_force_n.values, strict=True)

@@ -255,10 +255,8 @@ def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) ->
     ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
     if not report.interrupted and ending is not Ending.INTERRUPTED:
         return ""
-    cut_off = (
-        f"interrupted with {sum(colour_sums.photons.sum() for colour_sums in sums):.0f} of {sum(photons)} photons."
-    )
-    if any((colour_sums.photons == 0).any() for colour_sums in sums):
+    cut_off = f"interrupted with {sum(band.photons.sum() for band in sums):.0f} of {sum(photons)} photons."
+    if any((band.photons == 0).any() for band in sums):
         raise KeyboardInterrupt(f"{cut_off} No page was written.")
     return cut_off
 
@@ -320,12 +318,12 @@ def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:
     return BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
 
 
-def _state_point(scene: Scene, proximal: float, two: float, so2: float) -> BloodPoint:
+def _state_point(scene: Scene, proximal: float, distal: float, so2: float) -> BloodPoint:
     """The absorption of a blood state; venous blood stays as far below arterial as in the scene."""
     venous = scene.blood.venous_so2
     below = None if venous is None else max(0.0, so2 - (scene.blood.so2 - venous))
     blood = scene.blood.model_copy(update={"so2": so2, "venous_so2": below})
-    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[proximal, two])
+    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[proximal, distal])
 
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.

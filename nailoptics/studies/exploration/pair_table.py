@@ -148,13 +148,13 @@ class PairBasis:
             volume = volume * width * (len(axis) - 1)
         x, y = np.zeros((2, PAIRS, 2))
         for k, axis_number in enumerate((self.across, 1 - self.across)):
-            extent, other = columns[2 * k : 2 * k + 2]
+            first, second = columns[2 * k : 2 * k + 2]
             if k == 1 or self.wall_mm is None:
                 # Distance and middle; pairs of either order are alike, and none reaches over the board's edge.
                 low, high = self.axes[2 * k + 1][[0, -1]]
-                inside = (extent / 2 <= other - low) & (extent / 2 <= high - other)
-                volume, extent, other = volume * 2 * inside, other - extent / 2, other + extent / 2
-            x[:, axis_number], y[:, axis_number] = extent, other
+                inside = (first / 2 <= second - low) & (first / 2 <= high - second)
+                volume, first, second = volume * 2 * inside, second - first / 2, second + first / 2
+            x[:, axis_number], y[:, axis_number] = first, second
         return x[volume > 0], y[volume > 0], volume[volume > 0]
 
     def passed(self, starts_mm: Array, arrivals_mm: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -55,8 +55,8 @@ def revised(scene: Scene, changes: Changes) -> Scene:
             continue
         changed = [{name: value for name, value in fields.items() if value is not None}] * len(tables[table])
         if PART_WIDTH["leds"].items() <= fields.items():
-            changed = [table | {"fwhm_nm": part_width_nm(led)} for table, led in zip(changed, scene.leds, strict=True)]
-        tables[table] = tuple(table | other for table, other in zip(tables[table], changed, strict=True))
+            changed = [row | {"fwhm_nm": part_width_nm(led)} for row, led in zip(changed, scene.leds, strict=True)]
+        tables[table] = tuple(row | new for row, new in zip(tables[table], changed, strict=True))
     return scene_of(tables)
 
 

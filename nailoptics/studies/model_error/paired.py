@@ -301,28 +301,28 @@ def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
 
 def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Every photon's photodiode and what it adds in both scenes, (n,), (n, 2), (n, 2): 0 where it did not come."""
-    first, two = base.transfer.traces[led], other.transfer.traces[led]
+    first, second = base.transfer.traces[led], other.transfer.traces[led]
     a, b = base.parts[led], other.parts[led]
-    if first is two:
+    if first is second:
         return first.photodiode, a, b
-    in_one, in_two = shared_photons(first, two)
-    alone = np.delete(np.arange(len(b)), in_two)
-    of_one = np.zeros_like(a)
-    of_one[in_one] = b[in_two]
-    photodiode = np.concatenate([first.photodiode, two.photodiode[alone]])
-    return photodiode, np.vstack([a, np.zeros((len(alone), 2))]), np.vstack([of_one, b[alone]])
+    in_first, in_second = shared_photons(first, second)
+    alone = np.delete(np.arange(len(b)), in_second)
+    of_first = np.zeros_like(a)
+    of_first[in_first] = b[in_second]
+    photodiode = np.concatenate([first.photodiode, second.photodiode[alone]])
+    return photodiode, np.vstack([a, np.zeros((len(alone), 2))]), np.vstack([of_first, b[alone]])
 
 
-def shared_photons(first: LedTrace, two: LedTrace) -> tuple[np.ndarray, np.ndarray]:
+def shared_photons(first: LedTrace, second: LedTrace) -> tuple[np.ndarray, np.ndarray]:
     """Indices in both traces of the photons that they share, pair by pair; none without a common seed.
 
     In scenes that differ in one part, a photon that never meets that part goes the same way and counts the same, bit
     for bit, if both traces have one seed and as many photons.
     """
-    if (first.photons, first.seeds) != (two.photons, two.seeds):
+    if (first.photons, first.seeds) != (second.photons, second.seeds):
         return np.zeros(0, int), np.zeros(0, int)
-    _, in_one, in_two = np.intersect1d(_keys(first), _keys(two), assume_unique=True, return_indices=True)
-    return in_one, in_two
+    _, in_first, in_second = np.intersect1d(_keys(first), _keys(second), assume_unique=True, return_indices=True)
+    return in_first, in_second
 
 
 def _keys(trace: LedTrace) -> np.ndarray:
