@@ -314,14 +314,28 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     _finish(summary, [line], {"page": output}, options.json, unmet, output)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """How the scenes of a batch are distributed."""
+
+    workers: int | None = None
+    """Processes on this machine; one per core if not given."""
+    scheduler: str | None = None
+    """Dask scheduler in their place, such as tcp://host:8786."""
+    shard: str | None = None
+    """I/N: run only the I-th of N parts, for job arrays."""
+
+
+DISTRIBUTION = Distribution()
+
+
 @app.command
 def batch(
     sweep: Path,
     *,
     output: File = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    shard: str | None = None,
+    distribution: Distribution = DISTRIBUTION,
     dry_run: Flag = False,
     retry_failed: Flag = False,
     status: Flag = False,
@@ -334,9 +348,6 @@ def batch(
     Args:
         sweep: A sweep file (TOML); with --status, the folder of a batch.
         output: Folder of the batch.
-        workers: Processes on this machine; one per core if not given.
-        scheduler: Dask scheduler in their place, such as tcp://host:8786.
-        shard: I/N: run only the I-th of N parts, for job arrays.
         dry_run: Estimate processor time and disk, and exit.
         retry_failed: Retry the scenes that failed before.
         status: Show the batch's progress and exit.
@@ -353,12 +364,10 @@ def batch(
         return _finish(vars(cost), [cost], {}, options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
-    how: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "shard": shard, "retry_failed": retry_failed}
+    how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}
     unmet = None
     try:
-        outcome, unmet = _traced(
-            batches.run_batch, planned, output, **how, options=options, shown=terminal.batch_progress
-        )
+        outcome, unmet = _traced(batches.run_batch, planned, output, options=options, **how)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
