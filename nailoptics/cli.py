@@ -519,40 +519,12 @@ def figures(
         people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and judge what the paper says of people;
             their light is traced, a minute of processor time.
     """
-    import numpy as np
-
-    from . import hemodynamics
-    from .light import backend as backends
-    from .paper.claims import as_rows, as_text, is_shown_by, judge, judge_people
-    from .paper.responses import pressed, simulate_responses
-    from .report.pages.colour import draw_fig2
-    from .report.pages.paper import draw, draw_haemoglobins, draw_people
-    from .scene import load_scene
-    from .scene.touch import read_recording
-    from .studies.people import people as shipped_people
-    from .studies.people import read_people
+    from .paper.claims import as_rows, as_text
+    from .report.pages.paper import write_figures
 
     if people and touch is not None:
         raise InputError("figures --people: presses as the paper's subjects did; leave out --touch, or --people.")
-    course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
-    judged, pictures = {}, []
-    named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
-    make_folder(output)
-    for name, parameters in named.items():
-        responses = simulate_responses(parameters)
-        recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
-        pictures += draw(output, responses, name=name, recorded=recorded)
-        judged[name] = judge(responses, name)
-    pictures.append(draw_haemoglobins(output))
-    if people:
-        readings = read_people(scenes := shipped_people())
-        pictures.append(draw_people(output, readings, scenes))
-        judged["people"] = judge_people(readings)
-    if colour and backends.choose("auto").jit:
-        nail, shown = load_scene("nail_colour"), [name for name in named if is_shown_by(name, "2")]
-        pictures += [draw_fig2(nail, output, name=name) for name in shown]
-    elif colour:
-        say("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
+    judged, pictures = write_figures(output, sets, touch=touch, colour=colour, people=people)
     claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}
     _finish(claims, [*as_text(judged).splitlines(), *pictures], {}, json_)
 

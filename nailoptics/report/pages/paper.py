@@ -1,22 +1,29 @@
-"""Drawings of the paper's Figs. 4, 10 to 12 and 15 to 18, from any set's responses."""
+"""The paper's figures, drawn from any set's responses and from people, and its claims judged by them."""
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import tissue
+from ... import hemodynamics, tissue
 from ...io import make_folder
-from ...paper.claims import is_shown_by
+from ...light import backend as backends
+from ...paper.claims import Claim, is_shown_by, judge, judge_people
 from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
-from ...paper.responses import PeopleReadings, Responses
-from ...scene import Scene
+from ...paper.responses import PeopleReadings, Responses, pressed, simulate_responses
+from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
+from ...scene.touch import read_recording
+from ...studies import people as subjects
 from .. import style
+from .colour import draw_fig2
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+log = logging.getLogger(__name__)
 
 _WIDTH_IN = 9.5
 # The line at 1 N or 1 N/cm^2, where the paper's veins are shut.
@@ -25,6 +32,40 @@ _READING = "change, Taylor (9) [rest blood]"
 _SIDES = ("proximal", "distal")
 # The phases of a step on and off, one after the other. [s]
 _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
+
+
+def write_figures(
+    folder: Path, sets: Sequence[str] = (), *, touch: Path | None = None, colour: bool = True, people: bool = False
+) -> tuple[dict[str, list[Claim]], list[Path]]:
+    """Draw the paper's figures into a folder and judge its claims; returns the claims by set, and the pictures.
+
+    sets : names of parameter sets; all if none is given.
+    touch : recorded touch (CSV) for Figs. 16 and 18, instead of the subjects'.
+    colour : whether Fig. 2 is traced.
+    people : whether Figs. 15 to 18 are drawn of people, too, who are judged as one more set.
+
+    Raises: InputError.
+    """
+    course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
+    named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
+    make_folder(folder)
+    judged, pictures = {}, []
+    for name, parameters in named.items():
+        responses = simulate_responses(parameters)
+        recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
+        pictures += draw(folder, responses, name=name, recorded=recorded)
+        judged[name] = judge(responses, name)
+    pictures.append(draw_haemoglobins(folder))
+    if people:
+        readings = subjects.read_people(scenes := subjects.people())
+        pictures.append(draw_people(folder, readings, scenes))
+        judged["people"] = judge_people(readings)
+    if colour and backends.choose("auto").jit:
+        nail = load_scene("nail_colour")
+        pictures += [draw_fig2(nail, folder, name=name) for name in named if is_shown_by(name, "2")]
+    elif colour:
+        log.warning("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
+    return judged, pictures
 
 
 @style.drawing()
