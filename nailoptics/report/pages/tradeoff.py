@@ -42,7 +42,7 @@ NOTE = (
 def page(result: Tradeoff, drawing: "Figure") -> str:
     """The page around what `draw` drew."""
     choice = result.chosen
-    selected = "; ".join(result.lines) or choice.level.call or "none is needed"
+    selected = "; ".join(filter(None, (*result.lines, choice.level.call))) or "none is needed"
     body = section(
         "Error against time",
         figure(drawing, CAPTION),
@@ -146,9 +146,12 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
 
 def _needs(result: Tradeoff) -> list[dict[str, str]]:
     """What must be known for each level, and what selects it."""
-    heads = ("Level", "Must be known beside the scene", "Scene lines, or the call that gives it")
-    cells = ((level.name, level.beforehand or "–", "; ".join(level.lines) or level.call) for level in result.levels)
-    return [dict(zip(heads, (*cell[:2], cell[2] or "the scene as it is"), strict=True)) for cell in cells]
+    rows = []
+    for level in result.levels:
+        row = {"Level": level.name, "Must be known beside the scene": level.beforehand or "–"}
+        selected = "; ".join(filter(None, (*level.lines, level.call))) or "the scene as it is"
+        rows.append(row | {"Scene lines, or the call that gives it": selected})
+    return rows
 
 
 def meaning(result: Tradeoff) -> str:
@@ -222,11 +225,11 @@ def lines(result: Tradeoff) -> list[str]:
     out = aligned([row | more for row, more in zip(_rows(result), known, strict=True)])
     out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
     out += filter(None, [simultaneous_line(result)])
-    if result.chosen.level.call:
-        return [*out, f"No line of a scene selects it: {result.chosen.level.call} gives it."]
     if result.lines:
-        return [*out, "Scene lines that select it:", *(f"  {line}" for line in result.lines)]
-    return [*out, "The scene is that already: no line needs to change."]
+        out += ["Scene lines that select it:", *(f"  {line}" for line in result.lines)]
+    if call := result.chosen.level.call:
+        return [*out, f"No line of a scene selects {'the rest' if result.lines else 'it'}: {call} gives it."]
+    return out if result.lines else [*out, "The scene is that already: no line needs to change."]
 
 
 def _files(result: Tradeoff) -> tuple[Any, ...]:

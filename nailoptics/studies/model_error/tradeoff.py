@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -88,7 +87,7 @@ class Level:
     reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a part of the largest,
         after one processor second of photons; 0 where none are traced. [s^0.5]
     beforehand : what must be known beside the scene's media and shape; empty where nothing must.
-    changes : what of the scene selects it; None where no line of a scene does, but the call.
+    changes : what of the scene selects it; None where no line of a scene does, but the call alone.
     """
 
     name: str
@@ -348,10 +347,10 @@ def signal_bias(base: PairedReadings, modulation: np.ndarray) -> Bias:
     return bias_of(base, off, shared=stderr / unit)
 
 
-def timed(call: Callable[[], T]) -> tuple[T, float]:
+def timed(call: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T, float]:
     """What a call returns, and its processor time. [s]"""
     begin = time.process_time()
-    return call(), time.process_time() - begin
+    return call(*arguments, **options), time.process_time() - begin
 
 
 def literature_changes(scene: Scene, name: str, blood_fraction: np.ndarray) -> np.ndarray:
@@ -392,10 +391,9 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
     unit, stderr = base.largest_modulation
     for name, change in FORMULAS.items():
-        paired, seconds = timed(lambda name=name: literature_changes(full, name, ends)[..., -1])  # type: ignore[misc]
-        signal = signal_bias(base, paired)
-        more = {"beforehand": "one measured reading at rest", "call": LITERATURE_CALL}
-        yield Level(f"{name}, literature", "numpy", None, signal, seconds, **more)  # type: ignore[arg-type]
+        changes, seconds = timed(literature_changes, full, name, ends)
+        signal, known = signal_bias(base, changes[..., -1]), "one measured reading at rest"
+        yield Level(f"{name}, literature", "numpy", None, signal, seconds, beforehand=known, call=LITERATURE_CALL)
         values = (change(np.stack(depths)) - np.stack(traced)) / unit
         errors = np.stack([jackknife(value) for value in values])
         signal = bias_of(base, Estimates(values[:, 0], errors), shared=stderr / unit)
@@ -408,15 +406,14 @@ def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
     seed : of the groups of photons, from which errors come.
     """
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
-    usual, usual_s = timed(partial(blood_over_touch, full))
+    usual, usual_s = timed(blood_over_touch, full)
     blood = usual.blood_fraction.values
     fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
-    ways: dict[str, tuple[dict[str, Any], Changes | None]] = {name: (how, None) for name, how in COURSES.items()}
+    ways: dict[str, tuple[dict[str, Any], Changes]] = {name: (how, {}) for name, how in COURSES.items()}
     if usual.sizes["time"] > 2 * FEWER_SAMPLES:
         ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
     for name, (how, changes) in ways.items():
-        changed = revised(full, changes or {})
-        course, seconds = timed(partial(blood_over_touch, changed, **how))
+        course, seconds = timed(blood_over_touch, revised(full, changes), **how)
         other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
         farthest = int(np.abs(other - blood).max(0).argmax())
         states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
@@ -427,7 +424,7 @@ def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
             measured(scene, name, base, base),
             signal=signal,
             setup_seconds=base.setup_seconds + seconds - usual_s,
-            changes=changes,
+            changes=changes_between(scene, full) | changes,
             call=f"nailoptics.hemodynamics.for_scene.blood_over_touch(scene, **{how})" if how else "",
         )
 
@@ -438,7 +435,8 @@ def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Lev
     changes: Changes = {"blood": {"zones": 8 if two else None, "zone_edges_mm": (0.0,)}}
     other = tracer.trace(revised(base.transfer.scene, changes))
     level = measured(scene, "eight zones" if two else "two zones", base, other)
-    return replace(level, reading=Bias(0.0, 0.0, 0.0), signal=signal_bias(base, other.modulation), changes=changes)
+    signal, changes = signal_bias(base, other.modulation), (level.changes or {}) | changes
+    return replace(level, reading=Bias(0.0, 0.0, 0.0), signal=signal, changes=changes)
 
 
 def diffusion(base: PairedReadings) -> Level:

@@ -20,6 +20,7 @@ from nailoptics.studies.model_error.changes import lines_of, revised
 from nailoptics.studies.model_error.tradeoff import (
     COURSES,
     FORMULAS,
+    FULL,
     OWN,
     REFERENCE,
     Answer,
@@ -160,7 +161,11 @@ def test_blood_levels_move_the_signal_alone(found):
         assert 0 < by_name[name].signal.bound < 2e-3 and by_name[name].call
     assert 0.3 < by_name["1 of 10 samples"].signal.bound < 1.0
     assert by_name["eight zones"].signal.bound > 0.3
+    usual = revised(prototype(), FULL)
     for name in (*COURSES, "1 of 10 samples", "eight zones"):
+        # What selects it has the light of the full model, by which it was measured.
+        scene = revised(prototype(), by_name[name].changes)
+        assert (scene.light, scene.leds) == (usual.light, usual.leds)
         assert by_name[name].reading == Bias(0.0, 0.0, 0.0) and by_name[name].reading_noise > 0.5 * full.reading_noise
     # The slower walls take their time.
     assert by_name["walls with mass"].setup_seconds > full.setup_seconds + 0.1
