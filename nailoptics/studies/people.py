@@ -8,7 +8,7 @@ import numpy as np
 from ..assets import data_dir
 from ..checks import Array
 from ..hemodynamics.for_scene import blood_over_touch
-from ..light import DetectedLight, trace
+from ..light import Transfer, trace
 from ..light.detect import light_of
 from ..paper.protocols import CYCLE_HZ, N_PER_CM2, PHASE_S, Protocol, cycle, press
 from ..paper.reduced_optics import fit_taylor
@@ -33,14 +33,15 @@ def read_people(scenes: Sequence[Scene]) -> PeopleReadings:
     people = []
     for scene in scenes:
         still = scene.model_copy(update={"body": None})
-        light = light_of(trace(still, photons=PHOTONS, seed=SEED))
-        people.append([_read_side(still, light, side, (min(melanin), max(melanin))) for side in (0, 1)])
+        light = trace(still, photons=PHOTONS, seed=SEED)
+        people.append([_read_side(light, side, (min(melanin), max(melanin))) for side in (0, 1)])
     fields = {name: [[person[side][name] for person in people] for side in (0, 1)] for name in people[0][0]}
     return PeopleReadings(**{name: np.array(values) for name, values in fields.items()})
 
 
-def _read_side(scene: Scene, light: DetectedLight, side: int, skins: tuple[float, float]) -> dict[str, Array]:
+def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dict[str, Array]:
     """Fields of `PeopleReadings` of one person's proximal (0) or distal (1) side; skins : least and most melanin."""
+    scene, light = transfer.scene, light_of(transfer)
     here = [j for j, element in enumerate(scene.layout.photodiodes) if (element.area.center_mm[1] > 0) == side]
 
     def course(protocol: Protocol, rate_hz: float) -> tuple[Array, Array, Array]:
@@ -58,9 +59,8 @@ def _read_side(scene: Scene, light: DetectedLight, side: int, skins: tuple[float
     slow, slow_fit, states = course(cycle(), SLOW_HZ)
     quick, quick_fit, _ = course(press(), QUICK_HZ)
     ends = states[[0, round(SLOW_HZ / CYCLE_HZ / 2)]]
-    assert light.transfer is not None
     scenes = [at_value(scene, MELANIN, melanin) for melanin in skins]
-    read = [read_by_groups(light.transfer, skin, ends, SEED)[0, 0, here].sum(0) for skin in scenes]
+    read = [read_by_groups(transfer, skin, ends, SEED)[0, 0, here].sum(0) for skin in scenes]
     (rest, held), (dark_rest, dark_held) = read
     effect = np.array([dark_rest / rest, (dark_held / dark_rest - 1.0) / (held / rest - 1.0)]) - 1.0
     on, off = quick[: PHASE_S.size], quick[PHASE_S.size - 1 :]

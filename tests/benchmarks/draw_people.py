@@ -18,6 +18,7 @@ import numpy as np
 from nailoptics.assets import data_dir
 from nailoptics.scene import Prior, Priors
 from nailoptics.scene.finger import ANATOMY
+from nailoptics.scene.vessels import FACTORS
 from nailoptics.statistics import Z95
 from nailoptics.studies.prior_uncertainty import prior_of
 
@@ -46,7 +47,7 @@ SIZE_SD = {
 SIZE_CORRELATION = 0.7
 FLUX_MW = (0.9, 1.5)
 # Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
-NOT_DRAWN = ("finger.melanin_fraction", "blood.wall_stiffness", "touch.")
+NOT_DRAWN = ("finger.melanin_fraction", *(f"blood.{name}" for name in FACTORS), "blood.distal_reach", "touch.")
 
 
 def sizes(digit: str, rng: np.random.Generator) -> dict[str, float]:
