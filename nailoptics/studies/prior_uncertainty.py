@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, cast
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
+from pydantic import BaseModel
 
 from ..errors import as_far_as_reached
 from ..light import ProgressCallback, Transfer, optics, trace
@@ -17,6 +18,8 @@ from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..statistics import Z95, jackknife
 from ..variables import Variables, variable
+
+Model = TypeVar("Model", bound=BaseModel)
 
 # Gauss-Hermite quadrature of three nodes: in standard deviations from the mean, and their weights.
 NODES = np.array([-(3**0.5), 0.0, 3**0.5])
@@ -30,14 +33,10 @@ OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
 
 
-def at_value(scene: Scene, field: str, value: float) -> Scene:
-    """The scene with another value of one field, such as "finger.plate_absorption"."""
-
-    def changed(table: Any, names: Sequence[str]) -> Any:
-        new = changed(getattr(table, names[0]), names[1:]) if len(names) > 1 else value
-        return table.model_copy(update={names[0]: new})
-
-    return cast(Scene, changed(scene, field.split(".")))
+def at_value(scene: Model, field: str, value: float) -> Model:
+    """The scene, or a table of one, with another value of one field, such as "finger.plate_absorption"."""
+    name, _, within = field.partition(".")
+    return scene.model_copy(update={name: at_value(getattr(scene, name), within, value) if within else value})
 
 
 def value_of(scene: Scene, field: str) -> float:
@@ -118,27 +117,27 @@ class PriorSensitivity:
     has the mean and the standard deviation of its draws from their joint, correlated distribution.
 
     nodes : (priors, 3, 1 + groups, ...) float. Quantities, one prior at a time at each of its nodes.
-    own : (1 + groups, ...) float. Quantities of the scene as it is.
+    base : (1 + groups, ...) float. Quantities of the scene as it is.
     correlation : (priors, priors) float. Of the fields, each on the scale of its prior.
     answer : of quantities (n, ...) and the scene's own, (...), the answer; the quantities themselves if not given.
     """
 
     priors: tuple[Prior, ...]
     nodes: np.ndarray
-    own: np.ndarray
+    base: np.ndarray
     correlation: np.ndarray
-    answer: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda values, own: values
+    answer: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda values, base: values
 
     @cached_property
-    def own_answer(self) -> np.ndarray:
+    def base_answer(self) -> np.ndarray:
         """The answer of the scene as it is, by all photons and without each group, (1 + groups, ...) float."""
-        return np.stack([self.answer(base[None], base)[0] for base in self.own])
+        return np.stack([self.answer(base[None], base)[0] for base in self.base])
 
     @property
     def by_prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviation that each prior makes alone, and its standard error, (priors, ...) float each."""
-        variances, shape = [], (len(self.priors), len(NODES), *self.own_answer.shape[1:])
-        for group, base in enumerate(self.own):
+        variances, shape = [], (len(self.priors), len(NODES), *self.base_answer.shape[1:])
+        for group, base in enumerate(self.base):
             answers = [self.answer(node, base) for node in self.nodes[:, :, group]]
             by_node = np.moveaxis(np.reshape(answers, shape), 1, 0)
             variances.append(np.tensordot(WEIGHTS, by_node**2, 1) - np.tensordot(WEIGHTS, by_node, 1) ** 2)
@@ -155,19 +154,19 @@ class PriorSensitivity:
 
         Not 0 where values of the scene are not the means of their priors, or the answer bends.
         """
-        shift = self._moments[0] - self.own_answer
+        shift = self._moments[0] - self.base_answer
         return shift[0], jackknife(shift)
 
     @property
     def keeps_sign(self) -> np.ndarray:
         """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool."""
-        draws, noise = self.draws(0), np.nan_to_num(jackknife(self.own_answer), nan=np.inf)
-        same = (np.sign(draws) == np.sign(self.own_answer[0])).mean(0)
-        return np.asarray((same >= SURELY) & (np.abs(self.own_answer[0]) > Z95 * noise))
+        draws, noise = self.draws(0), np.nan_to_num(jackknife(self.base_answer), nan=np.inf)
+        same = (np.sign(draws) == np.sign(self.base_answer[0])).mean(0)
+        return np.asarray((same >= SURELY) & (np.abs(self.base_answer[0]) > Z95 * noise))
 
     def draws(self, group: int) -> np.ndarray:
         """Answers at draws of the joint priors, without one group of photons (0: by all), (DRAWS, ...) float."""
-        base = self.own[group]
+        base = self.base[group]
         # The logarithm of a reading that saw no light is not known, whatever the prior.
         nodes = np.where(np.isfinite(self.nodes[:, :, group]), self.nodes[:, :, group], np.nan)
         low, middle, high = np.moveaxis(nodes, 1, 0)
@@ -183,7 +182,7 @@ class PriorSensitivity:
     @cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Means and variances over the draws, by all photons and without each group, (1 + groups, ...) float each."""
-        draws = (self.draws(group) for group in range(len(self.own)))
+        draws = (self.draws(group) for group in range(len(self.base)))
         mean, variance = zip(*((draw.mean(0), draw.var(0)) for draw in draws), strict=True)
         return np.stack(mean), np.stack(variance)
 
@@ -253,7 +252,7 @@ class ReadingUncertainty:
         data |= self.change.variables("change", pair, "the change by touch, as a part of the scene's,", count)
         text = "change by touch as a part of the reading at the start"
         data |= self.signal.variables("signal", pair, f"the {text}", count)
-        data |= variable("signal", pair, self.signal.own_answer[0], text)
+        data |= variable("signal", pair, self.signal.base_answer[0], text)
         text = "whether the change has one sign over the evaluated priors"
         data |= variable("keeps_sign", pair, self.signal.keeps_sign, text)
         return xr.Dataset(data).merge(prior_variables(self.level.priors, self.untraced, scene))

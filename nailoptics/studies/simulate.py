@@ -101,9 +101,8 @@ def simulate_from(
     if false_n := false_forces_n(scene, float(result.force_n[hold_end(result)])):
         text = "false force at the end of the hold: rms by waves, shift by posture; NaN where a pressure moves no blood"
         result = result.assign(variable("false_force_n", "disturbance", list(false_n.values()), text, units="N"))
-        result = result.assign_coords(
-            variable("disturbance", "disturbance", list(false_n), "what moves blood beside touch")
-        )
+        names = variable("disturbance", "disturbance", list(false_n), "what moves blood beside touch")
+        result = result.assign_coords(names)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {

@@ -94,7 +94,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
     exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
     assert value == pytest.approx(np.full((1, 8), exact), rel=0.01) and (error < 1e-6).all()
     # No light went through the bed, so touch changes nothing.
-    assert (found.signal.own_answer == 0).all() and not found.signal.keeps_sign.any()
+    assert (found.signal.base_answer == 0).all() and not found.signal.keeps_sign.any()
 
 
 @pytest.mark.slow
@@ -165,7 +165,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
     for k in range(parts):
         part = replace(light.select(of == k), photons=light.photons // parts)
         found = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
-        each.append([(*one.total, one.own_answer[0]) for one in (found.level, found.change, found.signal)])
+        each.append([(*one.total, one.base_answer[0]) for one in (found.level, found.change, found.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
     for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
         truth = one.total[0][0]
@@ -269,7 +269,7 @@ def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
     assert found.keeps_sign.all()
     # Far from 0 at the scene, but not over the prior.
     nodes = np.array([0.02, 0.3, 0.6])[None, :, None, None] + 0 * found.nodes
-    assert not PriorSensitivity((prior,), nodes, 0.6 * found.own, np.eye(1)).keeps_sign.any()
+    assert not PriorSensitivity((prior,), nodes, 0.6 * found.base, np.eye(1)).keeps_sign.any()
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ class _Resolution:
             for case in self.judged.cases
         ]
         over = self.rules.over_fingers
-        nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "own"))
+        nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
         return np.log(over_fingers(nodes, over)), np.log(over_fingers(base, over))
 
     def _resolution_n(self, layout: CandidateLayout, case: FingerCase, scene: Scene) -> np.ndarray:
@@ -133,7 +133,7 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
     """Of all layouts, NaN of those that were not read; `chosen` were."""
     text = "the logarithm of the force resolution"
     data = over.variables("resolution", ("layout",), text, len(untraced))
-    nodes = np.exp(np.concatenate([over.nodes[:, :, 0], np.full((len(untraced), 3, over.own.shape[-1]), np.nan)]))
+    nodes = np.exp(np.concatenate([over.nodes[:, :, 0], np.full((len(untraced), 3, over.base.shape[-1]), np.nan)]))
     text = "force resolution with one prior at one of its nodes"
     data |= variable("resolution_at_node_n", ("prior", "prior_node", "layout"), nodes, text, units="N")
     # How much coarser than the first each other layout is, at every node.
