@@ -3,10 +3,10 @@
     python docs/collect_variables.py FOLDER
 
 Variables of several files of one name are merged; entries for names that the folder lacks are unchanged. Few photons
-suffice, and these scenes together have all variables: `simulate` of prototype, shear and placement; `place` of
-placement and pulse_oximeter, not cut off; `colour` of nail_colour and heartbeat; `compare` and `tradeoff` of prototype;
-`oximeter` of pulse_oximeter, with --recording and then with --readings; `predict` as in the tutorial on force. A test
-lists variables of the code that the table lacks.
+suffice, and these scenes together have all variables: `simulate` of prototype, shear and placement, one of them with
+[ambient]; `place` of placement and pulse_oximeter, not cut off; `colour` of nail_colour; `compare` and `tradeoff` of
+prototype; `oximeter` of pulse_oximeter, with --recording and then with --readings; `predict` as in the tutorial on
+force. A test lists variables of the code that the table lacks.
 """
 
 import json
