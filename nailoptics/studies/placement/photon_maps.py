@@ -17,10 +17,6 @@ from ...sensor.information import OperatingPoint, Response, scene_responses
 from ...statistics import left_out, seed_of
 from . import boards
 
-# Cells of the distances that the walk asks for, of boards that are traced for a second or two each: made in 0.3 s of
-# processor time less than the usual ones, a tenth slower to walk.
-QUICK_DISTANCE_MM = 0.3
-
 
 def batch_seed(seed: int, stream: int, traced: Scene, led: int, batch: int) -> int:
     """The seed of a batch of photons, from what decides the light: it depends neither on those before nor on blood."""

@@ -11,7 +11,6 @@ from nailoptics.scene import Scene, load_scene
 from nailoptics.studies.exploration import explore as study
 from nailoptics.studies.exploration.explore import KERNEL_ERROR, Exploration
 from nailoptics.studies.placement import boards
-from nailoptics.studies.placement.photon_maps import QUICK_DISTANCE_MM
 
 PHOTONS, LED_PHOTONS = 400_000, 400_000
 # Edge of square photodiodes, and how far they lie from the LED. [mm]
@@ -41,7 +40,7 @@ def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tu
     """The same by light of the die alone on the bare board, and its standard error."""
     led = scene.leds[0].model_copy(update={"position_mm": tuple(die_mm), "rotation_deg": 0.0})
     lit = boards.bare_board(scene).model_copy(update={"leds": (led,)})
-    tracer = BoardTracer(lit, spacing_mm=QUICK_DISTANCE_MM)
+    tracer = BoardTracer(lit, spacing_mm=0.3)
     arrived = tracer.arrivals(0, photons=LED_PHOTONS, seed=seed)
     value, found = blood_point(lit, 0).values(arrived)[:, 0], []
     for place in places_mm:

@@ -45,8 +45,8 @@ AT = information.OperatingPoint(
 
 
 def photon_map_cache(conditions, *, seed, stream, blocks):
-    cells = photon_maps.QUICK_DISTANCE_MM
-    return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks, distance_mm=cells)
+    # Coarse cells are made sooner; light does not depend on them.
+    return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks, distance_mm=0.3)
 
 
 @pytest.fixture(scope="module")
