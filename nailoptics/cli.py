@@ -531,11 +531,7 @@ def figures(
 
 @app.command
 def calibrate(
-    scene: ScenePath,
-    recordings: list[Path],
-    *,
-    output: Output = Path("subject.toml"),
-    options: Traced = TRACED,
+    scene: ScenePath, recordings: list[Path], *, output: Output = Path("subject.toml"), options: Traced = TRACED
 ) -> None:
     """Calibrate a person's sensor with recordings of a known force: gains, offsets, vessels, with their errors.
 
@@ -602,11 +598,7 @@ def predict(
 
 @app.command
 def oximeter(
-    scene: ScenePath,
-    *,
-    readings: Path | None = None,
-    recording: Path | None = None,
-    options: Study = STUDY,
+    scene: ScenePath, *, readings: Path | None = None, recording: Path | None = None, options: Study = STUDY
 ) -> None:
     """Simulate a pulse oximeter: R against saturation, SpO2 with its error, what disturbs it; or read a recording.
 
@@ -659,11 +651,7 @@ def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
 
 
 @app.command(name="store")
-def show_store(
-    *,
-    clear: Flag = False,
-    json_: Json = False,
-) -> None:
+def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     """Show the folder and size of the cache of traced light; NAILOPTICS_STORE names another folder, or off.
 
     Args:

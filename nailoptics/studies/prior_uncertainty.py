@@ -320,12 +320,9 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
 
     NaN where the scene's own is 0.
     """
+    change = np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1])
     scene_change = np.abs(np.expm1(base[..., 1]))
-    return np.asarray(
-        np.exp(values[..., 0] - base[..., 0])
-        * np.expm1(values[..., 1])
-        / np.where(scene_change > 0, scene_change, np.nan)
-    )
+    return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))
 
 
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
