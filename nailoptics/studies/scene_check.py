@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InputError
 from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
 from ..hemodynamics.parameters import beds, bounds
-from ..light import optics
+from ..light import backend, optics
 from ..light.diffusion import DiffusionModel
 from ..options import TraceOptions
 from ..scene import Scene
@@ -61,6 +61,8 @@ def check_scene(scene: Scene) -> dict[str, Any]:
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
     report["warnings"] += _beyond_the_nail(scene) + _beyond_the_list(scene) + _posture(scene)
+    if scene.ambient is not None and not backend.choose("auto").jit:
+        report["warnings"].append("[ambient] is left out: it needs a backend that compiles kernels (nailoptics doctor)")
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
     report["warnings"] += full + warnings_without_light(scene)
@@ -121,7 +123,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any
     the upper end of the 95 % interval of the scene's ambient light."""
     layout, pairs, full = scene.layout, [], []
     ambient_a = np.zeros(len(layout.photodiodes))
-    if scene.ambient is not None:
+    if scene.ambient is not None and backend.choose("auto").jit:
         ambient_a = np.array([1, Z95]) @ trace_ambient(scene, [scene.ambient], TraceOptions(), seed=0)[:2, 0]
     fractions = DiffusionModel(scene).readings(np.maximum(blood_fraction, 0.0))
     for led, die, rows in zip(scene.leds, layout.leds, fractions, strict=True):

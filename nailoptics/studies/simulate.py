@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..hemodynamics.for_scene import blood_over_touch
-from ..light import DetectedLight, ProgressCallback, Transfer, optics, section
+from ..light import DetectedLight, ProgressCallback, Transfer, backend, optics, section
 from ..light.transfer.series import ReadingSeries
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
@@ -69,6 +69,8 @@ def simulate(
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
+    if scene.ambient is not None:
+        backend.choose_jit(options.backend, "[ambient]")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
     (light, moved), unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)

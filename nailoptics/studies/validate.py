@@ -355,8 +355,7 @@ class _Surface:
 
     def __init__(self, options: TraceOptions) -> None:
         self.options, scene = options, _shipped_scene("prototype")
-        self.backend = backend.choose_jit(options.backend, "validate")
-        backend.activate(self.backend)
+        self.backend = backend.activate_jit(options.backend, "validate")
         self.nail, self.rays = self._walked(scene, patches_of(scene))
         self.finger, self.rays_of_pad = self._walked(scene.model_copy(update={"finger": Finger(digit="ring")}), (PAD,))
 

@@ -6,6 +6,7 @@ from small_scenes import PLACEMENT
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.light import backend
 from nailoptics.scene import Ambient, load_scene, parse_scene
 from nailoptics.studies.scene_check import check_scene
 
@@ -63,6 +64,14 @@ def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend, monkeypa
     assert line.startswith("may be saturated") and line.endswith("or the light of [ambient]") and " and 4 more" in line
     dim, dark = (lit(lux)["pairs"][0]["volts"] for lux in (1000.0, 0.0))
     assert lit(1000.0)["warnings"] == [] and 0.05 < dim - dark < 0.5
+
+
+def test_a_scene_in_ambient_light_is_checked_without_a_compiling_backend(monkeypatch):
+    scalar = backend.choose("scalar")
+    monkeypatch.setattr(backend, "choose", lambda *_, **__: scalar)
+    usual = load_scene(data_dir("scenes") / "prototype.toml")
+    report, dark = check_scene(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)})), check_scene(usual)
+    assert report["pairs"] == dark["pairs"] and any("[ambient] is left out" in line for line in report["warnings"])
 
 
 def test_a_phantom_is_checked_without_a_finger():

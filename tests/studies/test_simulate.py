@@ -255,6 +255,14 @@ def test_ambient_light_adds_its_volts_noise_and_error(in_ambient_light):
     assert (lit.ambient_volts_stderr < 0.05 * lit.ambient_volts).all() and (lit.ambient_fraction < 1).all()
 
 
+def test_ambient_light_without_a_compiling_backend_is_refused_at_once(monkeypatch):
+    """Expected: not after the minutes that the light takes."""
+    monkeypatch.setattr("nailoptics.studies.simulate.worn_light", lambda *_, **__: pytest.fail("light was traced"))
+    scene = prototype(duration_s=1.0).model_copy(update={"ambient": Ambient(illuminance_lux=1e5)})
+    with pytest.raises(InputError, match=r"\[ambient\] needs a JIT backend"):
+        simulate(scene, backend="scalar")
+
+
 @pytest.mark.jit
 def test_ambient_light_of_0_lux_leaves_the_readings_as_they_are(in_ambient_light):
     alone, dark = in_ambient_light["none"], in_ambient_light["dark"]
