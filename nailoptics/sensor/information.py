@@ -306,15 +306,15 @@ def share_resolution(information: Array, point: OperatingPoint) -> Array:
 
 def _stderr_of(information: Array, per_pa: Array) -> Array:
     """Standard deviation of what changes with both pressures as given, (2,) float, to first order."""
-    first, both, two = _with_prior(information)
+    proximal, both, distal = _with_prior(information)
     a, b = per_pa
-    return np.sqrt((a**2 * two - 2 * a * b * both + b**2 * first) / (first * two - both**2))
+    return np.sqrt((a**2 * distal - 2 * a * b * both + b**2 * proximal) / (proximal * distal - both**2))
 
 
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
-    (a, b), first, both, two = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
-    return 1 / np.sqrt(a * a * first + 2 * a * b * both + b * b * two)
+    (a, b), proximal, both, distal = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
+    return 1 / np.sqrt(a * a * proximal + 2 * a * b * both + b * b * distal)
 
 
 def physiological_noise_force_n(point: OperatingPoint) -> float:
@@ -328,14 +328,14 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
 
 def pressure_resolution_pa(information: Array) -> Array:
     """Standard deviation of the proximal and of the distal pressure, (..., 2) float. [Pa]"""
-    first, both, two = _with_prior(information)
-    return np.sqrt(np.stack([two, first], -1) / (first * two - both**2)[..., None])
+    proximal, both, distal = _with_prior(information)
+    return np.sqrt(np.stack([distal, proximal], -1) / (proximal * distal - both**2)[..., None])
 
 
 def _with_prior(information: Array) -> tuple[Array, Array, Array]:
     """The entries 11, 12, 22 with what is known before any reading."""
-    prior, (first, both, two) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
-    return first + prior, both, two + prior
+    prior, (proximal, both, distal) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
+    return proximal + prior, both, distal + prior
 
 
 def condition_number(read: Response) -> float:
