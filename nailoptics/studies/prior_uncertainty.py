@@ -31,6 +31,8 @@ DRAWS, SURELY = 512, 0.975
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
 OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
+# Cells of the grids of distances of such traces: these take 0.5 s of processor time instead of 1.4. [mm]
+OWN_SPACING_MM = 0.4
 
 
 def at_value(scene: Model, field: str, value: float) -> Model:
@@ -328,7 +330,8 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
     """A trace of its own, as far as its time went."""
     scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-    result: Transfer = as_far_as_reached(trace, scene, progress=progress, **options.fields)[0]
+    how: dict[str, Any] = {"spacing_mm": OWN_SPACING_MM, "progress": progress}
+    result: Transfer = as_far_as_reached(trace, scene, **how, **options.fields)[0]
     return result
 
 

@@ -32,6 +32,7 @@ def trace(
     *,
     with_faces: Collection[str] = (),
     traced: Scene | None = None,
+    spacing_mm: float | None = None,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
@@ -42,6 +43,7 @@ def trace(
         the same way, number by number, as in a scene that has them, which walks on other faces would not.
     traced : a phantom that absorbs less and is else the same: it is traced, and read as the scene; where in the
         phantom light is absorbed is then not known.
+    spacing_mm : cells of a finger's grid of distances; wide ones are made sooner, for short traces. [mm]
     stores : where batches are looked for and, in the first, stored; that of the user if not given.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
@@ -52,7 +54,8 @@ def trace(
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=traced is not None)
+    escaping = traced is not None
+    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=escaping, spacing_mm=spacing_mm)
     stores = LightStore.of_command(options) if stores is None else stores
     start, cpu = time.perf_counter(), time.process_time()
     traces, reused, complaint, interrupted = [], 0, None, False
@@ -110,17 +113,26 @@ class LightEngine:
 
     with_faces : the parts that it has although the scene leaves them out.
     escaping : whether all light that leaves a phantom is recorded.
+    spacing_mm : cells of the grid of distances, if not the usual ones. [mm]
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
     def __init__(
-        self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = (), escaping: bool = False
+        self,
+        scene: Scene,
+        backend: backends.Backend,
+        *,
+        with_faces: Collection[str] = (),
+        escaping: bool = False,
+        spacing_mm: float | None = None,
     ) -> None:
         self.scene, self.backend = light_scene(scene), backend
         self.more: dict[str, Any] = {"escaping": True} if escaping else {}
         if faces := sorted({*with_faces} & {*scene.light.left_out}):
             self.more["with_faces"] = faces
+        if spacing_mm is not None and scene.phantom is None:
+            self.more["spacing_mm"] = spacing_mm
         self.escaping = escaping
         self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
