@@ -330,8 +330,8 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
 def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
     """A trace of its own, as far as its time went."""
     scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-    how: dict[str, Any] = {"spacing_mm": OWN_SPACING_MM, "progress": progress}
-    result: Transfer = as_far_as_reached(trace, scene, **how, **options.fields)[0]
+    more = {**options.fields, "spacing_mm": OWN_SPACING_MM}
+    result: Transfer = as_far_as_reached(trace, scene, progress=progress, **more)[0]
     return result
 
 
