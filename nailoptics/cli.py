@@ -348,7 +348,7 @@ def batch(
     Args:
         sweep: A sweep file (TOML); with --status, the folder of a batch.
         output: Folder of the batch.
-        dry_run: Estimate processor time and disk, and exit.
+        dry_run: Show how many scenes the sweep has and how many traces they share, and exit.
         retry_failed: Retry the scenes that failed before.
         status: Show the batch's progress and exit.
     """
@@ -360,8 +360,8 @@ def batch(
         return _finish(vars(now) | {"left": now.left}, [now], {}, options.json)
     planned = batches.load_sweep(sweep)
     if dry_run:
-        cost = batches.estimate(planned, **options.fields)
-        return _finish(vars(cost), [cost], {}, options.json)
+        counts = batches.count(planned, **options.fields)
+        return _finish(counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], {}, options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}

@@ -2,5 +2,5 @@
 
 from ..scene.sweep import Axis, Sweep, load_sweep
 from .folder import Status, open_results, status, write_table
-from .jobs import Estimate, estimate
+from .jobs import count
 from .run import BatchProgress, Outcome, run_batch

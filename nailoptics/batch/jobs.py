@@ -1,4 +1,4 @@
-"""Which scenes of a batch belong together, what all jobs share, and what they cost."""
+"""Which scenes of a batch belong together, and what all jobs share."""
 
 import hashlib
 import re
@@ -6,13 +6,9 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Unpack, cast
 
-import numpy as np
-
 from ..errors import InputError
-from ..io import pack
 from ..light import backend as backends
 from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
@@ -21,7 +17,6 @@ from ..light.transfer import current_versions
 from ..options import BackendName, Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest
 from ..scene.sweep import StudyName, Sweep
-from ..variables import to_record
 from .folder import FORMAT, Folder, Made, Plan, PlanError
 from .studies import STUDIES, by_volpath
 
@@ -178,71 +173,7 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
     return ""
 
 
-# Of an estimate: lights that are traced, evenly spaced in the sweep; photons of each LED, and time of volpath. [s]
-SAMPLES, PHOTONS, VOLPATH_SECONDS = 3, 60_000, 5.0
-# An error that is not known yet counts as so many times the required one.
-MOST_EXCESS = 100.0
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Scenes, traces, processor time and disk of a sweep, all of it and per scene without shared light. [s, bytes]"""
-
-    scenes: int
-    lights: int
-    cpu_seconds: float
-    cpu_seconds_without_sharing: float
-    disk_bytes: int
-
-    def __str__(self) -> str:
-        saved = self.cpu_seconds_without_sharing / self.cpu_seconds if self.cpu_seconds else 1.0
-        seconds = (self.cpu_seconds, self.cpu_seconds_without_sharing)
-        shared, alone = (f"{s:.2g} s" if s < 99.5 else f"{s / 60:.3g} min" for s in seconds)
-        return (
-            f"{self.scenes} scenes, light traced {'once' if self.lights == 1 else f'{self.lights} times'}\n"
-            f"about {shared} of processor time ({alone} if every scene were traced: {saved:.1f} times as much)\n"
-            f"about {self.disk_bytes / 1e6:.1f} MB of disk"
-        )
-
-
-def estimate(sweep: Sweep, **requested: Unpack[Requested]) -> Estimate:
-    """Estimate a sweep's cost from some of its scenes with few photons; what workers compile once is not counted."""
-    settings = Settings.of(Path(), TraceOptions(**requested), sweep.study)
-    planned = plan(sweep, settings)
-    first = {p.key: p for p in reversed(planned)}
-    lights = [first[key] for key in dict.fromkeys(p.key for p in planned)]
-    picks = np.linspace(0, len(lights) - 1, min(SAMPLES, len(lights))).round().astype(int)
-    light_s, read_s, light_bytes, read_bytes = np.mean([_cost(lights[pick], settings) for pick in picks], axis=0)
-    scenes = len({p.digest for p in planned})
-    return Estimate(
-        scenes=scenes,
-        lights=len(lights),
-        cpu_seconds=float(len(lights) * light_s + scenes * read_s),
-        cpu_seconds_without_sharing=float(scenes * (light_s + read_s)),
-        disk_bytes=round(len(lights) * light_bytes + scenes * read_bytes),
-    )
-
-
-def _cost(planned: Planned, settings: Settings) -> tuple[float, float, float, float]:
-    """Processor seconds of a scene's light and of its reading, and the bytes of both."""
-    scene, traced = planned.scene, planned.traced
-    study, options = STUDIES[settings.study], settings.options_of(scene)
-    stores_none = by_volpath(scene, options.backend) and not study.own_light
-    few = replace(options, relative_error=None, photons=PHOTONS, max_seconds=None, store=False)
-    few = replace(few, max_seconds=VOLPATH_SECONDS) if stores_none else few
-    with TemporaryDirectory(prefix="nailoptics-") as folder:
-        stores = [LightStore(Path(folder))]
-        if not stores_none:
-            study.run(scene, replace(few, photons=1024), [], traced)  # imports and compiles
-        spent = []
-        for _ in range(1 if stores_none else 2):
-            begin = time.process_time()
-            dataset, photons, _ = study.run(scene, few, stores, traced)
-            spent.append(time.process_time() - begin)
-        stored = sum(path.stat().st_size for path in Path(folder).rglob("*.dat"))
-    if options.photons and photons:
-        more = options.photons / photons
-    else:
-        more = max(min(study.excess(dataset, scene, options), MOST_EXCESS) ** 2, 1.0)
-    read_s = 0.0 if stores_none else spent[1]
-    return max(spent[0] - read_s, 0.0) * more, read_s, stored * more, float(len(pack(*to_record(dataset))))
+def count(sweep: Sweep, **requested: Unpack[Requested]) -> dict[str, int]:
+    """How many scenes a sweep has, and how many traces: scenes that differ only in absorption share one."""
+    planned = plan(sweep, Settings.of(Path(), TraceOptions(**requested), sweep.study))
+    return {"scenes": len({p.digest for p in planned}), "lights": len({p.key for p in planned})}

@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..errors import as_far_as_reached
 from ..light import Transfer, read_rest, trace
-from ..light.detect import VOLPATH_RELATIVE_ERROR, light_of
+from ..light.detect import light_of
 from ..light.tracing.store import LightStore
 from ..light.transfer import photodiode_names
 from ..options import TraceOptions
@@ -28,13 +28,11 @@ class Study:
 
     run : its answer for a scene, with options, stores in which its light is looked for and, in the first, stored, and
         the phantom that is traced in its place, if any.
-    excess : how many times the error of an answer is the required one.
     rows : the dimensions over which the table of a sweep has rows.
     own_light : whether scenes of the same light share it with those of this study alone.
     """
 
     run: Callable[[Scene, TraceOptions, Sequence[LightStore], Scene | None], Answer]
-    excess: Callable[[xr.Dataset, Scene, TraceOptions], float]
     rows: tuple[str, ...] = PAIR
     own_light: bool = False
 
@@ -139,11 +137,6 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _excess_of_readings(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
-    least = VOLPATH_RELATIVE_ERROR if scene.finger is not None and by_volpath(scene, options.backend) else 0.0
-    return relative_error(dataset) / max(options.relative_error or math.inf, least)
-
-
 def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Colours of the nail under each force, and a photograph of each."""
     from ..studies.colour.nail_colour import colour, photographs
@@ -162,12 +155,6 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
     return answer.assign_attrs(result.attrs), int(result.attrs["photons"]), not unmet
 
 
-def _excess_of_colours(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
-    tolerance = scene.colour
-    changes = dataset.delta_e_2000_stderr / tolerance.change_tolerance
-    return float(max((dataset.colour_stderr / tolerance.tolerance).max(), changes.max()))
-
-
 def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Calibration, perfusion and errors of an oximeter; what runs over time or saturation is left out."""
     from ..studies.oximetry.oxygen import oximeter
@@ -181,13 +168,9 @@ def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     return answer.assign(at.data_vars), int(result.attrs["photons"]), not unmet
 
 
-def _excess_of_ratio(dataset: xr.Dataset, scene: Scene, options: TraceOptions) -> float:
-    return float((dataset.ratio_stderr / abs(dataset.ratio)).min()) / (options.relative_error or math.inf)
-
-
 STUDIES: dict[StudyName, Study] = {
-    "simulate": Study(_simulate, _excess_of_readings),
-    "trace": Study(_trace, _excess_of_readings),
-    "colour": Study(_colour, _excess_of_colours, ("force", "place"), own_light=True),
-    "oximeter": Study(_oximeter, _excess_of_ratio, ("photodiode",), own_light=True),
+    "simulate": Study(_simulate),
+    "trace": Study(_trace),
+    "colour": Study(_colour, ("force", "place"), own_light=True),
+    "oximeter": Study(_oximeter, ("photodiode",), own_light=True),
 }

@@ -396,14 +396,10 @@ class PhotonMap:
         t = self._table
         return (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
 
-    def blocks_per_mm2(self) -> np.ndarray:
-        """Means per emitted photon and area in each block, (values, blocks, u, v) float. [mm^-2]"""
-        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
-        return self.sums * (self.blocks / self.photons / area)
-
     def per_mm2(self) -> tuple[np.ndarray, np.ndarray]:
         """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""
-        blocks = self.blocks_per_mm2()
+        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
+        blocks = self.sums * (self.blocks / self.photons / area)
         return blocks.mean(1), blocks.std(1, ddof=1) / np.sqrt(self.blocks)
 
 

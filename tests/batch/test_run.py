@@ -19,7 +19,6 @@ from nailoptics.batch import (
     BatchProgress,
     Outcome,
     Sweep,
-    estimate,
     load_sweep,
     run_batch,
     status,
@@ -382,9 +381,3 @@ def test_a_folder_of_another_seed_or_backend_is_refused(jit_backend, here, tmp_p
             run_batch(sweep, tmp_path / "b", **asked)
     with pytest.raises(InputError, match="exclude"):
         run_batch(sweep, tmp_path / "b", workers=1, scheduler="tcp://127.0.0.1:1")
-
-
-def test_an_estimate_tells_what_sharing_light_saves(jit_backend, tmp_path):
-    cost = estimate(phantoms(tmp_path, 4, accuracy="photons = 3_000_000", path="leds.beam.flux_mw"))
-    assert (cost.scenes, cost.lights) == (4, 1) and cost.disk_bytes > 10_000
-    assert cost.cpu_seconds < 0.5 * cost.cpu_seconds_without_sharing

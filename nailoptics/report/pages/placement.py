@@ -51,11 +51,6 @@ SENSITIVITY = (
     "Relative sensitivity of the light at each place to blood in the proximal (left) and in the distal zone (right): "
     "percent of the light for each percent of the bed that is blood. Blank where too few photons arrived."
 )
-LED = (
-    "The LED moved, photodiodes and wall as they are: the light on all photodiodes, and their force resolution. One "
-    "trace from each photodiode gives its reading of an LED at every place (reciprocity); blank where too few photons "
-    "arrived or the resolution is close to the prior."
-)
 TRIED = (
     "Candidate positions of the LED: force resolution with the best photodiodes for each, of several LEDs with the "
     "best positions of the others. Triangles point from the LED to its photodiodes."
@@ -119,12 +114,6 @@ def _maps(best: Scene, of_led: xr.Dataset) -> list[Html]:
     maps = [subheading(_led_words(best, of_led))] if len(best.leds) > 1 else []
     maps.append(_of_led(figures.map_figure(best, of_led), MAPS, of_led, best))
     maps.append(_of_led(figures.sensitivity_figure(best, of_led), SENSITIVITY, of_led, best, narrow=narrow))
-    if "led_place_fraction" in of_led:
-        maps.append(_of_led(figures.led_figure(best, of_led), LED, of_led, best, narrow=narrow))
-        if str(of_led.led.values[0]) == best.leds[0].name:
-            ratio = estimated(of_led.attrs, "reciprocity_ratio")
-            text = "For the LED at its position, light traced back from all photodiodes predicts"
-            maps.append(small(f"{text} {ratio} times their reading in an independent trace."))
     if of_led.sizes["led_site"]:
         maps.append(_of_led(figures.sites_figure(of_led), TRIED, of_led, best, narrow=True))
     return maps

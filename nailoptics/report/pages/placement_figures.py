@@ -92,23 +92,6 @@ def sensitivity_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     return figure
 
 
-@style.drawing()
-def led_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """What the photodiodes as they are would resolve with the LED elsewhere, by light that was traced from them."""
-    light = result.led_place_fraction.isel(led=0).sum("best_photodiode").to_numpy()
-    resolution = 1e3 * _known(result, "led_place_resolution_n")
-    # A resolution much worse than the best is that of the prior alone.
-    norm = _fine(resolution)
-    resolution = np.where(resolution < norm.vmax, resolution, np.nan)
-    panels = [
-        ("Light on all photodiodes\n[of the LED's]", "led_u", light, "viridis", _bright(light)),
-        ("Resolution with the\nLED here [mN]", "led_u", resolution, "viridis_r", norm),
-    ]
-    figure, grid = style.panels(5.6 if slender(result) else 9.2, 4.7, 1, 2)
-    _draw_maps(grid, scene, result, panels)
-    return figure
-
-
 def slender(result: xr.Dataset) -> bool:
     """Whether the board is so long and narrow that four maps have room beside one another."""
     return bool(np.ptp(result.v.to_numpy()) > 2 * np.ptp(result.u.to_numpy()))

@@ -1,17 +1,15 @@
-"""The best layout at close range: a fresh trace of its own board, what part of the finger each photodiode senses, what
-other places of the LED would read, and what light from outside does."""
+"""The best layout at close range: a fresh trace of its own board, what each photodiode senses, and ambient light."""
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import Arrivals, BloodPoint, BoardTracer, PhotonMap, blood_point, readings
+from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing.store import LightStore
 from ...scene import Scene
@@ -20,11 +18,10 @@ from ...sensor.information import (
     OperatingPoint,
     Response,
     force_resolution_n,
-    response,
     scene_responses,
     total_information,
 )
-from ...statistics import FEW_TERMS, Z95, jackknife, left_out, seed_of, stderr_of_mean
+from ...statistics import Z95, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, estimated, variable
 from . import boards
 from .objective import resolution_stderr_n
@@ -40,11 +37,7 @@ BACK_PHOTONS = 1 << 16
 # So much light comes through a board without a cover that few photons tell it, with an error that goes with the others.
 OPEN_PHOTONS = 1 << 13
 BATCHES_PER_ROUND = 4
-# A resolution that is not finer than this part of what is known before any reading tells nothing of a place.
-KNOWN_BEFORE = 0.5
-LED_SPACING_MM = 0.4
 OPEN_DISTANCE_MM = 0.2
-BLOCKS = 16
 COVERS = ("covered", "uncovered")
 # Streams of random numbers.
 FORWARD, BACK, OPEN_BOARD = 2, 3, 4
@@ -112,13 +105,10 @@ class _Verification:
         text = "mean depth at which absorption makes a photodiode's reading fall"
         return values, data | estimated("mean_depth_mm", pair, middle_mm, text, units="mm")
 
-    def back(self, rounds: int, deadline: float, values: np.ndarray) -> Variables:
-        """Light from each photodiode: what an LED at each place would bring it, and what comes from outside."""
-        layout, photodiodes = self.scene.layout, range(len(self.areas_mm2))
-        new = partial(PhotonMap, layout.outline, values=4, spacing_mm=LED_SPACING_MM, blocks=BLOCKS)
-        maps = [[new() for _ in photodiodes] for _ in self.blood]
-        # Means and variances, summed; of what comes from outside with the cover and without it.
-        on_die = np.zeros((2, len(self.blood), len(photodiodes)))
+    def ambient(self, rounds: int, deadline: float, values: np.ndarray) -> Variables:
+        """What light from outside does, by light from each photodiode, with the cover and without."""
+        photodiodes = range(len(self.areas_mm2))
+        # Means and variances, summed.
         outside = np.zeros((2, len(COVERS), len(sources_of(self.scene)), len(photodiodes)))
         uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
         bare, usual = self.tracer.scene.model_copy(update={"board": uncovered}), self.tracer
@@ -130,24 +120,13 @@ class _Verification:
         done = 0
         while done == 0 or (done < rounds and time.perf_counter() < deadline):
             for j in photodiodes:
-                for i, blood in enumerate(self.blood):
-                    seed = self.next_seed(BACK, i, j, done)
-                    arrived, left = self.tracer.back(j, i, photons=BACK_PHOTONS, seed=seed)
-                    light = blood.values(arrived)
-                    maps[i][j].add(arrived, light)
-                    mean, error = readings(arrived, light[:, :1], [layout.leds[i]])
-                    on_die[:, i, j] += mean[0, 0], error[0, 0] ** 2
-                    if i == 0:
-                        outside[:, 0, :, j] += self._from_outside(left, j)
+                _, left = usual.back(j, 0, photons=BACK_PHOTONS, seed=self.next_seed(BACK, 0, j, done))
+                outside[:, 0, :, j] += self._from_outside(left, j)
             done += 1
-        for total, count in ((on_die, done), (outside[:, 0], done), (outside[:, 1], 1)):
-            total[0] /= count
-            total[1] = np.sqrt(total[1]) / count
-        data = self._ambient(values, *outside)
-        # Where an LED shines otherwise than a photodiode sees, the way back is another.
-        if all(led.pattern == "lambertian" for led in self.scene.leds):
-            data |= self._led_places(maps, *on_die)
-        return data
+        current, error = outside[0], np.sqrt(outside[1])
+        current[0] /= done
+        error[0] /= done
+        return self._ambient(values, current, error)
 
     def _from_outside(self, left: Arrivals, photodiode: int) -> np.ndarray:
         """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
@@ -173,34 +152,6 @@ class _Verification:
         text = "force resolution of the best layout with light from outside at its bound: its noise and saturation"
         return data | variable("ambient_resolution_n", dims[:2], self.force_resolution_n(read), text, units="N")
 
-    def _led_places(self, maps: list[list[PhotonMap]], mean: np.ndarray, error: np.ndarray) -> Variables:
-        """What each photodiode would read of an LED at each place of the board, and the force that this resolves."""
-        area, dies = self.areas_mm2, np.array([r.area_mm2 for r in self.scene.layout.leds])[:, None]
-        pair, places = ("led", "best_photodiode"), ("led_u", "led_v")
-        text = "part of an LED's light on each photodiode, by light from the photodiode to the LED"
-        data = variable("reciprocal_fraction", pair, mean * area / dies, text, stderr=error * area / dies)
-        fraction, resolution = [], []
-        photodiodes = [element.photodiode for element in self.scene.layout.photodiodes]
-        for i, by_photodiode in enumerate(maps):
-            replicates = np.stack([a * m.blocks_per_mm2() for a, m in zip(area, by_photodiode, strict=True)])
-            # From (photodiodes, values, blocks, u, v) to (blocks, u, v, photodiodes, values).
-            replicates = left_out(np.moveaxis(replicates, (2, 0, 1), (0, -2, -1)))
-            fraction.append(np.moveaxis(replicates[..., 0], -1, 1))
-            # Where hardly any light comes only the prior remains, the same by every group of photons.
-            all_light = replicates[..., 0].sum(-1)
-            is_lit = jackknife(all_light) ** 2 < all_light[0] ** 2 / FEW_TERMS
-            how = self.scene, i, photodiodes, self.point
-            resolved = self.force_resolution_n([response(replicates, *how, replicates=True)])
-            unread = self.force_resolution_n([response(np.zeros_like(replicates), *how)])
-            resolution.append(np.where(is_lit & (resolved[0] < KNOWN_BEFORE * unread[0]), resolved, np.nan))
-        text = "part of the light of an LED at this place on each photodiode, by reciprocity"
-        data |= estimated("led_place_fraction", (*pair, *places), np.stack(fraction, 1), text)
-        text = "force resolution with this LED alone at this place and the photodiodes where they are"
-        value, errors = [r[0] for r in resolution], [resolution_stderr_n(r) for r in resolution]
-        data |= variable("led_place_resolution_n", ("led", *places), value, text, units="N", stderr=errors)
-        data |= _middles("led_u", maps[0][0].u_mm, "place of the LED, across the nail")
-        return data | _middles("led_v", maps[0][0].v_mm, "place of the LED, along the nail")
-
 
 def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
     return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
@@ -220,7 +171,7 @@ def verify_layout(
     """Everything about a layout on one finger that the map of its bare board does not tell.
 
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
-    max_seconds : half of it for the fresh trace, the rest for light the other way. [s]
+    max_seconds : half of it for the fresh trace, the rest for light from outside. [s]
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
     store : the cache of traced light.
     """
@@ -236,7 +187,7 @@ def verify_layout(
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
         values, data = verification.fresh_trace(batches, per_batch, begin + max_seconds / 2)
-        data |= verification.back(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
+        data |= verification.ambient(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
     except Stopped:
         return xr.Dataset()
     resolution = verification.force_resolution_n(
@@ -244,12 +195,5 @@ def verify_layout(
     )
     error = resolution_stderr_n(resolution)
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
-    if "reciprocal_fraction" in data:
-        # Light of the first LED on all photodiodes, by light the other way over that of the fresh trace.
-        names = ("reciprocal_fraction", "checked_fraction")
-        back, fresh = (float(data[name][1][0].sum()) for name in names)
-        errors = [float(np.linalg.norm(data[f"{name}_stderr"][1][0])) for name in names]
-        attributes["reciprocity_ratio"] = ratio = back / fresh
-        attributes["reciprocity_ratio_stderr"] = ratio * math.hypot(errors[0] / back, errors[1] / fresh)
     coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, coords=coordinates, attrs=attributes)

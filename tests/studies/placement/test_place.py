@@ -180,19 +180,6 @@ def test_the_best_is_first_and_its_fresh_trace_agrees(found):
     assert "paper" in found.layout.values and result.gain(found)[0] > 0
 
 
-def test_light_to_the_photodiodes_and_back_is_the_same(found):
-    """Forward from the LED, and back from each photodiode to the LED's place: no photon is shared."""
-    there, back = found.checked_fraction[0], found.reciprocal_fraction[0]
-    error, spread = found.checked_fraction_stderr[0], found.reciprocal_fraction_stderr[0]
-    total = float(there.sum())
-    both = float(np.hypot(np.linalg.norm(error), np.linalg.norm(spread)))
-    assert abs(float(back.sum()) - total) < 4 * both and both < 0.15 * total
-    # The map of LED places has cells of 0.4 mm, over which the light of a die changes by less than a fifth.
-    here = found.led_place_fraction[0].sel(led_u=-3.0, led_v=0.0, method="nearest")
-    noise = found.led_place_fraction_stderr[0].sel(led_u=-3.0, led_v=0.0, method="nearest")
-    assert abs(float(here.sum()) - total) < 4 * float(np.hypot(np.linalg.norm(noise), both)) + 0.2 * total
-
-
 def test_each_photodiode_looks_where_the_blood_tells_it(found):
     """The depth map of a fresh trace and the slopes of the bare board's map: which zone dims which photodiode."""
     seen = found.depth_sensitivity[0] * found.cell_volume_mm3
