@@ -79,20 +79,10 @@ class RestReadings:
     transfer: Transfer | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything but the transfer, and of it where in the scene the absorbed light ended.
-
-        Where photodiodes of a phantom share their error, also its correlation, by LED and two photodiodes.
-        """
+        """Everything but the transfer, and of it where in the scene the absorbed light ended."""
         summary = {name: value for name, value in vars(self).items() if name != "transfer"}
-        if self.transfer is None:
-            return summary
-        summary |= {"absorbed": self.transfer.absorbed(), "note": self.note}
-        if self.note:
-            names, rows = self.transfer.photodiodes, self.transfer.error_correlation().tolist()
-            summary["error_correlation"] = {
-                led: {name: dict(zip(names, row, strict=True)) for name, row in zip(names, of_led, strict=True)}
-                for led, of_led in zip(self.transfer.leds, rows, strict=True)
-            }
+        if self.transfer is not None:
+            summary |= {"absorbed": self.transfer.absorbed(), "note": self.note}
         return summary
 
     @property

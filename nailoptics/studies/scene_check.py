@@ -16,7 +16,6 @@ from ..sensor import electronics
 from ..sensor.ambient import trace_ambient
 from ..sensor.information import posture_force_n
 from ..statistics import Z95
-from .oximetry.disturbances import warnings_without_light
 from .placement import boards, candidates
 
 # Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
@@ -65,7 +64,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         report["warnings"].append("[ambient] is left out: it needs a backend that compiles kernels (nailoptics doctor)")
     course = blood_over_touch(scene)
     report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
-    report["warnings"] += full + warnings_without_light(scene)
+    report["warnings"] += full
     two = forces_with_two_balances_n(scene)
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:

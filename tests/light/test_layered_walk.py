@@ -7,7 +7,6 @@ from scipy import special, stats
 from small_scenes import phantom
 
 import nailoptics as nail
-from nailoptics.light import Transfer
 from nailoptics.light.walk.layered import LayeredTracer, arc_share, walk_layers
 from nailoptics.light.walk.sampling import TOP
 from nailoptics.scene import Scene, parse_scene
@@ -338,23 +337,3 @@ def test_standard_errors_are_honest(jit_backend):
     for name, z in scores.items():
         assert stats.kstest(z, "norm").pvalue > 1e-3, name
         assert 1e-3 < stats.chi2(len(z)).cdf(np.sum(np.square(z))) < 1 - 1e-3, name
-
-
-def test_the_errors_of_readings_are_correlated_as_stated(jit_backend):
-    """Two apertures at one distance, one a little beyond, one far away: over 300 seeds, their readings vary together as
-    each trace says."""
-    places = {"right": (1.0, 0.0), "above": (0.0, 1.0), "beside": (1.4, 0.0), "far": (3.5, 0.0)}
-    squares = [SQUARE | {"name": name, "position_mm": place} for name, place in places.items()]
-    scene = parse_scene(phantom({"thickness_mm": 2.0, "mu_a_per_mm": 0.1, "g": 0.5}, photodiodes=squares))
-    engine, runs, told, values = LayeredTracer(scene), 300, [], []
-    for seed in range(runs):
-        read = Transfer(scene, (engine.batch(0, photons=4096, seed=seed),), "llvm").at()
-        assert read.error_correlation.dims == ("led", "photodiode", "other_photodiode")
-        told.append(read.error_correlation.values[0])
-        values.append(read.detected_fraction.values[0])
-    told, found = np.nanmean(told, 0), np.corrcoef(np.array(values).T)
-    assert np.allclose(np.diag(told), 1)
-    assert told[0, 1] > 0.999 and found[0, 1] > 0.999 and 0.1 < told[0, 2] < 0.9 and abs(told[0, 3]) < 0.1
-    for i, j in ((0, 2), (0, 3), (1, 2), (2, 3)):
-        # Fisher's transform of a correlation has this error over so many runs.
-        assert abs(np.arctanh(found[i, j]) - np.arctanh(told[i, j])) < 3.5 / np.sqrt(runs - 3)

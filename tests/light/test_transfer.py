@@ -282,7 +282,7 @@ def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
     tracer, count, low, high, known = LayeredTracer(scene), 200, 0, 0, 0
     runs = []
     for seed in range(count):
-        trace = replace(tracer.batch(0, photons=1 << 11, seed=seed), pairs={})
+        trace = tracer.batch(0, photons=1 << 11, seed=seed)
         runs.append(Transfer(scene, (trace,), "llvm", versions={"nailoptics": "0"}))
     merged = runs[0]
     for run in runs[1:]:

@@ -15,7 +15,7 @@ from .reweight import attenuation, transmission
 # What is recorded of each detected photon.
 COLUMNS = ("photodiode", "weight", "path_mm")
 # Sums over all photons, of weights and of their squares, by name.
-SUMS = ("energy", "absorbed", "pairs")
+SUMS = ("energy", "absorbed")
 # Where light may go.
 ENERGY = ("reflected", "transmitted", "absorbed", "lost")
 # Photons of a full batch: enough to keep a processor's lanes busy.
@@ -41,8 +41,6 @@ class LedTrace:
     energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
     seeds : seeds of the batches.
     absorbed : as energy, of the light that was absorbed: how much where.
-    pairs : by two photodiodes, "i j" with i < j: sum over photons of the product of their weights in both, and of its
-        square, in the state for which the weights hold; those that no photon reaches both of are left out.
     events : scatterings.
     """
 
@@ -54,7 +52,6 @@ class LedTrace:
     energy: Mapping[str, tuple[float, float]]
     seeds: tuple[int, ...]
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    pairs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     events: int = 0
 
     def check(self, *, photodiodes: int, absorbers: int) -> None:
@@ -71,8 +68,7 @@ class LedTrace:
         sums = np.array([pair for name in SUMS for pair in getattr(self, name).values()], float).reshape(-1, 2)
         if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or self.energy.keys() != {*ENERGY}:
             raise CorruptError("its sums are none of light")
-        known = {f"{i} {j}" for i in range(photodiodes) for j in range(i + 1, photodiodes)} if self.pairs else set()
-        if not self.pairs.keys() <= known or not (isinstance(self.photons, int) and self.photons > 0):
+        if not (isinstance(self.photons, int) and self.photons > 0):
             raise CorruptError("its counts are none of photons")
         if any(not isinstance(seed, int) for seed in self.seeds):
             raise CorruptError("its seeds are none")

@@ -29,7 +29,7 @@ MIN_EFFECTIVE_PHOTONS = 400.0
 # Of a phantom's photodiodes, whose standard errors alone would not say it.
 SHARED_ERROR = (
     "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
-    "averaged over azimuth; the error of a difference or mean of readings follows with error_correlation"
+    "averaged over azimuth; the error of a difference or mean of readings follows from traces with several seeds"
 )
 # What a trace took, which adds up where traces are merged.
 EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
@@ -125,7 +125,7 @@ class Transfer:
         states = _states(blood_fraction, so2)
         if states is not None:
             readings = [self.at(*state, mu_a_per_mm=mu_a_per_mm) for state in states]
-            change = [name for name in readings[0] if name not in ("wavelength_nm", "error_correlation")]
+            change = [name for name in readings[0] if name != "wavelength_nm"]
             return xr.concat(readings, "state", data_vars=change, coords="minimal", compat="override", join="override")
         moments = self.moments_at(blood_fraction, so2, mu_a_per_mm)
         effective, fraction, stderr, path, slope = (
@@ -140,9 +140,6 @@ class Transfer:
         data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
         if self.scene.phantom is not None and len(self.photodiodes) > 1:
             data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
-            text = "correlation of the errors of two readings, at the absorption that was traced"
-            data |= variable("error_correlation", (*pairs, "other_photodiode"), self.error_correlation(), text)
-            names["other_photodiode"] = list(self.photodiodes)
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
         text = "95 % upper limit of a detected fraction of which none was detected"
@@ -154,25 +151,6 @@ class Transfer:
         wavelength = [led.wavelength_nm for led in self.scene.leds]
         data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
         return xr.Dataset(data, names, self.attributes())
-
-    def error_correlation(self) -> np.ndarray:
-        """Correlation of the errors of every two readings of an LED, as traced, (led, photodiode, photodiode) float.
-
-        It hardly depends on the state that is read. Of a finger's readings it is nearly 0, since a photon counts for
-        one photodiode alone. NaN where a photodiode detected nothing.
-        """
-        correlation = []
-        for trace, traced in zip(self.traces, self._traced, strict=True):
-            products = np.diag(traced.square)
-            for pair, (total, _) in trace.pairs.items():
-                i, j = map(int, pair.split())
-                products[i, j] = products[j, i] = total
-            mean, count = traced.fraction, trace.photons
-            covariance = (products / count - np.outer(mean, mean)) / max(count - 1, 1)
-            error = np.sqrt(np.diag(covariance))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                correlation.append(np.clip(covariance / np.outer(error, error), -1.0, 1.0))
-        return np.array(correlation)
 
     def moments_at(
         self,

@@ -1,8 +1,6 @@
 """The photon walk through a phantom: exact planes, laterally infinite, no mesh."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any
 
 import drjit as dr
@@ -42,7 +40,6 @@ class LayeredTracer:
             share = arc_share(shift[top], start[top], aperture)
             photon = top[share > 0]
             detected.append((photon, share[share > 0] * walked.weight[photon]))
-        pairs = pair_sums(detected)
         for end in (sampling.TOP, sampling.BOTTOM) if self.escaping else ():
             left = np.flatnonzero(walked.outcome == end)
             detected.append((left, walked.weight[left]))
@@ -57,22 +54,7 @@ class LayeredTracer:
             energy=energy,
             absorbed=absorbed,
             events=walked.events,
-            pairs=pairs,
         )
-
-
-def pair_sums(detected: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, tuple[float, float]]:
-    """Sums over photons of the product of their weights in two photodiodes, and of its square, by "i j".
-
-    detected : of each photodiode, the photons that count in it, (n,) int rising, and their weights, (n,) float.
-    """
-    sums = {}
-    for (i, (photons, weight)), (j, (other, weight_too)) in combinations(enumerate(detected), 2):
-        both, here, there = np.intersect1d(photons, other, assume_unique=True, return_indices=True)
-        if len(both):
-            product = weight[here] * weight_too[there]
-            sums[f"{i} {j}"] = float(product.sum()), float((product**2).sum())
-    return sums
 
 
 def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple[WalkedPhotons, np.ndarray, np.ndarray]:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from ... import tissue
 from ...hemodynamics.for_scene import BloodBeat, beat_at, rest_beat
 from ...light import Transfer, optics
-from ...light.diffusion import DiffusionModel
 from ...scene import Scene
 from ...sensor.front_end import SampledFrontEnd, red_and_infrared
 from ...statistics import Z95, Array
@@ -29,8 +28,6 @@ VENOUS_BELOW = np.linspace(0.0, 0.30, 7)
 
 # By a larger bias of SpO2 a published line misleads. [percent]
 MOST_BIAS = 2.0
-# The paths of layered diffusion follow from so much less blood.
-LESS_BLOOD = 0.01
 
 
 @dataclass(frozen=True)
@@ -199,26 +196,22 @@ def literature_bias(ratio: Array, so2: float) -> Array:
     return np.asarray(np.take_along_axis(bias, np.abs(bias).argmin(0)[None], 0)[0])
 
 
-def path_warnings(
-    scene: Scene, ratio: Array, path_length_ratio: Array, *, how: str = "", most_bias: float = MOST_BIAS
-) -> list[str]:
+def path_warnings(scene: Scene, ratio: Array, path_length_ratio: Array) -> list[str]:
     """One line for each photodiode on which published lines have a larger bias, and what mends it.
 
     ratio, path_length_ratio : (photodiodes,) float. At the scene's saturation.
-    how : a remark on how the paths were computed.
-    most_bias : of SpO2. [percent]
     """
     red, infrared = red_and_infrared(scene)
     dies, lines = scene.layout.leds, []
     bias = literature_bias(ratio, scene.blood.so2)
     for element, r, paths, percent in zip(scene.layout.photodiodes, ratio, path_length_ratio, bias, strict=True):
-        if not abs(percent) > most_bias:
+        if not abs(percent) > MOST_BIAS:
             continue
         (u, v), name = element.area.center_mm, element.name
         near = [float(np.hypot(u - dies[i].center_mm[0], v - dies[i].center_mm[1])) for i in (red, infrared)]
         line = (
             f'photodiode "{name}": the path of red light in the pulsatile blood is {paths:.2f} times that of '
-            f"infrared{how}, R({scene.blood.so2:g}) = {r:.2f}, and a textbook's line has a bias of {percent:+.1f} % "
+            f"infrared, R({scene.blood.so2:g}) = {r:.2f}, and a textbook's line has a bias of {percent:+.1f} % "
             "or more; "
         )
         if abs(near[0] - near[1]) > 0.1:
@@ -230,29 +223,3 @@ def path_warnings(
             line += "it is as far from both LEDs: move it to 2.5 to 3.5 mm from them, or use the fit of this scene"
         lines.append(line)
     return lines
-
-
-def warnings_without_light(scene: Scene) -> list[str]:
-    """The same warnings from layered diffusion, in a fraction of a second; nothing where a scene is no oximeter.
-
-    A scene is one if it says so with [oximeter].
-    """
-    if scene.oximeter is None or scene.finger is None:
-        return []
-    red, infrared = red_and_infrared(scene)
-    paths = diffusion_paths_mm(scene)
-    path_ratio = paths[red] / paths[infrared]
-    mu = [float(tissue.blood_mu_a_per_mm(scene.leds[i].wavelength_nm, scene.blood.so2)) for i in (red, infrared)]
-    # Traced through a healthy nail R is a quarter larger, which is 3 % of saturation.
-    how = " (by layered diffusion, within 25 %)"
-    return path_warnings(scene, path_ratio * mu[0] / mu[1], path_ratio, how=how, most_bias=MOST_BIAS + 3.0)
-
-
-def diffusion_paths_mm(scene: Scene) -> Array:
-    """Mean path of each LED's light in the bed by layered diffusion, (led, photodiode) float. [mm]"""
-    rest, zones = scene.blood.rest_blood_fraction, len(scene.zone_edges_mm) + 1
-    states = np.full((2, zones), rest)
-    states[1] *= 1 - LESS_BLOOD
-    readings = DiffusionModel(scene).readings(states)
-    mu = np.array([float(tissue.blood_mu_a_per_mm(led.wavelength_nm, scene.blood.rest_so2)) for led in scene.leds])
-    return np.asarray(np.log(readings[..., 1] / readings[..., 0]) / (mu[:, None] * rest * LESS_BLOOD))

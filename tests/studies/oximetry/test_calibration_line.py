@@ -8,7 +8,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
-from nailoptics.studies.oximetry.disturbances import literature_bias, path_warnings, warnings_without_light
+from nailoptics.studies.oximetry.disturbances import literature_bias, path_warnings
 from nailoptics.studies.oximetry.ratio import calibrate_curve, evaluate, saturation_of
 
 SO2 = np.linspace(0.7, 1.0, 31)
@@ -51,12 +51,10 @@ def along_the_nail(scene: Scene) -> Scene:
     return scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
 
 
-def test_check_warns_of_dies_along_the_nail_and_says_what_would_mend_it():
-    scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
-    assert warnings_without_light(scene) == []
-    told = warnings_without_light(along_the_nail(scene))
-    assert told and all("axis" in line and "photodiode" in line and "\n" not in line for line in told)
-    assert warnings_without_light(scene.model_copy(update={"oximeter": None})) == []
+def test_dies_along_the_nail_are_warned_of_with_what_would_mend_it():
+    scene = along_the_nail(load_scene(data_dir("scenes") / "pulse_oximeter.toml"))
+    told = path_warnings(scene, np.array([0.30, 0.45]), np.array([0.9, 1.3]))
+    assert len(told) == 1 and "axis" in told[0] and "photodiode" in told[0] and "\n" not in told[0]
 
 
 def test_a_photodiode_as_far_from_both_leds_gets_its_own_advice():
@@ -70,7 +68,6 @@ def test_leds_that_were_changed_to_one_colour_are_refused_in_one_line():
     scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
     leds = tuple(led.model_copy(update={"wavelength_nm": 660.0}) for led in scene.leds)
     alike, ones = scene.model_copy(update={"leds": leds}), np.ones(len(scene.layout.photodiodes))
-    for refused in (lambda: warnings_without_light(alike), lambda: path_warnings(alike, ones, ones)):
-        with pytest.raises(InputError, match="see the same blood; take two") as error:
-            refused()
-        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="see the same blood; take two") as error:
+        path_warnings(alike, ones, ones)
+    assert "\n" not in str(error.value)
