@@ -396,7 +396,7 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
 
 
 @app.command
-def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, simultaneous: Flag = False, options: Study = STUDY) -> None:
+def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUDY) -> None:
     """Measure error against processor time for every level of model; the fastest answer within a tolerance.
 
     Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that
@@ -404,14 +404,13 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, simultaneous: Flag = 
 
     Args:
         tolerance: Largest error of the worst photodiode.
-        simultaneous: Hold all readings and signals to it at once, with 95 % probability.
     """
     from .report.pages.tradeoff import TRADEOFF
     from .studies.model_error.tradeoff import tradeoff as study
 
     loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, TRADEOFF)
-    result, unmet = _traced(study, loaded, tolerance=tolerance, simultaneous=simultaneous, options=options)
+    result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
     _show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
 
 

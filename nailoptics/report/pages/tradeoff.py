@@ -49,7 +49,6 @@ def page(result: Tradeoff, drawing: "Figure") -> str:
         table(_rows(result)),
         small(NOTE.format(meaning(result))),
         f"{chosen_line(result)} What selects it: {selected}",
-        simultaneous_line(result),
         subheading("What each level needs"),
         table(_needs(result), kind="words"),
     )
@@ -73,7 +72,7 @@ def draw(result: Tradeoff) -> "Figure":
     style.plain_log(axes.yaxis)
     ends, marks = [], []
     for level in result.levels:
-        curve = _curve(level, result.coverage)
+        curve = _curve(level)
         if len(curve) and level.traces:
             axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
             ends.append((level.name, curve[-1]))
@@ -98,7 +97,7 @@ def draw(result: Tradeoff) -> "Figure":
     return drawing
 
 
-def _curve(level: Level, coverage: float | None) -> np.ndarray:
+def _curve(level: Level) -> np.ndarray:
     """Seconds and error [%] of a level from few photons to many, (n, 2) float; without photons its one answer."""
     if not np.isfinite(level.bound):
         return np.empty((0, 2))
@@ -106,7 +105,7 @@ def _curve(level: Level, coverage: float | None) -> np.ndarray:
         return np.array([[level.setup_seconds, 100 * np.clip(level.bound, LEAST, MOST)]])
     # Down to where photons no longer help.
     errors = GRID[::-1][GRID[::-1] > 1.02 * level.bound]
-    seconds = [level.setup_seconds + level.photon_seconds(error, coverage) for error in errors]
+    seconds = [level.setup_seconds + level.photon_seconds(error) for error in errors]
     return np.array([(s, 100 * e) for s, e in zip(seconds, errors, strict=True) if np.isfinite(s)]).reshape(-1, 2)
 
 
@@ -132,7 +131,7 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
     """Every level, on the page and in the terminal: its biases, and its answer's time."""
     rows = []
     for level in result.levels:
-        answer = level.within(result.tolerance, result.coverage)
+        answer = level.within(result.tolerance)
         row = {"Level": f"{level.name}{' (chosen)' if level.name == result.chosen.level.name else ''}"}
         for name, bias in (("reading", level.reading), ("signal", level.signal)):
             shown, bound = "not measured", "–"
@@ -157,8 +156,6 @@ def _needs(result: Tradeoff) -> list[dict[str, str]]:
 def meaning(result: Tradeoff) -> str:
     """What the tolerance is the error of, in words."""
     part = f"{100 * result.tolerance:g} %"
-    if result.simultaneous:
-        return f"all readings at rest and all changes by touch, of the largest, within {part} with 95 % probability"
     of = "of the reading at rest, or of the change by touch as a part of the largest change of any photodiode"
     return f"{part} as one standard error of the worst photodiode, {of}"
 
@@ -176,16 +173,6 @@ def sentence(result: Tradeoff) -> str:
     return f"{start}{', '.join(parts)}."
 
 
-def simultaneous_line(result: Tradeoff) -> str:
-    """What it takes to hold all readings and changes to the tolerance at once; empty where it is that already."""
-    other = result.fastest(result.tolerance, simultaneous=True)
-    if result.simultaneous or other is None or not other.photon_seconds:
-        return ""
-    part = f"All readings and changes within {100 * result.tolerance:g} % at once, with 95 % probability"
-    times = f"{result.coverage_factor**2:.1f} times the photons of one standard error"
-    return f"{part} ({times}): {duration(other.seconds)}, {other.level.name}."
-
-
 def chosen_line(result: Tradeoff) -> str:
     """The level to take."""
     if math.isinf(result.chosen.error):
@@ -196,7 +183,7 @@ def chosen_line(result: Tradeoff) -> str:
 
 def summary(result: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    names = ("tolerance", "simultaneous", "wall_seconds", "lines", "coverage_factor")
+    names = ("tolerance", "wall_seconds", "lines")
     return (
         {name: getattr(result, name) for name in names}
         | {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
@@ -216,7 +203,7 @@ def _answer(answer: Answer | None) -> dict[str, Any] | None:
 def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
     row = asdict(level) | {"lines": level.lines, "changes": level.changes or {}}
     row["first"] = {"fixed": row.pop("setup_seconds"), "per_second": float(level.traces)}
-    return row | {"within_tolerance": _answer(level.within(result.tolerance, result.coverage))}
+    return row | {"within_tolerance": _answer(level.within(result.tolerance))}
 
 
 def lines(result: Tradeoff) -> list[str]:
@@ -224,7 +211,6 @@ def lines(result: Tradeoff) -> list[str]:
     known = ({"Must be known": level.beforehand} for level in result.levels)
     out = aligned([row | more for row, more in zip(_rows(result), known, strict=True)])
     out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
-    out += filter(None, [simultaneous_line(result)])
     if result.lines:
         out += ["Scene lines that select it:", *(f"  {line}" for line in result.lines)]
     if call := result.chosen.level.call:

@@ -116,23 +116,23 @@ class Level:
         """What the bias of no photodiode's reading or signal exceeds; inf where that is not known."""
         return max(self.reading.bound, self.signal.bound) if self.reading else math.inf
 
-    def photon_seconds(self, error: float, coverage: float | None = None) -> float:
+    def photon_seconds(self, error: float) -> float:
         """Seconds of photons until the error of the worst photodiode is no more than this; inf where it never is. [s]
 
-        coverage : standard errors that are added to the bias; if not given, one standard error and the bias in squares.
+        One standard error and the bound on the bias add in squares.
         """
         if self.reading is None or self.bound > error:
             return math.inf
         needed = 0.0
         for bound, noise in ((self.reading.bound, self.reading_noise), (self.signal.bound, self.signal_noise)):
-            left = error**2 - bound**2 if coverage is None else ((error - bound) / coverage) ** 2
+            left = error**2 - bound**2
             if noise:
                 needed = max(needed, noise**2 / left if left > 0 else math.inf)
         return needed
 
-    def within(self, error: float, coverage: float | None = None) -> "Answer | None":
+    def within(self, error: float) -> "Answer | None":
         """The level with the fewest photons that keep it within an error; None where none do."""
-        seconds = self.photon_seconds(error, coverage)
+        seconds = self.photon_seconds(error)
         return Answer(self, seconds, error if self.traces else self.bound) if math.isfinite(seconds) else None
 
 
@@ -162,7 +162,7 @@ class Tradeoff:
 
     An error is that of the worst photodiode: of its reading at rest, relative, or of its change by touch, as a part of
     the largest change of any photodiode, whichever is larger; the bound on the level's bias and one standard error, in
-    squares. With `simultaneous` it is what all readings and all changes stay within with 95 % probability.
+    squares.
 
     levels : the cheapest for the tolerance first, then those that never reach it.
     chosen : the fastest within the tolerance; the full model where too few photons came to judge any.
@@ -170,28 +170,14 @@ class Tradeoff:
 
     levels: tuple[Level, ...]
     tolerance: float
-    simultaneous: bool
     chosen: Answer
     scene: Scene
     wall_seconds: float
     attributes: dict[str, Any]
 
-    @property
-    def coverage_factor(self) -> float:
-        """Standard errors within which all readings and changes lie at once with 95 % probability (Bonferroni)."""
-        from scipy.special import ndtri
-
-        return float(ndtri(1 - 0.025 / (2 * len(self.scene.leds) * len(self.scene.layout.photodiode_names))))
-
-    @property
-    def coverage(self) -> float | None:
-        """Coverage, as in `Level.photon_seconds`, that the tolerance is held against."""
-        return self.coverage_factor if self.simultaneous else None
-
-    def fastest(self, error: float, *, simultaneous: bool | None = None) -> Answer | None:
-        """The cheapest answer within an error, in the sense of the tolerance if not said otherwise."""
-        every = self.simultaneous if simultaneous is None else simultaneous
-        return fastest(self.levels, error, self.coverage_factor if every else None)
+    def fastest(self, error: float) -> Answer | None:
+        """The cheapest answer within an error."""
+        return fastest(self.levels, error)
 
     @property
     def lines(self) -> list[str]:
@@ -216,14 +202,12 @@ class Tradeoff:
         return xr.Dataset(data, {"level": [level.name for level in self.levels]}, self.attributes)
 
 
-def fastest(levels: Iterable[Level], error: float, coverage: float | None = None) -> Answer | None:
+def fastest(levels: Iterable[Level], error: float) -> Answer | None:
     """The answer of no more than an error that costs least; None where no level gives one.
 
     The scene itself, or else the full model, stays where none is cheaper beyond the noise of costs.
-
-    coverage : as in `Level.photon_seconds`.
     """
-    answers = [answer for level in levels if (answer := level.within(error, coverage))]
+    answers = [answer for level in levels if (answer := level.within(error))]
     least = min(answers, key=lambda answer: answer.seconds, default=None)
     for name in (OWN, REFERENCE):
         for answer in answers:
@@ -236,7 +220,6 @@ def tradeoff(
     scene: Scene,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
-    simultaneous: bool = False,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> Tradeoff:
@@ -246,7 +229,6 @@ def tradeoff(
     what a level leaves out are no part of its error.
 
     tolerance : error of an answer, as `Tradeoff` has it.
-    simultaneous : whether all readings and changes shall stay within it with 95 % probability.
     photons : of each LED in each trace; or
     relative_error : of the full model's trace, all others having as many photons; or
     max_seconds : for all levels together, about; 90 if nothing else is requested.
@@ -282,7 +264,7 @@ def tradeoff(
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
     about = light.attributes() | ({"cut_off": unmet} if unmet else {})
     unjudged, seconds = Answer(levels[0], light.cpu_seconds, math.inf), time.perf_counter() - start
-    result = _chosen(Tradeoff(tuple(levels), tolerance, simultaneous, unjudged, scene, seconds, about))
+    result = _chosen(Tradeoff(tuple(levels), tolerance, unjudged, scene, seconds, about))
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result
@@ -293,7 +275,7 @@ def _chosen(result: Tradeoff) -> Tradeoff:
 
     def place(level: Level) -> tuple[float, float, bool]:
         # The full model first among those that cost the same.
-        seconds = level.setup_seconds + level.photon_seconds(result.tolerance, result.coverage)
+        seconds = level.setup_seconds + level.photon_seconds(result.tolerance)
         return seconds, level.setup_seconds, level.name != REFERENCE
 
     answer = result.fastest(result.tolerance) or result.chosen

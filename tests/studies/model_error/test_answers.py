@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from nailoptics.studies.model_error.tradeoff import OWN, REFERENCE, Bias, Level, fastest
@@ -26,22 +25,6 @@ def test_bias_and_standard_error_add_in_squares():
         stderr = biased.reading_noise / math.sqrt(biased.photon_seconds(error))
         assert math.hypot(0.03, stderr) == pytest.approx(error) == biased.within(error).error
     assert biased.photon_seconds(0.029) == math.inf and level("x", signal=0.04).photon_seconds(0.03) == math.inf
-
-
-def test_coverage_is_that_of_all_readings_at_once():
-    """Rationale: within one standard error of the worst photodiode all eight readings and signals lie in few runs.
-    Expected: of draws of independent errors with the noise of the seconds that are named, all lie within the tolerance
-    in 95 % of them, whatever the bias; by one standard error they do in few."""
-    draw, photodiodes = np.random.default_rng(0), 8
-    coverage = 2.955  # of 16 at 5 % in all, by Bonferroni's correction
-    for bound in (0.0, 0.012):
-        one = level("one", bound=bound, signal=bound)
-        for factor, least, most in ((coverage, 0.95, 1.0), (None, 0.0, 0.2)):
-            stderr = one.reading_noise / math.sqrt(one.photon_seconds(0.02, factor))
-            errors = bound + stderr * draw.normal(size=(4000, 2 * photodiodes))
-            held = (np.abs(errors) <= 0.02).all(1).mean()
-            assert least <= held <= most, (bound, factor, held)
-    assert FULL.photon_seconds(0.02, coverage) == pytest.approx(coverage**2 * FULL.photon_seconds(0.02))
 
 
 def test_a_level_without_a_reading_at_rest_answers_nothing():
