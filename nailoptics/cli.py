@@ -179,8 +179,8 @@ VIEW = View()
 def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = None, options: Study = STUDY) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
-    Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, photographs at rest
-    and pressed, and a press as an animation.
+    Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, and photographs at
+    rest and pressed.
 
     Args:
         photograph: Render the finger at rest and pressed (half a minute); by default unless --max-seconds is given.

@@ -83,7 +83,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
         ended = interrupted_at(place, *command)
         assert (ended.code, ended.later) == (3, 0), ended.said
         assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
-        assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png", "press.gif"}
+        assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png"}
 
 
 @pytest.mark.long

@@ -145,9 +145,7 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
     required = replace(options, relative_error=None).fields
     result, unmet = as_far_as_reached(colour, scene, stores=stores, **required)
     pictures = photographs(scene, result, states=range(result.sizes["state"]), backend=options.backend)
-    names = [
-        name for name, variable in result.variables.items() if not {"time", "beat_time", "tile"} & set(variable.dims)
-    ]
+    names = [name for name, variable in result.variables.items() if "tile" not in variable.dims]
     # Forces and places are the scene's own, and "state" is what a batch calls its progress with a scene.
     answer = result[names].reset_coords(["force_n", "v_mm"]).rename_dims(state="force")
     dims = ("force", "row", "column", "channel")

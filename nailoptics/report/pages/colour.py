@@ -1,4 +1,4 @@
-"""The page of a nail's colour under force, its figures, and its animation."""
+"""The page of a nail's colour under force, and its figures."""
 
 import base64
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ A_PICTURE = (
 )
 
 
-def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> str:
+def page(result: xr.Dataset, photographs: list[bytes]) -> str:
     """The page of a nail's colours.
 
-    photographs : the finger at rest and pressed, as PNG; press : the animation, as GIF.
+    photographs : the finger at rest and pressed, as PNG.
     """
     most, last = f"{float(result.force_n.max()):g} N", result.isel(state=-1)
     middle = result.lab.values[result.sizes["place"] // 2, 0]
@@ -37,21 +37,13 @@ def page(result: xr.Dataset, photographs: list[bytes], press: bytes | None) -> s
         (significant(float(result.colour_stderr.max()), 2), "largest standard error of a place's colour, CIEDE2000"),
         (f"{estimated(last, 'white_band_mm')} mm", f"white band at {float(last.force_n):g} N"),
     ]
-    refill_s = summary(result)["refill_s"]
-    if refill_s is not None:
-        cards.append((f"{significant(refill_s, 2)} s", f"after {most} until no eye sees a difference to rest"))
     strip = strip_figure(result, width_mm=_nail_width_mm(result))
-    photos = [_image(data, "png", words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
-    press_parts = []
-    if "press_lab" in result:
-        press_parts = [figure(_press_figure(result), "Redness over a press; the touch acts at once.")]
-        press_parts += [_image(press, "gif", f"A press of {most} and its release.")] if press else []
+    photos = [_image(data, words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
     body = [
         section("The nail under force", figure(strip, "The nail under each force, each held.")),
         section("As a photograph", *photos, small(A_PICTURE)) if photos else "",
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
-        section("A press", *press_parts) if press_parts else "",
         _unknowns(result),
         section("Colours at rest", table(_at_rest(result))),
     ]
@@ -102,16 +94,13 @@ def _unknowns(result: xr.Dataset) -> str:
     return section("Uncertainty over the priors", drawn, table(rows), small(text))
 
 
-def _image(data: bytes, kind: str, caption: str) -> Html:
+def _image(data: bytes, caption: str) -> Html:
     """A picture inside the page."""
-    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
     alt = escaped(caption)
     return Html(f'<figure><img alt="{alt}" src="{source}"><figcaption>{alt}</figcaption></figure>')
 
 
-# The animation of a press: frames a second, and its size. [px]
-FRAMES_PER_S = 8
-FRAME_PX = (300, 420)
 # Rays for Fig. 2 of `nailoptics figures`: enough for the eye.
 FIG2_PHOTONS = 480_000
 
@@ -235,21 +224,6 @@ def _over_force_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def _press_figure(result: xr.Dataset) -> "Figure":
-    """Redness over time while a touch presses and lets go, with 95 % intervals of the colours at its moments."""
-    figure, (force, red) = style.panels(7.2, 3.6, 2, sharex=True, height_ratios=[1, 2.4])
-    force.plot(result.time, result.press_force_n, color=style.INK)
-    force.set_title("Force [N]")
-    nail = range(*_nail(result).indices(result.sizes["place"]))
-    for p, colour in zip(nail, style.place_colours(len(nail)), strict=True):
-        red.plot(result.time, result.press_lab[p, :, 1] - result.press_lab[p, 0, 1], color=colour, linewidth=1.2)
-    red.set_title("Redness a* less that at rest")
-    style.remark(red, "warm: proximal; cool: distal")
-    red.set_xlabel("time [s]")
-    return figure
-
-
-@style.drawing()
 def _ranges_figure(result: xr.Dataset) -> "Figure":
     """Colours of nail and skin at rest with their uncertainty over the priors."""
     figure, axes = style.panels(7.2, 3.0, 1, 2)
@@ -265,28 +239,8 @@ def _ranges_figure(result: xr.Dataset) -> "Figure":
     return figure
 
 
-def animation(result: xr.Dataset, *, width_mm: float) -> bytes:
-    """The press as an animated GIF."""
-    from PIL import Image
-
-    nail, frames = _nail(result), []
-    with style.drawing():
-        for t in range(result.sizes["time"]):
-            figure, panel = style.panels(FRAME_PX[0] / 100, FRAME_PX[1] / 100)
-            figure.set_facecolor("white")
-            skin = result.press_srgb.values[[0, -1], t]
-            colours = result.press_srgb.values[nail, t]
-            _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
-            panel.set_title(f"{float(result.time[t]):.1f} s    {float(result.press_force_n[t]):.1f} N", loc="center")
-            figure.savefig(picture := BytesIO(), dpi=100)
-            frames.append(Image.open(picture).convert("RGB"))
-    data, duration_ms = BytesIO(), round(1000 / FRAMES_PER_S)
-    frames[0].save(data, format="GIF", save_all=True, append_images=frames[1:], duration=duration_ms, loop=0)
-    return data.getvalue()
-
-
 def summary(result: xr.Dataset) -> dict[str, Any]:
-    """Colours by force and place, with the largest standard errors, refill and spread over priors."""
+    """Colours by force and place, with the largest standard errors and spread over priors."""
     names, states = ("v_mm", "lab", "lab_stderr", "srgb", "delta_e_2000", "delta_e_2000_stderr"), []
     for s in range(result.sizes["state"]):
         state = result.isel(state=s)
@@ -299,12 +253,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "lab_stderr": result.lab_stderr.max(("place", "state")).values.tolist(),
         "colour_stderr": float(result.colour_stderr.max()),
         "change_stderr": float(result.delta_e_2000_stderr.max()),
-        "refill_s": None,
-        "refill_stderr_s": None,
     }
-    if "refill_s" in result and not np.isnan(result.refill_s).all():
-        slowest = result.isel(place=int(np.nanargmax(result.refill_s)))
-        summed |= plain(slowest, "refill_s", refill_stderr_s="refill_s_stderr")
     if "lab_spread" in result:
         spread = result.lab_spread.transpose("site", "band").values.tolist()
         summed["lab_spread"] = dict(zip(result.site.values.tolist(), spread, strict=True))
@@ -322,8 +271,6 @@ def lines(summary: dict[str, Any]) -> list[str]:
         rows.append(row | {"White band [mm]": f"{state['white_band_mm']:.1f}"})
     lines, errors = aligned(rows), (summary["colour_stderr"], summary["change_stderr"])
     lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
-    if summary["refill_s"] is not None:
-        lines.append(f"colour as at rest {summary['refill_s']:.3g} +- {summary['refill_stderr_s']:.1g} s after release")
     if "lab_spread" in summary:
         stds = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
         lines.append(f"standard deviation of the nail's L*, a*, b* over the priors of the finger: {stds}")
@@ -342,13 +289,12 @@ def png(picture: np.ndarray) -> bytes:
 def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> tuple[Any, ...]:
     """Contents of the files; photographs : at rest and pressed, (height, width, 3) uint8 each."""
     pictures, width_mm = [png(photograph) for photograph in photographs], _nail_width_mm(result)
-    press = animation(result, width_mm=width_mm) if "press_lab" in result else None
-    html, strip = lambda _: page(result, pictures, press), lambda _: strip_figure(result, width_mm=width_mm)
-    return result, html, strip, *[*pictures, None, None][:2], press
+    html, strip = lambda _: page(result, pictures), lambda _: strip_figure(result, width_mm=width_mm)
+    return result, html, strip, *[*pictures, None, None][:2]
 
 
 COLOUR = Report(
-    ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png", "press.gif"),
+    ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png"),
     _files,
     summary,
     lambda result, summary: lines(summary),

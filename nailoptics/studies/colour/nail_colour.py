@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from ...checks import explain
 from ...errors import InputError, unless_cut_off
 from ...hemodynamics import white_band_mm
-from ...hemodynamics.for_scene import blood_over_touch, steady_blood
+from ...hemodynamics.for_scene import steady_blood
 from ...light import ProgressCallback, backend
 from ...light.identity import light_digest
 from ...light.photograph import photograph
@@ -23,9 +23,8 @@ from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
-from ...scene import Scene, Touch, Viewing
+from ...scene import Scene, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
-from ...scene.touch import CONTACT
 from ...statistics import Array, seed_of
 from ...variables import estimated, variable
 from ..prior_uncertainty import only_absorbs, over_priors
@@ -38,14 +37,6 @@ SPREAD_BEGINS = 0.8
 # Rays of all nodes for each value of what needs rays of its own, such as scattering.
 OWN_PHOTONS = 24_000
 _SPREAD = 61
-# Force on, off, end, and how many pictures of it there are. [s]
-ON_S, OFF_S, END_S, STEPS = 0.5, 3.5, 8.0, 31
-# The touch is followed at so many times as many moments.
-FINER = 8
-# The smallest difference that an eye sees side by side. [CIEDE2000]
-JUST_NOTICEABLE = 1.0
-# One in so many rays is read over time: a change of colour needs fewer than a colour.
-ONE_IN = 4
 # Of the linear colour; what is darker has missed the finger: no tissue is.
 MISSED = 0.02
 
@@ -75,9 +66,8 @@ def colour(
     requested : as for `trace`, but relative_error; photons are rays of all wavelengths together; and `ColourRequested`.
 
     Returns: Dataset over state (force), place, band (L*, a*, b*) and wavelength: reflectance, Lab, sRGB, difference to
-    the first state, width of the white band, each with its standard error; prior uncertainty of
-    colours; the press over time with the time that the colour takes to return;
-    tiles for the photograph.
+    the first state, width of the white band, each with its standard error; prior uncertainty of colours; tiles for
+    the photograph.
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
@@ -137,7 +127,6 @@ def _traced(
     scene = nail.scene
     rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
     result = _dataset(scene, rays, states, viewer, viewing)
-    result = result.merge(press_and_release(scene, rays, viewer, viewing))
     if scene.priors.spread and not unmet:
         if stage.is_late(SPREAD_BEGINS):
             return result, rays.photons, "max_seconds left no time for the spread of colours over unknown fingers."
@@ -244,50 +233,6 @@ def spread_of_colours(
     data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
     names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
     return xr.Dataset(data, names)
-
-
-def press_and_release(scene: Scene, rays: ColourRays, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
-    """The largest of the forces pressed and released: colours over time, and the capillary refill time."""
-    most = max(viewing.forces_n)
-    if most == 0:
-        return xr.Dataset()
-    step: dict[str, Any] = {"profile": "step", "force_n": most, "start_s": ON_S, "release_s": OFF_S}
-    step |= {"duration_s": END_S, "sample_rate_hz": (STEPS - 1) / END_S * FINER}
-    step |= {name: getattr(scene.touch, name) for name in (*CONTACT, "distal_relaxation_s")}
-    touched = blood_over_touch(scene.model_copy(update={"touch": Touch(**step)}))
-    moments = touched.isel(time=slice(None, None, FINER))
-    few = rays.one_in(ONE_IN)
-    read = few.reflectance(moments.blood_fraction.values.T, viewing, patches=range(ALONG))
-    lab, time_s = viewer.lab(read), moments.time.values
-    over = ("place", "time")
-    text = "L*a*b* over a press"
-    data = estimated("press_lab", (*over, "band"), lab, text)
-    data |= variable("press_srgb", (*over, "channel"), viewer.srgb(read[0]), "colour on a screen, over a press")
-    data |= variable("press_force_n", "time", moments.force_n.values, "force of the press", units="N")
-    text = "capillary refill time: from release until the colour differs less from rest than an eye sees"
-    refill = np.array([capillary_refill_s(time_s, course) for course in lab])
-    with np.errstate(invalid="ignore"):  # a place that never returns, or whose change no eye sees
-        data |= estimated("refill_s", "place", refill, text, units="s")
-    return xr.Dataset(data, variable("time", "time", time_s, "time", units="s"))
-
-
-def capillary_refill_s(time_s: Array, lab: Array) -> Array:
-    """Time after release from which on each place differs less from its rest than an eye sees, (places,) float. [s]
-
-    lab : (places, times, 3) float. The first is at rest. Linear between samples; NaN where no eye sees the press at
-    all, infinite where the colour has not returned in the end.
-    """
-    difference = delta_e_2000(lab, lab[:, :1])
-    out = np.full(len(lab), np.nan)
-    for k, row in enumerate(difference):
-        visible = np.flatnonzero(row > JUST_NOTICEABLE)
-        if len(visible) and visible[-1] == len(row) - 1:
-            out[k] = np.inf
-        elif len(visible):
-            i = visible[-1]
-            step = (row[i] - JUST_NOTICEABLE) / (row[i] - row[i + 1]) * (time_s[i + 1] - time_s[i])
-            out[k] = max(time_s[i] + step - OFF_S, 0.0)
-    return out
 
 
 def photographs(scene: Scene, result: xr.Dataset, *, states: Sequence[int], backend: str) -> list[NDArray[np.uint8]]:

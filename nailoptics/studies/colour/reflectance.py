@@ -55,10 +55,6 @@ class ColourRays:
         """These rays and others of the same finger as one."""
         return replace(self, light=tuple(a.with_more(b) for a, b in zip(self.light, other.light, strict=True)))
 
-    def one_in(self, part: int) -> "ColourRays":
-        """One in so many of the rays of each group, by chance: for what needs less precision than all would give."""
-        return replace(self, light=tuple(_thinned(cell, part) for cell in self.light))
-
     def reflectance(
         self,
         states: Array,
@@ -79,14 +75,6 @@ class ColourRays:
         chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
         sums = [_sums(_weighted(cell, viewing), mu_a, chosen) for cell in self.light]
         return left_out(sum(total * weight for total, weight in zip(sums, WEIGHTS, strict=True)))
-
-
-def _thinned(light: ReflectedLight, part: int) -> ReflectedLight:
-    """Light of which one ray in so many is left, and counts for all of them."""
-    chosen = np.random.default_rng(part).random(len(light.patch)) * part < 1
-    names = ("patch", "group", "weight", "path_mm", "cosine", "gloss")
-    thin = replace(light, **{name: getattr(light, name)[chosen] for name in names})
-    return replace(thin, weight=thin.weight * np.float32(part))
 
 
 def _weighted(light: ReflectedLight, viewing: Viewing) -> ReflectedLight:

@@ -13,7 +13,7 @@ from nailoptics.scene import Viewing
 from nailoptics.studies.colour import adaptive_sampling
 from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
 from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from nailoptics.studies.colour.nail_colour import _redness_left, capillary_refill_s
+from nailoptics.studies.colour.nail_colour import _redness_left
 from nailoptics.studies.colour.reflectance import NODES, NODES_NM, WEIGHTS
 
 
@@ -87,17 +87,6 @@ def test_a_white_band_ends_where_half_of_the_redness_is_gone():
     redness = np.stack([rest, pressed, pale], -1)
     part = _redness_left(redness, pale)
     assert white_band_mm(v_mm, part, ends_mm=ends_mm) == pytest.approx([0.0, 4.0, 12.0])
-
-
-def test_refill_is_the_time_until_no_eye_sees_a_difference():
-    time_s = np.linspace(0, 8, 801)
-    # Lightness falls back exponentially in 0.5 s after the release at 3.5 s, from 4 above rest.
-    away = np.where(time_s < 3.5, 4.0, 4.0 * np.exp(-(time_s - 3.5) / 0.5))
-    away[0] = 0.0
-    lab = np.stack([np.stack([50 + away, 0 * away, 0 * away], -1), np.full((801, 3), 50.0)])
-    found = capillary_refill_s(time_s, lab)
-    # CIEDE2000 weighs L* near 50 by about 1.
-    assert found[0] == pytest.approx(0.5 * np.log(4), abs=0.03) and np.isnan(found[1])
 
 
 @pytest.mark.parametrize("pace_s", [2e-6, 2e-5])

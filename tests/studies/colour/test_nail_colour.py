@@ -122,7 +122,7 @@ def test_each_place_gets_the_rays_that_its_colour_and_its_change_need(jit_backen
     found = colour(without_spread(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
     # Two rounds foresee the errors to some per cent; only what is reached ends them.
     assert float(found.colour_stderr.max()) <= 1.2 and float(found.delta_e_2000_stderr.max()) <= 0.6
-    assert "lab_spread" not in found and (found.refill_s_stderr.values[-3:-1] < 0.1).all()
+    assert "lab_spread" not in found
 
 
 def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, monkeypatch):
@@ -176,7 +176,6 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
     errors = found.delta_e_2000_stderr.values
     # Changes come from the same rays, so they are far sharper than the colours themselves.
     assert errors[1:-1, 2].max() < 0.5 * found.colour_stderr.values.max()
-    assert (found.refill_s.values[-3:-1] < 2).all()
     told = json.loads(json.dumps(colour_summary(found)))
     assert told["illuminant"] == "D65" and len(told["states"]) == 5 and len(told["lab_stderr"]) == 3
     place = told["states"][0]["places"][5]
@@ -202,7 +201,7 @@ def test_the_command_writes_its_files_and_json(jit_backend, tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert [state["force_n"] for state in told["states"]] == [0, 1]
     written = {one.name for one in (tmp_path / "out").iterdir()}
-    assert written == {"colour.nc", "colour.html", "strip.png", "press.gif"}
+    assert written == {"colour.nc", "colour.html", "strip.png"}
     assert xr.load_dataset(tmp_path / "out" / "colour.nc").attrs["illuminant"] == "D65"
 
 
