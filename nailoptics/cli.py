@@ -503,7 +503,6 @@ def figures(
     *,
     output: Output,
     sets: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    touch: Path | None = None,
     colour: bool = True,
     people: Flag = False,
     json_: Json = False,
@@ -513,7 +512,6 @@ def figures(
     Args:
         output: Folder for the pictures.
         sets: Named parameter sets; all if not given.
-        touch: Recorded touch for Figs. 16, 18, a CSV with time_s, force_n; else the subjects'.
         colour: Trace Fig. 2, the nail under force, some seconds a set.
         people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and judge what the paper says of people;
             their light is traced, a minute of processor time.
@@ -521,9 +519,7 @@ def figures(
     from .paper.claims import as_rows, as_text
     from .report.pages.paper import write_figures
 
-    if people and touch is not None:
-        raise InputError("figures --people: presses as the paper's subjects did; leave out --touch, or --people.")
-    judged, pictures = write_figures(output, sets, touch=touch, colour=colour, people=people)
+    judged, pictures = write_figures(output, sets, colour=colour, people=people)
     claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}
     _finish(claims, [*as_text(judged).splitlines(), *pictures], {}, json_)
 

@@ -127,7 +127,6 @@ BAD_COMMANDS = {
     "a mesh of a phantom": (["export", "phantom.toml", "-o", "deep/phantom.glb"], "phantom"),
     "a touch on a phantom": (["simulate", "phantom.toml", "-o", "deep/results"], "phantom"),
     "a transfer of volpath": (["trace", "prototype", "--backend", "scalar", "-o", "deep/transfer.nc"], "volpath"),
-    "people under a recorded touch": (["figures", "-o", "deep/x", "--people", "--touch", "touch.csv"], "--touch"),
     "an unknown set": (["figures", "-o", "deep/pictures", "--set", "nonsense"], "nonsense"),
 }
 

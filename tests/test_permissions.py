@@ -117,7 +117,7 @@ def test_unreadable_files_give_one_line(folder):
     (folder / "shut").mkdir(mode=0o000)
     asked = [f"off {name} shut.toml" for name in ("simulate", "trace", "place", "check", "explain", "oximeter")]
     asked += ["off batch shut.toml -o b", "off predict shut.toml shut.csv", "off calibrate prototype shut.csv"]
-    asked += ["off compare-with shut.npz", "off check shut/in.toml", "off figures --touch shut.csv -o f"]
+    asked += ["off compare-with shut.npz", "off check shut/in.toml"]
     for code, said in commands(folder, *asked):
         assert code == 2 and "cannot be read: Permission denied; give" in said and said.count("nailoptics:") == 1
     asked = ["off export prototype -o shut/x.glb", "off export prototype -o shut/x --format mcx"]

@@ -99,12 +99,13 @@ def even() -> np.ndarray:
     return np.column_stack([touch, sheared])
 
 
-def subject_force(time_s: ArrayLike, *, force_n: float = 1.0, on_s: float = 0.0, off_s: float = ON_S) -> np.ndarray:
-    """The force of the paper's subjects over time: exponential, with 0.16 s on loading and 0.12 s on unloading. [N]
+def subject_force(time_s: ArrayLike) -> np.ndarray:
+    """The force of the paper's subjects over time, 1 N from 0 s on: exponential, with 0.16 s on loading and 0.12 s on
+    unloading. [N]
 
     References: Mascaro and Asada 2001, Figs. 16 and 18.
     """
     time = np.asarray(time_s, dtype=float)
-    top = force_n * (1.0 - np.exp(-(off_s - on_s) / LOADING_S))
-    loading = force_n * (1.0 - np.exp(-np.maximum(time - on_s, 0.0) / LOADING_S))
-    return np.where(time < off_s, loading, top * np.exp(-np.maximum(time - off_s, 0.0) / UNLOADING_S))
+    top = 1.0 - np.exp(-ON_S / LOADING_S)
+    loading = 1.0 - np.exp(-np.maximum(time, 0.0) / LOADING_S)
+    return np.where(time < ON_S, loading, top * np.exp(-np.maximum(time - ON_S, 0.0) / UNLOADING_S))

@@ -5,14 +5,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..hemodynamics.blood import relative_blood
 from ..hemodynamics.parameters import Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
 from ..hemodynamics.touch import PAPER_ZONES, Zones
-from .protocols import CURVE_PA, FINGER_ZONES, PHASE_S, Protocol, cycle, even, one_sided, press, steps
+from .protocols import CURVE_PA, FINGER_ZONES, PHASE_S, Protocol, cycle, even, press, steps
 
 # Steady widths [m] and blood pressures [Pa] from the (S,) proximal and distal pressures, with k_C and k_V times two
 # factors, and widths over time from a touch: (N+1, *B, S) or (N+1, *B, S, T) float, capillary units and then the vein.
@@ -109,12 +108,6 @@ def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray
         run = respond(parameters, touch.time_s, rtol=1e-4, **given)
         widths.append(np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values]))
     return np.stack(widths, axis=1)
-
-
-def pressed(parameters: Parameters, time_s: ArrayLike, force_n: ArrayLike) -> np.ndarray:
-    """The proximal reading with a force over time there alone, and the distal one with it there alone, (2, T). [1]"""
-    touch, venules = one_sided(time_s, force_n), (parameters.venular_share, parameters.venular_closing_pressure_pa)
-    return _own_readings(_follow(parameters, touch, FINGER_ZONES), touch, venules)
 
 
 def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[PerBed, PerBed]) -> np.ndarray:

@@ -12,10 +12,9 @@ from ...io import make_folder
 from ...light import backend as backends
 from ...paper.claims import Claim, is_shown_by, judge, judge_people
 from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
-from ...paper.responses import PeopleReadings, Responses, pressed, simulate_responses
+from ...paper.responses import PeopleReadings, Responses, simulate_responses
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
-from ...scene.touch import read_recording
 from ...studies import people as subjects
 from .. import style
 from .colour import draw_fig2
@@ -35,25 +34,22 @@ _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
 
 
 def write_figures(
-    folder: Path, sets: Sequence[str] = (), *, touch: Path | None = None, colour: bool = True, people: bool = False
+    folder: Path, sets: Sequence[str] = (), *, colour: bool = True, people: bool = False
 ) -> tuple[dict[str, list[Claim]], list[Path]]:
     """Draw the paper's figures into a folder and judge its claims; returns the claims by set, and the pictures.
 
     sets : names of parameter sets; all if none is given.
-    touch : recorded touch (CSV) for Figs. 16 and 18, instead of the subjects'.
     colour : whether Fig. 2 is traced.
     people : whether Figs. 15 to 18 are drawn of people, too, who are judged as one more set.
 
     Raises: InputError.
     """
-    course = None if touch is None else [np.asarray(column) for column in read_recording(touch)]
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     make_folder(folder)
     judged, pictures = {}, []
     for name, parameters in named.items():
         responses = simulate_responses(parameters)
-        recorded = None if course is None else (course[0], course[1], pressed(parameters, *course))
-        pictures += draw(folder, responses, name=name, recorded=recorded)
+        pictures += draw(folder, responses, name=name)
         judged[name] = judge(responses, name)
     pictures.append(draw_haemoglobins(folder))
     if people:
@@ -69,32 +65,21 @@ def write_figures(
 
 
 @style.drawing()
-def draw(
-    directory: Path,
-    responses: Responses,
-    *,
-    name: str,
-    recorded: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
-) -> list[Path]:
+def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
     """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15 to 18.
 
     directory : Where they go; made if it is not there.
     name : Of the set, for titles and file names.
-    recorded : (T,), (T,) and (2, T) float. Time, force and readings for Figs. 16 and 18, as of `responses.pressed`;
-        without, the paper's subjects' exponential. [s, N, 1]
     """
     make_folder(Path(directory))
-    if recorded is None:
-        force = subject_force(PHASE_S), subject_force(ON_S + PHASE_S)
-        recorded = _TIME_S, np.concatenate(force), np.concatenate([responses.press_on, responses.press_off], axis=-1)
     figures = {
         "10": ("vessels under steps of proximal pressure", lambda: _figure_10(responses)),
         "11": ("readings under steps of both pressures", lambda: _figure_11(responses)),
         "12": ("steady readings, each against the pressure on its own side", lambda: _figure_12(responses)),
         "15": ("proximal reading, force on the proximal pulp", lambda: _cycle(responses, 0)),
-        "16": ("proximal reading, force on the proximal pulp", lambda: _press(*recorded, 0)),
+        "16": ("proximal reading, force on the proximal pulp", lambda: _press(responses, 0)),
         "17": ("distal reading, force on the distal pulp", lambda: _cycle(responses, 1)),
-        "18": ("distal reading, force on the distal pulp", lambda: _press(*recorded, 1)),
+        "18": ("distal reading, force on the distal pulp", lambda: _press(responses, 1)),
     }
     paths = []
     for number, (title, drawn) in figures.items():
@@ -170,16 +155,18 @@ def _cycle(r: Responses, side: int) -> "Figure":
     return figure
 
 
-def _press(time_s: np.ndarray, force_n: np.ndarray, readings: np.ndarray, side: int) -> "Figure":
-    """One reading over time, with the force on its own side."""
+def _press(r: Responses, side: int) -> "Figure":
+    """One reading over time, with the subjects' force on its own side."""
     figure, axis = style.panels(6.5, 4.2)
-    axis.plot(time_s, readings[side], color=style.ZONES[side], label="reading")
+    force_n = np.concatenate([subject_force(PHASE_S), subject_force(ON_S + PHASE_S)])
+    reading = np.concatenate([r.press_on[side], r.press_off[side]], axis=-1)
+    axis.plot(_TIME_S, reading, color=style.ZONES[side], label="reading")
     axis.plot([], [], color=style.INK, lw=1.0, ls=":", label="force")
-    axis.set(title="Dynamic", xlabel="time [s]", ylabel=_READING, xlim=(time_s[0], time_s[-1]))
+    axis.set(title="Dynamic", xlabel="time [s]", ylabel=_READING, xlim=(_TIME_S[0], _TIME_S[-1]))
     beside = axis.twinx()
-    beside.plot(time_s, force_n, color=style.INK, lw=1.0, ls=":")
+    beside.plot(_TIME_S, force_n, color=style.INK, lw=1.0, ls=":")
     beside.set(ylabel=f"force on 1 cm² of the {_SIDES[side]} pulp [N]")
-    beside.set(ylim=(0.0, max(1.25 * float(np.max(force_n)), 1e-9)))
+    beside.set(ylim=(0.0, 1.25 * float(np.max(force_n))))
     beside.grid(False)
     beside.spines["right"].set_visible(True)
     axis.legend()
