@@ -11,7 +11,6 @@ import xarray as xr
 from ...io import plain_cell, write_text
 from ...scene import Placement, Scene, parse_scene
 from ...sensor.ambient import sources_of
-from ...sensor.information import LIFT_PER_UM
 from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from .. import maps
@@ -205,43 +204,16 @@ def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
     """The effect of physiological noise on the resolution; empty without a body."""
     if "electronics_resolution_n" not in result:
         return ""
-    bandwidth_hz, requested = result.attrs["bandwidth_hz"], parse_scene(str(result.attrs["scene"]), name="the scene")
+    bandwidth_hz = result.attrs["bandwidth_hz"]
     sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
     false_force = ", ".join(dict.fromkeys(significant(1e3 * float(x)) for x in result.physiological_noise_force_n))
     text = (
-        f"One sample is {sample}. It is evaluated without the samples before it, from which {body_words(best)} could "
-        "be estimated, so that waves slower than its bandwidth count in full. Such waves change the blood of both "
-        "zones, each with the gain of the vessels at its frequency. A sensor of the blood in two zones cannot "
-        "distinguish them from two pressures with the same effect: with every layout they produce a false force of "
-        f"{false_force} mN rms, a physiological noise floor. The contribution of drift and lift depends on the layout; "
-        f"if the split of the touch is known, most of the waves can be separated from it, too. {_worn(requested)}"
+        f"One sample is {sample}, without the samples before it, from which {body_words(best)} could be estimated. "
+        "Their waves change the blood of both zones, as two pressures do: with every layout they produce a false force "
+        f"of {false_force} mN rms, a physiological noise floor. The contribution of drift and lift depends on the "
+        "layout. nailoptics predict uses the samples before; its error is given on the page of the calibration."
     )
-    note = (
-        "nailoptics predict uses the samples before. Where its model fits and the electronics are the only noise, the "
-        "error of its force estimate lies within 1.3 times the bound for electronics alone; its error with a person's "
-        "body is given on the page of the calibration."
-    )
-    return section("Physiological noise", text, small(note))
-
-
-def _worn(scene: Scene) -> str:
-    """The assumed effect of the sensor's drift and motion; empty without either."""
-    body, parts = scene.body, []
-    if body is not None and body.drift is not None:
-        since_s, drift = boards.rules(scene).since_rest_s, body.drift
-        percent = 100 * math.sqrt(since_s / 60)
-        led, reading = (significant(percent * x) for x in (drift.led_per_rt_min, drift.reading_per_rt_min))
-        parts.append(
-            f"{significant(since_s)} s after the last reading of the untouched finger, all readings of an LED have "
-            f"drifted by {led} % together and each independently by {reading} %; more photodiodes average the latter."
-        )
-    if body is not None and body.motion is not None:
-        lift = significant(100 * LIFT_PER_UM * body.motion.lift_um)
-        parts.append(
-            f"A lift of {body.motion.lift_um:g} µm is assumed to change all readings by {lift} % together, at any "
-            "distance from the LED; sliding along the nail is not included."
-        )
-    return " ".join(parts)
+    return section("Physiological noise", text)
 
 
 def _check(result: xr.Dataset) -> str:
