@@ -2,5 +2,5 @@
 
 from .build import build, shaping, underside
 from .distance import SPACING_MM, DistanceGrid, distance_grid
-from .model import Face, Geometry, check_watertight
+from .model import Face, Geometry
 from .regions import AROUND, region_names

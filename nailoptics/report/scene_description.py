@@ -111,14 +111,9 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         parts = "part" if len(refs) == 1 else "parts"
         shown = ", ".join(refs[:8]) + (", ..." if len(refs) > 8 else "")
         lines.append(f"ignored: {len(refs)} {parts} of {file} ({shown})" if refs else f"ignored: nothing of {file}")
-    if "crossings" in report:
+    if "triangles" in report:
         names = ", ".join(name for name in report["regions"] if name != "air")
-        lines += [
-            f"geometry: {report['triangles']} triangles between the air and {names}",
-            f"watertight: {'yes' if report['valid'] else 'NO'}; {report['disagreements']} of {report['crossings']} "
-            "surface crossings of random rays enter another region than the surface bounds; volumes by surfaces and "
-            f"by cells agree within {report['volume_error']:.0e} of the whole",
-        ]
+        lines.append(f"geometry: {report['triangles']} triangles between the air and {names}")
     lines += [f"warning: {line}" for line in report.get("warnings", ())]
     if report.get("two_balances_n"):
         low, high = report["two_balances_n"]

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_scenes import phantom
+from watertight import check_watertight
 
 import nailoptics as nail
 from nailoptics import geometry
@@ -286,7 +287,7 @@ def test_layers_beyond_physics_are_refused_in_one_line(layer, field):
 def test_meshes_from_coarse_to_a_million_triangles_are_closed(resolution, least):
     shape = geometry.build(prototype_with(), resolution=resolution)
     assert len(shape.triangles) >= least
-    assert geometry.check_watertight(shape, crossings=20_000).disagreements <= 20
+    assert check_watertight(shape, crossings=20_000).disagreements <= 20
 
 
 @jit

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_scenes import phantom
+from watertight import check_watertight
 
 from nailoptics.errors import InputError
-from nailoptics.geometry import AROUND, build, check_watertight
+from nailoptics.geometry import AROUND, build
 from nailoptics.geometry.grid import unique_rows
 from nailoptics.scene import parse_scene
 

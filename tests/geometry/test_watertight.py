@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from watertight import check_watertight
 
-from nailoptics.geometry import build, check_watertight
+from nailoptics.geometry import build
 from nailoptics.geometry.cast import cast
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from watertight import check_watertight
 
-from nailoptics import geometry
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.reference import mitsuba_scene
@@ -120,4 +120,4 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours
-    assert geometry.check_watertight(shape, crossings=10_000).passed
+    assert check_watertight(shape, crossings=10_000).passed
