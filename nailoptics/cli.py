@@ -217,7 +217,6 @@ def compare(
     scene: ScenePath,
     *,
     over: tuple[Literal["force", "blood", "saturation"], ...] = ("force", "blood"),
-    wavelength_nm: tuple[float, ...] = (),
     require: float | None = None,
     model: Literal["taylor", "beer_lambert"] = "taylor",
     options: Study = STUDY,
@@ -228,7 +227,6 @@ def compare(
 
     Args:
         over: What is swept: force, blood fraction 0-10 %, saturation 1-0.5. May be repeated.
-        wavelength_nm: Trace every LED at this wavelength too. May be repeated. [nm]
         require: Exit with 4 unless the fitted model stays within this part of every reading's swing.
         model: The model that --require judges: Taylor (9) or Beer-Lambert (8).
     """
@@ -240,7 +238,7 @@ def compare(
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(options.output, scene, COMPARISON)
-    result, unmet = _traced(study, loaded, over=over, wavelengths_nm=wavelength_nm, options=options)
+    result, unmet = _traced(study, loaded, over=over, options=options)
     paths = COMPARISON.write(result, folder)
     judged = verdict(result, 0.05 if require is None else require, model=model)
     missed, line = require is not None and judged.outcome == "missed", verdict_line(judged)

@@ -17,7 +17,6 @@ from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from ...scene.files import scene_of
 from ...statistics import Z95, seed_of
 from ...variables import Variables, variable
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
@@ -35,7 +34,6 @@ def compare(
     scene: Scene,
     *,
     over: Sequence[Over] = ("force", "blood"),
-    wavelengths_nm: Sequence[float] = (),
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
@@ -43,7 +41,6 @@ def compare(
 
     over : what is swept: the steady force from 0 to the touch's largest, both zones' blood fraction from 0 to 10 %,
         the saturation from 1 to 0.5.
-    wavelengths_nm : each LED is traced at these wavelengths too, as LED@wavelength. [nm]
 
     Returns: Dataset over sweep, led, photodiode and point; errors as parts of the traced swing over the sweep.
 
@@ -55,27 +52,18 @@ def compare(
     sweeps = [state_sweep(scene, fromkey) for fromkey in dict.fromkeys(over)]
     if not sweeps:
         raise InputError(f"over is empty; choose from {', '.join(OVER)}.")
-    scenes = [scene, *(_at_wavelength(scene, value) for value in dict.fromkeys(wavelengths_nm))]
-    deadline, unmet = time.perf_counter() + (options.max_seconds or math.inf), None
-    results: list[xr.Dataset] = []
-    for k, traced in enumerate(scenes):
-        if results and time.perf_counter() > deadline:
-            unmet = f"max_seconds ended the comparison after {k} of {len(scenes)} traced wavelengths."
-            break
-        # A quarter of the photons twice, for the scattering, is half as much again.
-        limit_s = (deadline - time.perf_counter()) / (len(scenes) - k) / (1 + 2 * SCATTERING_SHARE)
-        limited = replace(options, max_seconds=None if math.isinf(deadline) else max(limit_s, 1e-3))
-        transfer, why = as_far_as_reached(trace, traced, progress=progress, **limited.fields)
-        unmet = unmet or (str(why) if why else None)
-        slopes = np.full((2, len(traced.leds), len(transfer.photodiodes)), np.nan)
-        if time.perf_counter() < deadline:
-            slopes = _scattering_slopes(transfer, limited, progress)
-        elif not unmet:
-            unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
-        results.append(compare_transfer(transfer, sweeps, slopes, options.seed))
-    result = xr.concat(results, "led", data_vars="minimal", coords="minimal", compat="override", join="override")
-    result.attrs = results[0].attrs
-    return unless_cut_off(result, unmet)
+    deadline = time.perf_counter() + (options.max_seconds or math.inf)
+    # A quarter of the photons twice, for the scattering, is half as much again.
+    limit_s = (deadline - time.perf_counter()) / (1 + 2 * SCATTERING_SHARE)
+    limited = replace(options, max_seconds=None if math.isinf(deadline) else max(limit_s, 1e-3))
+    transfer, why = as_far_as_reached(trace, scene, progress=progress, **limited.fields)
+    unmet = str(why) if why else None
+    slopes = np.full((2, len(scene.leds), len(transfer.photodiodes)), np.nan)
+    if time.perf_counter() < deadline:
+        slopes = _scattering_slopes(transfer, limited, progress)
+    elif not unmet:
+        unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
+    return unless_cut_off(compare_transfer(transfer, sweeps, slopes, options.seed), unmet)
 
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
@@ -95,15 +83,6 @@ def state_sweep(scene: Scene, over: Over) -> StateSweep:
         raise InputError("touch: the force never leaves 0, so there is no range to compare over; give a force.")
     force = along * largest
     return StateSweep(over, force, steady_blood(scene, force), same_so2)
-
-
-def _at_wavelength(scene: Scene, wavelength_nm: float) -> Scene:
-    """The same scene with every LED at another wavelength, named after it."""
-    leds = [
-        led.model_dump() | {"wavelength_nm": wavelength_nm, "name": f"{led.name[:30]}.{wavelength_nm:g}nm"}
-        for led in scene.leds
-    ]
-    return scene_of(scene.model_dump() | {"leds": tuple(leds)})
 
 
 def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> np.ndarray:
