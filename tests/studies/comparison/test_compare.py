@@ -297,7 +297,7 @@ def test_what_cannot_be_compared_is_one_line():
     with pytest.raises(InputError, match="over is empty"):
         compare(scene, over=())
     with pytest.raises(InputError, match="300 has no tissue data"):
-        compare(scene.with_led("ir", wavelength_nm=300.0), photons=1)
+        compare(prototype(wavelength_nm=300.0), photons=1)
 
 
 @pytest.mark.jit
