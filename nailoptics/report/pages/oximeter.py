@@ -75,7 +75,6 @@ def oximeter_page(result: xr.Dataset) -> str:
             section(
                 "Sensitivity to disturbances",
                 figure(_disturbances_figure(result), DISTURB),
-                _melanin(result),
                 small(DISTURBANCES),
             ),
         ],
@@ -114,15 +113,6 @@ def _errors(result: xr.Dataset) -> list[dict[str, str]]:
         cells = (significant(float(value), 2) for value in values)
         rows.append({"Photodiode": name} | dict(zip(heads, cells, strict=True)))
     return rows
-
-
-def _melanin(result: xr.Dataset) -> str:
-    worst = significant(float(result.melanin_bound.max()), 2)
-    met = significant(100 * float(result.epidermis_part_bound.max()), 2)
-    return (
-        f"Does light through the nail meet epidermis at all? At most {met} % of what a photodiode detects (95 % "
-        f"confidence), so that melanin changes SpO2 by at most {worst} %."
-    )
 
 
 def recording_page(result: xr.Dataset) -> str:
@@ -280,7 +270,7 @@ def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
     for name in result.photodiode.values:
         data = result.sel(photodiode=name)
         row = plain(data, "so2", "ratio", "ratio_stderr", "path_ratio", "path_ratio_stderr", "spo2_stderr")
-        row |= plain(data, "spo2_stderr_beat", "melanin_bound", "saturated")
+        row |= plain(data, "spo2_stderr_beat", "saturated")
         row["ratio_at_rest"] = {"so2": float(result.attrs["so2"])} | with_stderr(data, "ratio_at_rest")
         line = ("intercept", "slope", "intercept_stderr", "slope_stderr")
         row["fit"] = dict(zip(line, [*data.linear.values.tolist(), *data.linear_stderr.values.tolist()], strict=True))

@@ -3,14 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ... import tissue
 from ...hemodynamics.for_scene import BloodBeat, beat_at, rest_beat
 from ...light import Transfer, optics
 from ...scene import Scene
 from ...sensor.front_end import SampledFrontEnd, red_and_infrared
-from ...statistics import Z95, Array
+from ...statistics import Array
 from ...variables import Variables, variable
 from ..prior_uncertainty import at_value
 from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
@@ -135,41 +134,6 @@ def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], s
 def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:
     """Photocurrent of both LEDs, (groups, 2) float, from their detected fractions. [A]"""
     return np.stack([front_end.photocurrent_a(fraction[:, k], led) for k, led in enumerate(front_end.leds)], -1)
-
-
-def melanin_bound(oximeter: CalibratedOximeter) -> tuple[Array, Array]:
-    """Upper bounds: the part of the detected light that met epidermis, and the bias of SpO2 by melanin.
-
-    With 95 % confidence, (photodiodes,) float each: the larger part of both LEDs' light, and percent. Light that met
-    epidermis may all be absorbed, of the steady and of the pulsating light.
-    """
-    transfer, share, change = oximeter.transfer, [], []
-    column = transfer.absorbers.index("epidermis")
-    beds = list(optics.bed_columns(oximeter.transfer.scene))
-    for led in oximeter.leds:
-        trace = transfer.traces[led]
-        steady, pulsating = trace.weight, trace.weight * trace.path_mm[:, beds].sum(1)
-        for values in (steady, pulsating):
-            part = np.zeros(len(transfer.photodiodes))
-            for j in range(len(part)):
-                mine = trace.photodiode == j
-                part[j] = _upper_part(values[mine], trace.path_mm[mine, column] > 0)
-            change.append(part)
-        share.append(change[-2])
-    slope = np.abs(np.gradient(100 * oximeter.so2, axis=0) / np.gradient(oximeter.curve[0], axis=-1))
-    nearest = int(np.abs(oximeter.so2 - oximeter.transfer.scene.blood.so2).argmin())
-    return np.max(share, axis=0), slope[:, nearest] * oximeter.nominal.ratio[0, :, 0] * np.sum(change, axis=0)
-
-
-def _upper_part(values: Array, met: NDArray[np.bool_]) -> float:
-    """Upper end of the 95 % interval of the part of a sum that some of its terms make; of none, as if one of the
-    largest had been missed three times (the rule of three)."""
-    total = float(values.sum())
-    if total <= 0:
-        return 1.0
-    part, effective = float(values[met].sum()) / total, total**2 / float((values**2).sum())
-    spread = float(np.sqrt(((values * (met - part)) ** 2).sum())) / total
-    return min(max(part + Z95 * spread, part + 3.0 / effective), 1.0)
 
 
 def _has_tissue_data(scene: Scene, leds: tuple[int, int]) -> bool:

@@ -16,7 +16,7 @@ from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Variables, estimated, variable
-from .disturbances import CalibratedOximeter, melanin_bound, path_warnings, sensitivity_curves
+from .disturbances import CalibratedOximeter, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
     calibrate_curve,
@@ -90,9 +90,6 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     disturbances = sensitivity_curves(oximeter, front_ends, sun_a)
     for curves in disturbances.values():
         data |= curves
-    met, most = melanin_bound(oximeter)
-    data |= variable("epidermis_part_bound", "photodiode", met, "part of the light that met epidermis, at most (95 %)")
-    data |= variable("melanin_bound", "photodiode", most, "change by melanin, at most (95 %)", units="percent")
     text = "photocurrent of ambient light"
     data |= variable("ambient_a", "photodiode", ambient_a, text, units="A", stderr=ambient_stderr_a)
     data |= variable("sun_a", "photodiode", sun_a, "photocurrent of full sun", units="A", stderr=sun_stderr_a)
