@@ -83,7 +83,7 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
 
 
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
-    """A session of MMC for one LED, as JSON; its first source is one cone, all of them stand under "nailoptics"."""
+    """A session for one LED, as JSON, which the runner gives to pmmc cone by cone."""
     die = geometry.leds[led]
     label = absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
     places, angles = cones(die, CONES)
@@ -99,13 +99,9 @@ def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[s
             {"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)
         ],
         photodiode_elements=[(np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes],
-        regions=list(geometry.regions),
-        region_of_element=mesh.region.tolist(),
     )
-    made["Session"]["DoSaveExit"], made["Forward"]["N0"] = 1, 1.0
     normal = die.normal.mean(axis=0)
-    source = {"Type": "cone", "Pos": places[0].tolist(), "Dir": (normal / np.linalg.norm(normal)).tolist()}
-    source["Param1"] = [float(angles[0]), 0.0, 0.0, 0.0]
+    source = {"Dir": (normal / np.linalg.norm(normal)).tolist()}
     # Around all corners of a face, out to where light may leave into its sides.
     spheres = [
         (f.center_mm, MARGIN * np.linalg.norm(f.quads - f.center_mm, axis=-1).max() + math.sqrt(f.area_mm2) / 10)
@@ -113,9 +109,6 @@ def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[s
     ]
     made["Optode"] = {"Source": source, "Detector": [{"Pos": p.tolist(), "R": float(r)} for p, r in spheres]}
     made["Mesh"] = {
-        "MeshID": led_file(scene, led, ""),
-        "InitElem": _containing(mesh, geometry, places[0]) + 1,
-        "LengthUnit": 1.0,
         "MeshNode": np.round(mesh.nodes, 7).tolist(),
         "MeshElem": np.column_stack([mesh.tetrahedra + 1, label]).tolist(),
     }
@@ -139,13 +132,3 @@ def cones(die: Face, count: int) -> tuple[Array, Array]:
     a, b, c, d = quads[facet].swapaxes(0, 1)
     places = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c) + BELOW_DIE_MM * die.normal[facet]
     return places, np.arccos(1 - np.sqrt((step + 0.5) / count))
-
-
-def _containing(mesh: TetMesh, geometry: Geometry, place: Array) -> int:
-    """The tetrahedron of epoxy that a place lies in."""
-    own = np.flatnonzero(mesh.region == geometry.regions.index("epoxy"))
-    corners = mesh.nodes[mesh.tetrahedra[own]]
-    share = np.linalg.solve((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2), (place - corners[:, 0])[..., None])[
-        ..., 0
-    ]
-    return int(own[np.minimum(share.min(-1), 1 - share.sum(-1)).argmax()])
