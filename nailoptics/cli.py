@@ -669,7 +669,7 @@ def doctor(*, json_: Json = False) -> None:
     photons = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
     lines = [
         f"{photons}: the engine of every command",
-        f"volpath runs on {stock.name}: stock Mitsuba, the reference of simulate, trace and batch",
+        f"volpath runs on {stock.name}: stock Mitsuba, the reference of simulate and trace",
         "backends found on this machine, and the engines that each can run:",
         *lines,
         *dict.fromkeys(backend.advice for backend in (chosen, stock) if backend.advice),

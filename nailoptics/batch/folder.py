@@ -203,7 +203,7 @@ def _check(result: Result) -> None:
 def meets(header: dict[str, Any], required: Accuracy) -> bool:
     """Whether a stored result is at least as accurate as is required."""
     if header["reached"] and header.get("asked") == required.model_dump(exclude_none=True):
-        return True  # volpath answers a finger's tolerance as well as it can
+        return True
     if required.photons is not None:
         return bool(header["photons_per_led"] >= required.photons)
     if required.relative_error is not None:

@@ -18,7 +18,7 @@ from ..options import BackendName, Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest
 from ..scene.sweep import StudyName, Sweep
 from .folder import FORMAT, Folder, Made, Plan, PlanError
-from .studies import STUDIES, by_volpath
+from .studies import STUDIES
 
 # Scenes of one light that one job studies.
 CHUNK = 16
@@ -41,7 +41,7 @@ class Settings:
     def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
         """The settings of a run that begins now, with the backend that this machine offers."""
         deadline = None if options.max_seconds is None else time.time() + options.max_seconds
-        chosen = cast(BackendName, backends.choose(options.backend).name)
+        chosen = cast(BackendName, backends.choose_jit(options.backend, "batch").name)
         if study == "colour" and options.relative_error is not None:
             raise InputError("a sweep of colours has no --relative-error; give colour.tolerance in its base scene.")
         return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline, study)
@@ -95,8 +95,7 @@ def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
         scene_id = digest(scene)
         scene_id = scene_id if study == "simulate" else hashlib.sha256(f"{study} {scene_id}".encode()).hexdigest()
         key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
-        stores_none = by_volpath(scene, settings.options.backend) and not STUDIES[study].own_light
-        planned.append(Planned(scene_id, scene_id if stores_none else key, scene, None if stores_none else traced))
+        planned.append(Planned(scene_id, key, scene, traced))
     return planned
 
 

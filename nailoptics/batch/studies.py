@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from ..errors import as_far_as_reached
-from ..light import Transfer, read_rest, trace
+from ..errors import InputError, as_far_as_reached
+from ..light import Transfer, trace
 from ..light.detect import light_of
 from ..light.tracing.store import LightStore
-from ..light.transfer import photodiode_names
 from ..options import TraceOptions
 from ..scene import Scene
 from ..scene.sweep import StudyName
@@ -37,11 +36,6 @@ class Study:
     own_light: bool = False
 
 
-def by_volpath(scene: Scene, backend: str) -> bool:
-    """Whether volpath traces a scene, which stores no light."""
-    return scene.light.engine == "volpath" or backend == "scalar"
-
-
 def relative_error(dataset: xr.Dataset) -> float:
     """Largest relative standard error at rest; inf where it is unknown."""
     if "detected_fraction_rest" not in dataset:
@@ -57,12 +51,8 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     if scene.phantom is not None:
         return _trace(scene, options, stores, traced)
     from ..hemodynamics.for_scene import blood_over_touch
-    from ..studies.simulate import simulate, simulate_from
+    from ..studies.simulate import simulate_from
 
-    if by_volpath(scene, options.backend):
-        result, unmet = as_far_as_reached(simulate, scene, **options.fields)
-        names = [name for name in result.variables if not str(name).startswith(("section_", "path_density"))]
-        return _summarised(result[names]), int(result.attrs["photons"]), not unmet
     transfer, photons, reached = _transfer(scene, options, stores, None)
     result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), options=options)
     return _summarised(result), photons, reached
@@ -70,8 +60,6 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
 
 def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Readings at rest, mean paths and where the light ended."""
-    if by_volpath(scene, options.backend):
-        return _rest_by_volpath(scene, options)
     transfer, photons, reached = _transfer(scene, options, stores, traced)
     rest, energy = transfer.at(), transfer.energy()
     names = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")
@@ -95,26 +83,12 @@ def _transfer(
     scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None
 ) -> tuple[Transfer, int, bool]:
     """A scene's light, its photons per LED, and whether it is as accurate as required."""
+    if scene.light.engine == "volpath":
+        raise InputError('light.engine = "volpath": a batch needs the photons engine; use simulate or trace.')
     transfer, unmet = as_far_as_reached(trace, scene, stores=stores, traced=traced, **options.fields)
     if unmet and options.max_seconds is None:  # more time would not help
         raise unmet
     return transfer, min(led.photons for led in transfer.traces), not unmet
-
-
-def _rest_by_volpath(scene: Scene, options: TraceOptions) -> Answer:
-    rest, unmet = as_far_as_reached(read_rest, scene, **options.fields)
-    names = photodiode_names(scene)
-    fraction, stderr = (
-        np.reshape([row[column] for row in rest.readings], (len(scene.leds), len(names)))
-        for column in ("detected_fraction", "stderr")
-    )
-    text = "detected fraction of the emitted power"
-    dataset = xr.Dataset(
-        variable("detected_fraction_rest", PAIR, fraction, text, stderr=stderr),
-        coords={"led": [led.name for led in scene.leds], "photodiode": list(names)},
-        attrs={"engine": "volpath", "backend": rest.backend},
-    )
-    return dataset, rest.photons, not unmet
 
 
 def _summarised(result: xr.Dataset) -> xr.Dataset:

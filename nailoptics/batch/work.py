@@ -106,8 +106,7 @@ def _result(p: Planned, settings: Settings, report: JobReport) -> tuple[dict[str
         "asked": required.model_dump(exclude_none=True),
         "scene": to_toml(scene),
         "seed": settings.options.seed,
-        # volpath may have run on another backend than photons would.
-        "backend": dataset.attrs["backend"],
+        "backend": settings.options.backend,
         "photons_per_led": photons,
         "relative_error": worst if math.isfinite(worst) else None,
         "reached": reached,

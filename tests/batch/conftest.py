@@ -100,7 +100,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> None:
 FAILING = PHANTOM.replace(
     'pattern = "pencil"', 'pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [1, 0]'
 ).format(top="", accuracy="photons = 500")
-# volpath knows no measured pattern, so two of these four scenes fail.
+# A batch knows no volpath, so two of these four scenes fail.
 FAILING += """
 [[axes]]
 path = "light.engine"
