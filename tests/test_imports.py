@@ -212,7 +212,7 @@ THEIRS = {
     "a.toml",
     "b.toml",
     "sweep.toml",
-    "board.dxf",
+    "board.kicad_pcb",
     "board-bottom.csv",
     "FINGER.glb",
     "SUBJECT.toml",

@@ -8,8 +8,8 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Scene, load_scene, parse_scene, to_toml
+from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
-from nailoptics.scene.importers.outlines import read_outline
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.scene_check import check_scene
 from nailoptics.studies.simulate import simulate
@@ -42,7 +42,7 @@ def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
     for name in ("glb", "mitsuba", "mmc"):
         path = tmp_path / ("export.glb" if name == "glb" else name)
         assert all(file.exists() for file in nail.export(best, path, format=name).values())
-    outline = read_outline(tmp_path / "outline.dxf")
+    outline = read_outline(tmp_path / "best.kicad_pcb")
     assert len(outline.corners_mm) >= 4
     one = best.layout.photodiodes[0].photodiode
     size = f"size_mm = [{one.size_mm[0]}, {one.size_mm[1]}]"

@@ -14,8 +14,8 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
 from nailoptics.scene.catalogue import load_part
+from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
-from nailoptics.scene.importers.outlines import read_outline
 from nailoptics.scene.importers.positions import COLUMNS, read_positions
 from nailoptics.scene.sweep import load_sweep
 from nailoptics.scene.touch import read_recording
@@ -154,21 +154,6 @@ def test_a_recorded_touch_of_anything(tmp_path_factory, head, body):
     one_line_or_nothing(read_recording, path)
 
 
-groups = st.tuples(
-    st.sampled_from(["0", "10", "20", "11", "21", "40", "42", "50", "51", "70", "8"]) | texts,
-    st.sampled_from(["LINE", "ARC", "CIRCLE", "LWPOLYLINE", "0", "1", "-1", "1e300", "nan"]) | texts,
-)
-
-
-@fuzz
-@given(st.lists(groups, max_size=30), st.booleans())
-def test_a_dxf_of_anything(tmp_path_factory, drawn, inside):
-    path = tmp_path_factory.mktemp("fuzz") / "outline.dxf"
-    body = [("0", "SECTION"), ("2", "ENTITIES")] * inside + drawn
-    path.write_text("".join(f"{code}\n{value}\n" for code, value in body), encoding="utf-8")
-    one_line_or_nothing(read_outline, path)
-
-
 @fuzz
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
@@ -176,32 +161,11 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
     for name, read in (
         ("a.toml", load_scene),
         ("b.toml", load_sweep),
-        ("c.dxf", read_outline),
+        ("c.kicad_pcb", read_outline),
         ("d.csv", read_recording),
     ):
         (folder / name).write_bytes(data)
         one_line_or_nothing(read, folder / name)
-
-
-def dxf(*entities: tuple[str, ...]) -> str:
-    body = "".join(f"{line}\n" for entity in entities for line in entity)
-    return f"0\nSECTION\n2\nENTITIES\n{body}0\nENDSEC\n0\nEOF\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (dxf(("0", "LINE", "10", "0", "20", "0")), "a LINE lacks one of start, end"),
-        (dxf(("0", "ARC", "10", "0", "20", "0")), "a ARC lacks one of"),
-        (dxf(("0", "CIRCLE", "10", "0")), "a CIRCLE lacks one of"),
-        ("", "no DXF|no line"),
-    ],
-    ids=["line", "arc", "circle", "empty"],
-)
-def test_what_a_dxf_lacks_is_named(tmp_path, text, words):
-    (tmp_path / "o.dxf").write_text(text)
-    with pytest.raises(InputError, match=words):
-        read_outline(tmp_path / "o.dxf")
 
 
 @pytest.mark.parametrize(
@@ -240,7 +204,7 @@ def test_a_cell_over_128_kb_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
-@pytest.mark.parametrize("name", ["outline.dxf", "outline.csv"])
+@pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.csv"])
 def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
     os.mkfifo(tmp_path / name)
     assert "no ordinary file" in one_line_or_nothing(read_outline, tmp_path / name)

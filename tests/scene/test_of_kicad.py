@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from nailoptics.scene import parse_scene
-from nailoptics.scene.importers.dxf import dxf_lines
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.outlines import join
 from nailoptics.scene.importers.positions import read_positions
@@ -49,7 +48,6 @@ def test_a_board_is_read_as_kicad_made_it(version):
     outline = join(found.edges, "x")
     assert abs(area_mm2(outline.corners_mm)) == pytest.approx(BOARD_MM2, abs=0.01)
     assert sorted(abs(area_mm2(hole)) for hole in outline.holes_mm) == pytest.approx(HOLES_MM2, abs=0.01)
-    assert not outline.ignored
 
 
 def test_a_pad_of_a_turned_bottom_footprint_lies_where_kicad_puts_it():
@@ -87,11 +85,3 @@ def test_position_files_agree_with_the_board(name, how, within_mm):
         want = [a - b for a, b in zip(place, ORIGIN, strict=True)]
         assert part.position_mm == pytest.approx(want, abs=within_mm) and part.side == side
         assert away_deg(part.rotation_deg - angle) < 1e-3
-
-
-def test_the_inner_edge_of_a_plotted_border_is_the_outline():
-    lines, ignored = dxf_lines(FILES / "contours.dxf")
-    outline = join(lines, "x", ignored=ignored)
-    side_mm = 20.0
-    assert abs(area_mm2(outline.corners_mm)) == pytest.approx((side_mm - LINE_MM) ** 2, rel=2e-3)
-    assert outline.ignored == ("the outer edge of the stroke that draws the border",) and not outline.holes_mm

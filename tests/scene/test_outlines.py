@@ -3,10 +3,13 @@
 import math
 import random
 
+import ezdxf
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.importers.outlines import Outline, has_room, join, read_outline, write_outline
+from nailoptics.scene.importers.board_files import read_outline
+from nailoptics.scene.importers.kicad import write_board
+from nailoptics.scene.importers.outlines import Outline, has_room, join, write_outline
 from nailoptics.scene.rectangles import area_mm2
 
 SQUARE = ((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0))
@@ -23,17 +26,29 @@ def ring(count, radius=4.0):
     )
 
 
-@pytest.mark.parametrize("name", ["outline.csv", "outline.dxf"])
-def test_an_outline_is_read_as_it_was_written(tmp_path, name):
-    write_outline(tmp_path / name, Outline(SQUARE))
-    assert read_outline(tmp_path / name) == Outline(SQUARE)
+def test_an_outline_is_read_from_corners_and_from_a_board(tmp_path):
+    (tmp_path / "o.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in SQUARE))
+    assert read_outline(tmp_path / "o.csv") == Outline(SQUARE)
+    write_board(tmp_path / "o.kicad_pcb", [], [], Outline(SQUARE, (HOLE,)))
+    found = read_outline(tmp_path / "o.kicad_pcb")
+    for line, expected in zip((found.corners_mm, *found.holes_mm), (SQUARE, HOLE), strict=True):
+        assert line == tuple(pytest.approx(corner) for corner in expected)
+
+
+def test_a_written_drawing_opens_without_repair(tmp_path):
+    write_outline(tmp_path / "outline.dxf", Outline(SQUARE, (HOLE,)))
+    drawing = ezdxf.readfile(tmp_path / "outline.dxf")
+    audit = drawing.audit()
+    assert (audit.errors, audit.fixes, drawing.units) == ([], [], 4)
+    lines = [[tuple(v.dxf.location.vec2) for v in one.vertices] for one in drawing.modelspace().query("POLYLINE")]
+    assert lines == [list(SQUARE), list(HOLE)] and all(one.is_closed for one in drawing.modelspace())
 
 
 def test_lines_in_any_order_and_direction_are_one_outline():
     lines = [line[::-1] if i % 2 else line for i, line in enumerate(sides(SQUARE) + sides(HOLE))]
     random.Random(1).shuffle(lines)
     found = join(lines, "x")
-    assert found.corners_mm == SQUARE and found.holes_mm == (HOLE,) and found.ignored == ()
+    assert found.corners_mm == SQUARE and found.holes_mm == (HOLE,)
 
 
 def test_ends_that_nearly_meet_are_one_place_and_doubled_lines_count_once():
@@ -49,20 +64,6 @@ def test_an_end_is_found_however_many_others_lie_close():
     assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(32, rel=1e-2)
 
 
-@pytest.mark.parametrize(("pen_mm", "edges"), [(0.1, True), (0.6, False)])
-def test_of_the_two_edges_of_a_strokes_border_the_inner_one_is_the_board(pen_mm, edges):
-    def frame(line, by):
-        return [(x + by * math.copysign(1, x), y + by * math.copysign(1, y)) for x, y in line]
-
-    drawn = [sides(frame(line, by)) for line in (SQUARE, HOLE) for by in (-pen_mm / 2, pen_mm / 2)]
-    found = join([line for one in drawn for line in one], "x")
-    assert (abs(area_mm2(found.corners_mm)) < 80) == edges
-    if edges:
-        (hole,) = found.holes_mm
-        assert area_mm2(found.corners_mm) == pytest.approx((8 - pen_mm) * (10 - pen_mm))
-        assert area_mm2(hole) == pytest.approx((2 + pen_mm) ** 2)
-
-
 def test_where_lines_branch_the_border_goes_round_the_outside():
     # A square with a wedge of a fillet in its corner, drawn with all three sides: the wedge is board.
     wedge = [((4, 5), (4, 7)), ((4, 7), (2, 5))]
@@ -71,13 +72,11 @@ def test_where_lines_branch_the_border_goes_round_the_outside():
     assert area_mm2(join(lines, "x").corners_mm) == pytest.approx(80 + 2)
 
 
-def test_what_is_neither_border_nor_hole_is_counted():
+def test_what_is_neither_border_nor_hole_is_left_out():
     in_hole = [(x / 4, y / 4) for x, y in HOLE]
     beside = [(x + 9, y) for x, y in HOLE]
     lines = [*sides(SQUARE), *sides(HOLE), *sides(in_hole), *sides(beside), ((2, 2), (3, 3)), ((2.5, 2), (3, 2.5))]
-    found = join(lines, "x", ignored=["2 TEXT"])
-    assert found.holes_mm == (HOLE,)
-    assert found.ignored == ("2 TEXT", "2 closed lines beside the largest one or in its holes", "2 open lines")
+    assert join(lines, "x") == Outline(SQUARE, (HOLE,))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +115,7 @@ def test_ten_thousand_holes_are_found():
     holes = [[(x + 0.2 * a, y + 0.2 * b) for a, b in HOLE] for x in range(100) for y in range(100)]
     lines = [line for one in (((-1, -1), (100, -1), (100, 100), (-1, 100)), *holes) for line in sides(one)]
     found = join(lines, "x")
-    assert len(found.holes_mm) == 10_000 and not found.ignored
+    assert len(found.holes_mm) == 10_000
 
 
 @pytest.mark.parametrize(
@@ -166,3 +165,8 @@ def test_wrong_corners_are_refused_in_one_line(tmp_path, text, words):
 def test_lines_that_close_nothing_are_refused(lines, words):
     with pytest.raises(InputError, match=f"^x: .*({words})"):
         join(lines, "x")
+
+
+def test_a_drawing_in_dxf_is_refused_with_the_way_out(tmp_path):
+    with pytest.raises(InputError, match="import it into a board of KiCad on Edge.Cuts"):
+        read_outline(tmp_path / "board.dxf")

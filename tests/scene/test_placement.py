@@ -7,7 +7,8 @@ import pytest
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
-from nailoptics.scene.importers.outlines import Outline, write_outline
+from nailoptics.scene.importers.kicad import write_board
+from nailoptics.scene.importers.outlines import Outline
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -20,7 +21,7 @@ SQUARE = [(-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0)]
 
 def test_a_scene_takes_candidates_and_outline_from_the_files_beside_it(tmp_path):
     (tmp_path / "pos.csv").write_text(POSITIONS.replace('"LED2"', '"PD2"'))
-    write_outline(tmp_path / "board.dxf", Outline(tuple(SQUARE)))
+    write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple(SQUARE)))
     (tmp_path / "scene.toml").write_text("""
 schema_version = 1
 [finger]
@@ -31,7 +32,7 @@ part = "led_800"
 name = "pd"
 position_mm = [2.0, 0.0]
 [placement]
-outline = "board.dxf"
+outline = "board.kicad_pcb"
 [[placement.candidates]]
 name = "mine"
 positions = "pos.csv"
@@ -40,7 +41,7 @@ negate_x_on_bottom = true
     placement = load_scene(tmp_path / "scene.toml").placement
     assert placement.candidates[0].leds_mm == ((2.5, 0.25),)
     assert placement.candidates[0].photodiodes_mm == ((2.5, 0.25), (-0.5, -1.5))
-    assert list(placement.outline_mm) == SQUARE
+    assert [x for corner in placement.outline_mm for x in corner] == pytest.approx([x for c in SQUARE for x in c])
 
 
 # A board of 8 x 10 mm on the page of a layout program, with a hole of 1 mm.
@@ -57,40 +58,28 @@ position_mm = [-2.0, 0.0]
 name = "pd"
 position_mm = [2.0, 0.0]
 [placement]
-outline = "board.dxf"
+outline = "board.kicad_pcb"
 """
 
 
-@pytest.mark.parametrize(
-    ("unit", "more"),
-    [(4, 'outline_origin = "middle"'), (1, "outline_origin = [100.0, -90.0]"), (0, 'outline_origin = "middle"')],
-)
-def test_the_scene_sets_a_drawings_origin_and_unit(tmp_path, unit, more):
-    write_outline(tmp_path / "board.dxf", PAGE)
-    drawn = (tmp_path / "board.dxf").read_text()
-    scale = 1.0
-    if unit != 4:
-        # In inches, which a drawing says, or does not: then the scene does.
-        drawn = drawn.replace("$INSUNITS\n 70\n4", f"$INSUNITS\n 70\n{unit}")
-        scale = 25.4
-        more += '\noutline_unit = "inch"' if unit == 0 else ""
-    assert f"$INSUNITS\n 70\n{unit}" in drawn
-    (tmp_path / "board.dxf").write_text(drawn)
-    (tmp_path / "scene.toml").write_text(ON_PAGE + (more if unit != 1 else "outline_origin = [2540.0, -2286.0]"))
+@pytest.mark.parametrize("origin", ['"middle"', "[100.0, -90.0]"])
+def test_the_scene_sets_an_outlines_origin(tmp_path, origin):
+    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
+    (tmp_path / "scene.toml").write_text(f"{ON_PAGE}outline_origin = {origin}")
     placement = load_scene(tmp_path / "scene.toml").placement
     flat = [x for corner in placement.outline_mm for x in corner]
-    assert flat == pytest.approx([scale * x for corner in SQUARE for x in corner], abs=1e-6)
+    assert flat == pytest.approx([x for corner in SQUARE for x in corner], abs=1e-6)
     assert placement.outline_holes_mm[0][0] == pytest.approx((0, 0), abs=1e-6)
 
 
 def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys):
-    write_outline(tmp_path / "board.dxf", PAGE)
+    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
     (tmp_path / "scene.toml").write_text(ON_PAGE)
     assert run(["check", str(tmp_path / "scene.toml")]) == 2
     told = capsys.readouterr().err
     assert "placement.outline: it is 8 x 10 mm around (100, -90)" in told and len(told.splitlines()) == 1
     # One that reaches beyond the nail ends there.
-    write_outline(tmp_path / "board.dxf", Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)))
+    write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)))
     assert run(["check", str(tmp_path / "scene.toml"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["valid"]
     (tmp_path / "scene.toml").write_text(ON_PAGE + 'outline_origin = "corner"')

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from ...assets import data_dir
+from ...errors import InputError
 from ..base import Point
 from ..catalogue import ModulePart, load_part
-from ..rectangles import turned
+from ..rectangles import area_mm2, turned
+from ..text_files import finite_number, read_rows
 from .kicad import KicadBoard, read_board
-from .outlines import Outline, is_number, is_point, join, middle
+from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, is_number, is_point, join, middle
 from .positions import PlacedPart, read_positions, reading_of, warn_of_mirrored, warn_of_rotation
 
 log = logging.getLogger(__name__)
@@ -100,9 +102,38 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     outline = None
     if whole is not None:
         corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
-        outline = Outline(corners, tuple(holes), whole.ignored)
+        outline = Outline(corners, tuple(holes))
     ignored = tuple(part.ref for part in placed if part.ref not in uses)
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
+
+
+def read_outline(path: Path) -> Outline:
+    """The outline of a KiCad board, from its auxiliary origin if that is set, or in a CSV with the columns x_mm, y_mm.
+
+    Raises: InputError for a file that cannot be read, or an outline that is not closed.
+    """
+    if path.suffix.lower() == ".kicad_pcb":
+        board = read_board(path)
+        x, y = board.auxiliary_mm or (0.0, 0.0)
+        return join([[(a - x, b - y) for a, b in line] for line in board.edges], str(path))
+    if path.suffix.lower() == ".dxf":
+        raise InputError(
+            f"{path}: a DXF is no longer read; import it into a board of KiCad on Edge.Cuts and give that .kicad_pcb."
+        )
+    rows = list(read_rows(path, "an outline"))
+    if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
+        raise InputError(f"{path}: is no outline; give a KiCad board, or a CSV whose first line is x_mm,y_mm.")
+    corners = []
+    for number, row in rows[1:]:
+        if len(row) < 2:
+            raise InputError(f"{path} line {number}: {','.join(row)!r} is not two numbers.")
+        x, y = (finite_number(text, name, f"{path} line {number}") for text, name in zip(row, "xy", strict=False))
+        corners.append((x, y))
+    if len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_PLACE_MM:
+        corners = corners[:-1]
+    if len(corners) < 3 or abs(area_mm2(corners)) < LEAST_AREA_MM2:
+        raise InputError(f"{path}: the outline has {len(corners)} corners and no area; give a closed line.")
+    return Outline(tuple(corners))
 
 
 def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) -> list[PlacedPart]:

@@ -12,7 +12,6 @@ from ...errors import InputError
 from ...io import write_text
 from ..base import Point, Polygon
 from ..rectangles import area_mm2
-from ..text_files import finite_number, read_rows
 
 if TYPE_CHECKING:
     import shapely
@@ -26,48 +25,14 @@ GRID_MM = 1e-6  # to which crossings of lines are rounded, as KiCad's own coordi
 LEAST_AREA_MM2 = 1e-3
 # Farther from its origin no board reaches, and a unit is wrong.
 FARTHEST_MM = 1e6
-# Widest pen whose stroke counts as one line where a program draws its two edges, as KiCad's DXF of contours.
-PEN_MM = 0.3
 
 
 @dataclass(frozen=True)
 class Outline:
-    """The border of a board and the holes in it, each from corner to corner. [mm]
-
-    ignored : what of a drawing is neither, in words.
-    """
+    """The border of a board and the holes in it, each from corner to corner. [mm]"""
 
     corners_mm: Polygon
     holes_mm: tuple[Polygon, ...] = ()
-    ignored: tuple[str, ...] = ()
-
-
-def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
-    """The outline in a DXF drawing, or in a CSV with the columns x_mm, y_mm.
-
-    unit_mm : one unit of a drawing that does not tell it. [mm]
-
-    Raises: InputError for a file that cannot be read, or an outline that is not closed.
-    """
-    if path.suffix.lower() == ".dxf":
-        from .dxf import dxf_lines
-
-        lines, ignored = dxf_lines(path, unit_mm=unit_mm)
-        return join(lines, str(path), ignored=ignored)
-    rows = list(read_rows(path, "an outline"))
-    if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
-        raise InputError(f"{path}: is no outline; give a DXF, or a CSV whose first line is x_mm,y_mm.")
-    corners = []
-    for number, row in rows[1:]:
-        if len(row) < 2:
-            raise InputError(f"{path} line {number}: {','.join(row)!r} is not two numbers.")
-        x, y = (finite_number(text, name, f"{path} line {number}") for text, name in zip(row, "xy", strict=False))
-        corners.append((x, y))
-    if len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_PLACE_MM:
-        corners = corners[:-1]
-    if len(corners) < 3 or abs(area_mm2(corners)) < LEAST_AREA_MM2:
-        raise InputError(f"{path}: the outline has {len(corners)} corners and no area; give a closed line.")
-    return Outline(tuple(corners))
 
 
 def is_number(value: object) -> bool:
@@ -87,27 +52,26 @@ def middle(outline: Outline) -> Point:
 
 
 def write_outline(path: Path, outline: Outline) -> None:
-    """Write an outline with its holes as DXF, or its corners as CSV, by the name's suffix; raises WriteError."""
-    if path.suffix.lower() == ".dxf":
-        from .dxf import dxf_text
+    """Write an outline with its holes as a drawing in DXF R12, which every program reads; raises WriteError."""
+    groups: list[tuple[int, object]] = [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
+    groups += [(9, "$INSUNITS"), (70, 4), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    for corners in (outline.corners_mm, *outline.holes_mm):
+        groups += [(0, "POLYLINE"), (8, "OUTLINE"), (66, 1), (10, 0.0), (20, 0.0), (30, 0.0), (70, 1)]
+        for x, y in corners:
+            groups += [(0, "VERTEX"), (8, "OUTLINE"), (10, f"{x:.6f}"), (20, f"{y:.6f}"), (30, 0.0)]
+        groups += [(0, "SEQEND"), (8, "OUTLINE")]
+    groups += [(0, "ENDSEC"), (0, "EOF")]
+    write_text(path, "".join(f"{code:>3}\n{value}\n" for code, value in groups))
 
-        write_text(path, dxf_text((outline.corners_mm, *outline.holes_mm)))
-    else:
-        write_text(path, "x_mm,y_mm\n" + "".join(f"{x:.6f},{y:.6f}\n" for x, y in outline.corners_mm))
 
-
-def join(
-    lines: Iterable[Sequence[Point]], name: str, *, ignored: Sequence[str] = (), around: Sequence[Point] = ()
-) -> Outline:
+def join(lines: Iterable[Sequence[Point]], name: str, *, around: Sequence[Point] = ()) -> Outline:
     """The outline that a drawing's lines make, in any order and direction: the largest closed line and the holes in it.
 
     Where lines branch, the border goes round all the areas that they enclose together; of boards that share an edge,
-    round those on which parts lie. Of a border drawn as the two edges of a pen's stroke the inner one is taken. Lines
-    that enclose nothing, and closed lines outside or in a hole, are counted as ignored.
+    round those on which parts lie. Lines that enclose nothing, and closed lines outside or in a hole, are left out.
 
     lines : points of each. [mm]
     name : what the message begins with.
-    ignored : what of the drawing was no line.
     around : points of the parts, where a drawing has several boards. [mm]
 
     Raises: InputError where nothing is closed, an open line is larger than what is, or shapely is missing.
@@ -118,20 +82,10 @@ def join(
         raise InputError(f"{name}: reading an outline needs shapely: pip install 'nailoptics[cad]'.") from None
     areas, loose = _areas(lines, name)
     _check_closed(areas, loose, name)
-    border, unused, beside = _border(areas, around), [*ignored], 0
+    border = _border(areas, around)
     inside = [area for area, held in zip(areas, shapely.covers(border, areas), strict=True) if held]
     holes = [shapely.Polygon(ring) for area in _outermost(inside) for ring in area.interiors]
-    if stroke := [hole for hole in holes if _is_stroke(border, hole)]:
-        unused.append("the outer edge of the stroke that draws the border")
-        border, beside = stroke[0], -1
-        inside = [area for area, held in zip(areas, shapely.covers(border, areas), strict=True) if held]
-        holes = [shapely.Polygon(ring) for area in _outermost(inside) for ring in area.interiors]
-    beside += len(areas) - len(inside) + sum(len(area.interiors) for area in inside) - len(holes)
-    if beside:
-        unused.append(f"{beside} closed lines beside the largest one or in its holes")
-    if loose:
-        unused.append(f"{len(loose)} open lines")
-    return Outline(_corners(border), tuple(map(_corners, holes)), tuple(unused))
+    return Outline(_corners(border), tuple(map(_corners, holes)))
 
 
 def _areas(lines: Iterable[Sequence[Point]], name: str) -> tuple[list["shapely.Polygon"], list["shapely.LineString"]]:
@@ -221,11 +175,6 @@ def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineStrin
             f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is "
             f"{min(math.dist((x, y), other) for other in others):.3g} mm to the next end of a line; close it."
         )
-
-
-def _is_stroke(outer: "shapely.Polygon", inner: "shapely.Polygon") -> bool:
-    """Whether two closed lines are the edges of one stroke around a board."""
-    return 0 < outer.area - inner.area < PEN_MM * (outer.length + inner.length) / 2 and inner.area > outer.area / 2
 
 
 def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:

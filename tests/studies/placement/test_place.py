@@ -18,7 +18,7 @@ from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.report.pages.placement import PLACEMENT, write_placement
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
-from nailoptics.scene.importers.outlines import Outline, read_outline, write_outline
+from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import electronics, information
@@ -460,9 +460,9 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
         "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,3.0,0.0,0,bottom\nPD1,e,pd,1.0,-1.0,0,bottom\n"
         "PD2,e,pd,1.0,1.0,0,bottom\n"
     )
-    write_outline(tmp_path / "board.dxf", Outline(((-4.5, -4.5), (4.5, -4.5), (4.5, 4.5), (-4.5, 4.5))))
+    (tmp_path / "board.csv").write_text("x_mm,y_mm\n-4.5,-4.5\n4.5,-4.5\n4.5,4.5\n-4.5,4.5\n")
     text = SCENE[: SCENE.index("[placement]")] + (
-        '[placement]\nsearch = false\noutline = "board.dxf"\n[[placement.candidates]]\nname = "mine"\n'
+        '[placement]\nsearch = false\noutline = "board.csv"\n[[placement.candidates]]\nname = "mine"\n'
         'positions = "pos.csv"\nnegate_x_on_bottom = true\n'
     )
     (tmp_path / "mine.toml").write_text(text)
@@ -476,7 +476,7 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     areas = list(best.layout.photodiode_areas)
     back = [part for part in read_positions(out / "best.csv", negate_x_on_bottom=True) if part.kind != "led"]
     assert np.allclose([p.position_mm for p in back], [a.center_mm for a in areas], atol=1e-6)
-    assert len(read_outline(out / "outline.dxf").corners_mm) == 4
+    assert len(read_outline(out / "best.kicad_pcb").corners_mm) == 4
 
 
 def test_what_few_photons_tell_of_a_photodiode_has_no_error():
