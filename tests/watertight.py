@@ -64,4 +64,14 @@ def check_watertight(geometry: Geometry, *, crossings: int = 1_000_000, seed: in
 def _volume_error(geometry: Geometry) -> float:
     corners, labels = geometry.grid.tetrahedra()
     cells = np.bincount(labels, np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6, len(geometry.regions))[1:]
-    return float(np.abs(list(geometry.volumes_mm3().values()) - cells).max() / cells.sum())
+    return float(np.abs(list(volumes_mm3(geometry).values()) - cells).max() / cells.sum())
+
+
+def volumes_mm3(geometry: Geometry) -> dict[str, float]:
+    """Volume of each region but air, from its faces by the divergence theorem. [mm^3]"""
+    # About the middle, because the sum of large opposite terms would cost digits.
+    a, b, c = (geometry.vertices[geometry.triangles[:, i]] - geometry.vertices.mean(axis=0) for i in range(3))
+    six = np.einsum("ij,ij->i", a, np.cross(b, c))
+    count = len(geometry.regions)
+    signed = np.bincount(geometry.below, six, count) - np.bincount(geometry.above, six, count)
+    return {name: float(v) / 6 for name, v in zip(geometry.regions[1:], signed[1:], strict=True)}

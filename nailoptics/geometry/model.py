@@ -104,15 +104,6 @@ class Geometry:
         below, above = self.below[crossings.triangle], self.above[crossings.triangle]
         return crossings, np.where(crossings.forward, above - below, below - above)
 
-    def volumes_mm3(self) -> dict[str, float]:
-        """Volume of each region but air, from its faces by the divergence theorem. [mm^3]"""
-        # About the middle, because the sum of large opposite terms would cost digits.
-        a, b, c = (self.vertices[self.triangles[:, i]] - self.vertices.mean(axis=0) for i in range(3))
-        six = np.einsum("ij,ij->i", a, np.cross(b, c))
-        count = len(self.regions)
-        signed = np.bincount(self.below, six, count) - np.bincount(self.above, six, count)
-        return {name: float(v) / 6 for name, v in zip(self.regions[1:], signed[1:], strict=True)}
-
     def interfaces(self) -> dict[tuple[int, int], Indices]:
         """Triangles (k, 3) of each interface by its regions (below, above), the lower index below.
 

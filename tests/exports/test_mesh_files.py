@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from watertight import volumes_mm3
 
 from nailoptics.errors import InputError
 from nailoptics.exports.mesh_files import export_mesh
@@ -10,7 +11,7 @@ from nailoptics.exports.mesh_files import export_mesh
 
 def test_glb_has_one_closed_named_part_per_region(geometry, tmp_path):
     scene = trimesh.load_scene(export_mesh(geometry, tmp_path / "finger.glb"))
-    volumes = {name: v for name, v in geometry.volumes_mm3().items() if v > 0}
+    volumes = {name: v for name, v in volumes_mm3(geometry).items() if v > 0}
     assert set(scene.geometry) == set(volumes)
     for name in ("plate", "bed", "bone", "epoxy", "cover", "led:ir"):
         part = scene.geometry[name]

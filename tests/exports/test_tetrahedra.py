@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from watertight import volumes_mm3
 
 from nailoptics.assets import data_dir
 from nailoptics.exports.mmc import FLAT_MM3, tetrahedra
@@ -27,10 +28,10 @@ def test_tetrahedra_fill_every_region_and_none_is_flat(name, request):
     geometry = request.getfixturevalue(name)
     mesh = tetrahedra(geometry)
     corners = mesh.nodes[mesh.tetrahedra]
-    volumes_mm3 = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
-    assert volumes_mm3.min() > FLAT_MM3 / 6
-    filled = np.bincount(mesh.region, volumes_mm3, len(geometry.regions))
-    volumes = geometry.volumes_mm3()
+    sizes_mm3 = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert sizes_mm3.min() > FLAT_MM3 / 6
+    filled = np.bincount(mesh.region, sizes_mm3, len(geometry.regions))
+    volumes = volumes_mm3(geometry)
     assert filled[1:] == pytest.approx(list(volumes.values()), abs=1e-9 * sum(volumes.values()))
     assert filled[0] == 0
     # Each lies in the region that it is labelled with, by the triangles' arithmetic, too.

@@ -138,29 +138,28 @@ WIDTH, WORDS = 1.5, 1.9
 
 @style.drawing()
 def contact_sheet(results: xr.Dataset) -> "Figure":
-    """Photographs of up to 48 scenes in the order of the sweep; what is not done is left empty.
+    """Photographs of up to 48 scenes in the order of the sweep; what is not done is black.
 
     results : what `batch.open_results` returns for a sweep of colours.
     """
-    dims = results.state.dims
-    rows = list(np.ndindex(*results.state.shape))[:MOST_SCENES]
-    forces, high, wide = (results.sizes[name] for name in ("force", "row", "column"))
-    tall = WIDTH * high / wide
-    size = (WORDS + WIDTH * forces, 0.35 + tall * len(rows))
-    figure, panels = style.panels(*size, len(rows), forces, squeeze=False)
-    axes = [
-        name for name in results.coords if set(results[name].dims) & set(dims) and np.unique(results[name]).size > 1
-    ]
-    for index, row in zip(rows, panels, strict=True):
-        scene = results.isel(dict(zip(dims, index, strict=True)))
-        for k, panel in enumerate(row):
-            panel.set_axis_off()
-            if scene.state.item() == "done":
-                panel.imshow(scene.photograph.values[k])
-                panel.set_title(f"{float(scene.force_n[k]):g} N", loc="center", fontsize=7, pad=2)
-        values = {name: scene[name].item() for name in axes}
-        words = [f"{name} = {f'{x:.4g}' if isinstance(x, float) else str(x)[:28]}" for name, x in values.items()]
-        if scene.state.item() != "done":
-            words.append(str(scene.state.item()))
-        row[0].text(-0.05, 0.5, style.plain("\n".join(words)), transform=row[0].transAxes, ha="right", va="center")
+    places = list(np.ndindex(*results.state.shape))[:MOST_SCENES]
+    scenes = [results.isel(dict(zip(results.state.dims, place, strict=True))) for place in places]
+    count, high, wide = (results.sizes[name] for name in ("force", "row", "column"))
+    figure, axes = style.panels(WORDS + WIDTH * count, 0.35 + WIDTH * high / wide * len(scenes))
+    sheet = np.concatenate([np.concatenate(list(scene.photograph.values), axis=1) for scene in scenes])
+    axes.imshow(sheet, extent=(0, count, len(scenes), 0), aspect="auto")
+    axes.hlines(range(1, len(scenes)), 0, count, color="white")
+    axes.vlines(range(1, count), 0, len(scenes), color="white")
+    forces_n = np.nanmax(results.force_n.values.reshape(-1, count), axis=0)
+    axes.set_xticks(np.arange(count) + 0.5, [f"{force:g} N" for force in forces_n])
+    axes.set_yticks(np.arange(len(scenes)) + 0.5, [style.plain(_words(scene, results)) for scene in scenes])
+    axes.tick_params(length=0, labelsize=7, labeltop=True, labelbottom=False)
+    axes.grid(False)
     return figure
+
+
+def _words(scene: xr.Dataset, results: xr.Dataset) -> str:
+    """What of a scene differs from others, and its state where it is not done."""
+    values = {name: scene[name].item() for name in axes_of(results) if np.unique(results[name]).size > 1}
+    words = [f"{name} = {f'{x:.4g}' if isinstance(x, float) else str(x)[:28]}" for name, x in values.items()]
+    return "\n".join(words + ([] if scene.state.item() == "done" else [scene.state.item()]))

@@ -40,8 +40,6 @@ TOGETHER = "all that is not needed"
 # An effect is sure to matter if its change exceeds the tolerance by so many standard errors: by chance alone that
 # happens to one of 2000 changes, so that a study of a hundred is right about all of them in 19 of 20 cases.
 SURE = 3.5
-# A part that less of a reading returns from is cut off.
-RETURNING = 1e-4
 # The bed scatters so many times as much for the slope of a reading by its scattering.
 SCATTERING_FACTOR = 1.4
 
@@ -173,7 +171,7 @@ def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[
     """All effects of a scene; first those that need no trace, then those of its own geometry."""
     finger = scene.finger
     assert finger is not None
-    out: list[Measurement] = [(from_deep,)]
+    out: list[Measurement] = []
     for change in changes_of(scene):
         changed = revised(scene, change.changes)
         same_light = light_digest(changed) == light_digest(scene)
@@ -282,16 +280,3 @@ def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Ef
         paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)
-
-
-def from_deep(base: PairedReadings) -> Effect:
-    """What of a reading comes back from the pulp, which lies under the bed and around the bone."""
-    change = Change("light back from the pulp", True, "pulp swallows all")
-    return effect_of(change, difference(base, without_deep(base)), base, tolerance=RETURNING)
-
-
-def without_deep(base: PairedReadings) -> PairedReadings:
-    """The readings if the pulp swallowed all light that meets it."""
-    pulp = base.transfer.absorbers.index("pulp")
-    shallow = [trace.path_mm[:, [pulp]] <= 0 for trace in base.transfer.traces]
-    return replace(base, parts=tuple(part * shade for part, shade in zip(base.parts, shallow, strict=True)))
