@@ -54,7 +54,6 @@ AXES = {
     "searched_led": "LED whose position was searched",
     "finger": "finger on which layouts are evaluated",
     "pressure": "side of the pulp that the pressure acts on",
-    "pressure_too": "side of the pulp that the other pressure acts on",
     "blood_zone": "blood zone of the nail bed, from the cuticle to the tip",
     "best_photodiode": "photodiode of the best layout",
     "cover": "whether the board is covered against light from outside",

@@ -281,14 +281,14 @@ def _light_by_volpath(
     rest = fraction[:, :, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = stderr[:, :, 0] / rest
-    mean_path, mean_path_stderr = volpath.secant_paths(scene, corners, ratio, ratio_stderr)
+    no_path = np.full((*rest.shape, len(optics.absorbers(scene))), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
     light = DetectedLight(
         readings_at=lambda blood: volpath.between(
             rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)
         ),
-        mean_path=mean_path,
-        mean_path_stderr=mean_path_stderr,
+        mean_path=no_path,
+        mean_path_stderr=no_path,
         attributes=provenance(scene, photons=sum(reading.paths for reading in traced), **made)
         | {
             "cpu_seconds": time.process_time() - cpu,

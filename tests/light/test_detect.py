@@ -11,7 +11,7 @@ from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, open_light, optics, read_rest
 from nailoptics.light.detect import engine_for
 from nailoptics.light.reference.readings import between as read_between
-from nailoptics.light.reference.readings import corner_states, secant_paths
+from nailoptics.light.reference.readings import corner_states
 from nailoptics.light.transfer import Transfer
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
@@ -104,21 +104,6 @@ def test_of_fewer_than_25_photons_no_standard_error_is_known(photons, known):
     )
     seen = detect.light_of(Transfer(scene, (trace,), "llvm")).readings_at(np.full((2, 2), 0.03))
     assert np.all(seen.fraction > 0) and np.all(np.isfinite(seen.stderr) == known)
-
-
-def test_secants_give_the_paths_that_made_them():
-    scene = finger()
-    corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
-    mu_a = optics.absorption(scene, 800.0, blood_fraction=corners)[:, 0]
-    names = optics.absorbers(scene)
-    path = np.zeros(len(names))
-    path[[names.index("bed_1"), names.index("bed_2")]] = 3.0, 1.5
-    ratio = np.exp(-(mu_a - mu_a[0]) @ path)[None, None]
-    mean, stderr = secant_paths(scene, corners, ratio, np.full_like(ratio, 1e-4))
-    assert mean[0, 0, names.index("bed_1")] == pytest.approx(3.0)
-    assert mean[0, 0, names.index("bed_2")] == pytest.approx(1.5)
-    assert 0 < stderr[0, 0, names.index("bed_1")] < 0.1
-    assert np.isnan(mean[0, 0, names.index("plate")])
 
 
 @pytest.mark.long

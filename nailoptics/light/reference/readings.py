@@ -283,20 +283,6 @@ def corner_states(states: np.ndarray) -> np.ndarray:
     return np.stack([rest, *(np.where(np.arange(len(rest)) == k, far, rest) for k in range(len(rest)))])
 
 
-def secant_paths(
-    scene: Scene, corners: np.ndarray, ratio: np.ndarray, ratio_stderr: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean path in each blood zone, -d ln S / d mu_a between its two states; NaN for the other absorbers. [mm]"""
-    out = np.full((2, *ratio.shape[:2], len(optics.absorbers(scene))), np.nan)
-    for i, led in enumerate(scene.leds):
-        mu_a = optics.absorption(scene, led.wavelength_nm, blood_fraction=corners)[:, 0]
-        for k, column in enumerate(optics.bed_columns(scene)):
-            span = mu_a[k + 1, column] - mu_a[0, column]
-            out[0, i, :, column] = -np.log(ratio[i, :, k + 1]) / span
-            out[1, i, :, column] = ratio_stderr[i, :, k + 1] / ratio[i, :, k + 1] / abs(span)
-    return out[0], out[1]
-
-
 def between(
     rest: np.ndarray,
     relative: np.ndarray,

@@ -137,8 +137,6 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
-    text = "slope of ln reading by ln of the bed's scattering"
-    data |= variable("scattering_slope", ("led", "photodiode"), slopes[0], text, stderr=slopes[1])
     data |= variable("wavelength_nm", "led", [led.wavelength_nm for led in scene.leds], "peak wavelength", units="nm")
     coords: dict[str, Any] = {
         "led": transfer.leds,

@@ -17,7 +17,7 @@ from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.tracing import photons_engine, seconds_per_sample
 from ...light.transfer.records import LedTrace
 from ...light.transfer.reweight import transmissions
-from ...options import BackendName, Requested, TraceOptions
+from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import FEW_TERMS, farther_end
 
@@ -143,7 +143,7 @@ class PairedTracer:
         """Time until the traces are to end. [s]"""
         return (self.options.max_seconds or math.inf) - (time.perf_counter() - self._start)
 
-    def trace(self, scene: Scene, *, backend: BackendName | None = None) -> PairedReadings:
+    def trace(self, scene: Scene) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
         # A tolerance in the scene would set each trace's own number of photons.
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
@@ -151,7 +151,7 @@ class PairedTracer:
             self._photons = self._photons_for(scene)
         elif self.seconds_left < 0:
             raise NotReachedError(self._out_of_time())
-        difference = self._traced(scene, backend, self._photons)
+        difference = self._traced(scene, self._photons)
         self._done += 1
         return difference
 
@@ -177,15 +177,15 @@ class PairedTracer:
             return int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS))
 
         each_s = seconds_per_sample(
-            lambda photons: self._traced(scene, None, photons, store=False), LEAST_PHOTONS, pilot_photons
+            lambda photons: self._traced(scene, photons, store=False), LEAST_PHOTONS, pilot_photons
         )
         left_s = limit_s - (time.perf_counter() - self._start)
         return max(LEAST_PHOTONS, int(PLANNED_SHARE * left_s / self.scenes / each_s))
 
-    def _traced(self, scene: Scene, backend: BackendName | None, photons: int, *, store: bool = True) -> PairedReadings:
+    def _traced(self, scene: Scene, photons: int, *, store: bool = True) -> PairedReadings:
         options, cpu = self.options, time.process_time()
         how: Requested = {"photons": photons, "seed": options.seed, "store": store and options.store}
-        how["backend"] = backend or options.backend
+        how["backend"] = options.backend
         try:
             transfer = trace(scene, with_faces=geometry.AROUND, progress=self._report_progress, **how)
         except NotReachedError as error:

@@ -17,7 +17,7 @@ from ...light import backend as backends
 from ...light.diffusion import DiffusionModel
 from ...light.tracing import unlit
 from ...light.transfer.series import read_replicates
-from ...options import BackendName, Requested, TraceOptions
+from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import jackknife
 from ...variables import Variables, variable
@@ -241,11 +241,8 @@ def tradeoff(
     # Each level's time is that of tracing it.
     options = replace(options, backend=backends.activate_jit(options.backend, "tradeoff").name, store=False)
     full = revised(scene, FULL)
-    traced: dict[str, tuple[Scene, BackendName | None]] = {OWN: (scene, None)} if changes_between(full, scene) else {}
-    traced |= {name: (revised(full, changes), None) for name, changes in CHEAPER.items()}
-    for other in backends.findings():
-        if other.usable and other.name not in (options.backend, "scalar"):
-            traced[f"{REFERENCE}, {other.name}"] = full, other.name
+    traced = {OWN: scene} if changes_between(full, scene) else {}
+    traced |= {name: revised(full, changes) for name, changes in CHEAPER.items()}
     tracer = PairedTracer(2 + len(traced), options, progress)
     base = tracer.trace(full)
     light, unmet = base.transfer, None
@@ -257,8 +254,8 @@ def tradeoff(
         # The same photons, so the same cost, whatever the noise of its error.
         levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
     try:
-        for name, (variant, backend) in traced.items():
-            levels.append(measured(scene, name, base, tracer.trace(variant, backend=backend)))
+        for name, variant in traced.items():
+            levels.append(measured(scene, name, base, tracer.trace(variant)))
         levels.append(other_zones(scene, base, tracer))
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."

@@ -72,14 +72,12 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     outside_a = trace_ambient(scene, sources, options, seed=seed_of(options.seed, _LEAKAGE))
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = outside_a
     front_ends = front_ends_of(scene, leds, ambient_a)
-    path_mm, path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
+    path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
     data = estimated("ratio", ("photodiode", "so2"), oximeter.curve, "ratio of ratios R")
     data |= estimated("ratio_at_rest", "photodiode", oximeter.nominal.ratio[..., 0], "R at the scene's saturation")
     index = oximeter.nominal.perfusion_index[..., 0]
     data |= estimated("perfusion_index", ("led", "photodiode"), index, "perfusion index, ac over dc")
     data |= _volts(transfer, leds, beat, front_ends, seed)
-    text = "mean path in the pulsatile blood"
-    data |= estimated("pulse_path_mm", ("led", "photodiode"), path_mm, text, units="mm")
     data |= estimated("path_ratio", "photodiode", path_ratio, "red mean path over infrared's")
     fits, data_of_fits = _calibrations(curve(FIT_SO2).ratio)
     data |= data_of_fits

@@ -171,9 +171,8 @@ def saturation_curve(
     return at
 
 
-def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, seed: int) -> tuple[Array, Array]:
-    """Mean paths of red and infrared light in the pulsatile blood, (1 + groups, 2, photodiodes) [mm], and their
-    ratios, (1 + groups, photodiodes) float."""
+def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, seed: int) -> Array:
+    """Mean path of red light in the pulsatile blood over that of infrared, (1 + groups, photodiodes) float."""
     scene, paths = transfer.scene, []
     swing = np.ptp(beat.extremes, axis=0)
     for led in leds:
@@ -181,8 +180,7 @@ def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBea
         mu_a = absorption(scene, wavelength, scene.blood.so2, beat.resting, np.zeros((1, len(swing))))
         read = read_replicates(transfer, led, mu_a, np.ones(len(wavelength)), seed=seed)
         paths.append(read.mean_path_mm @ swing / swing.sum())
-    both = np.stack(paths, 1)
-    return both, _quotient(both[:, 0], both[:, 1])
+    return _quotient(*paths)
 
 
 def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array]:

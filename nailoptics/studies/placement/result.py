@@ -51,7 +51,6 @@ def as_dataset(
         "layout": [layout.name for layout in layouts],
         "finger": [condition.case.name for condition in conditions],
         "pressure": list(PRESSURES),
-        "pressure_too": list(PRESSURES),
         "axis": ["u", "v"],
         **({"searched_led": [led.name for led in scene.leds]} if searched else {}),
     }
@@ -100,9 +99,6 @@ def _ranking(
     data |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
     value, text = information.pressure_resolution_pa(per_pa2), "resolution of each pressure"
     data |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
-    value = per_pa2[..., [[0, 1], [1, 2]]]
-    text = "Fisher information of the two pressures in one sample of all readings"
-    data |= variable("fisher_information_per_pa2", (*pressures, "pressure_too"), value, text, units="Pa-2")
     numbers = [[max(map(information.condition_number, by_led)) for by_led in score.responses] for score in scores]
     text = "condition number of the matrix of readings by blood zones"
     return data | variable("condition_number", both, numbers, text)
