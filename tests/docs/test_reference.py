@@ -129,5 +129,5 @@ def test_every_variable_of_a_study_is_documented():
     table = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
     documented = {name for one in table.values() for name in one["variables"]}
     made = {name: path for name, path in names_in_code() if path != "studies/force/calibrate.py"}
-    assert len(made) > 80
+    assert len(made) > 70
     assert {name: path for name, path in made.items() if name not in documented} == {}
