@@ -582,7 +582,7 @@ def oximeter(
 
     The relative error that is requested is that of R on the best photodiode. Writes oximeter.nc, oximeter.html and
     oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
-    LED:PHOTODIODE, or time_s, slot and a column for each photodiode, in volts; or red, infrared and ambient counts.
+    LED:PHOTODIODE in volts; or red, infrared and ambient counts.
 
     Args:
         readings: A recording (CSV): estimate its oxygen over time, by the scene's curve.

@@ -197,7 +197,7 @@ class OximeterRecording:
     counts: bool = False
 
 
-OXIMETER_CSV = "a CSV with time_s and LED:PHOTODIODE columns, or time_s, slot and one per photodiode"
+OXIMETER_CSV = "a CSV with time_s and LED:PHOTODIODE columns"
 # Columns of oximeter modules' recordings, in lower case; LEDC1 to 3 are those of the MAX86161's evaluation kit.
 MODULE_COLUMNS = {"red": ("red", "ledc2"), "infrared": ("infrared", "ir", "ledc1"), "ambient": ("ambient", "ledc3")}
 # Such files may have so many lines of settings before their header.
@@ -212,13 +212,12 @@ def read_oximeter_recording(
     delays_s: Mapping[str, float],
     frame_hz: float,
 ) -> OximeterRecording:
-    """Read a recording whose rows are slots, that has a column for each LED and photodiode, or that of a module.
+    """Read a recording that has a column for each LED and photodiode, or that of a module.
 
     leds : names of the red and the infrared LED.
     photodiodes : names of the board's; the recording may hold fewer, a module's holds the first.
     frame_hz : samples in a second of a module's recording without times. [Hz]
-    delays_s : how much later than the red slot each light's slot is, for columns of one time; rows of slots have times
-        of their own. [s]
+    delays_s : how much later than the red slot each light's slot is. [s]
 
     Raises: InputError that names the column, the line, the value and what to do.
     """
@@ -226,37 +225,25 @@ def read_oximeter_recording(
     if _is_module(header):
         return _read_module(name, header, rows, photodiodes[0], frame_hz)
     check_header(header, name)
-    lights, by_slot = (*leds, DARK), "slot" in header
-    title = "{1}" if by_slot else "{0}:{1}"
-    there = tuple(
-        photodiode for photodiode in photodiodes if any(title.format(led, photodiode) in header for led in leds)
-    )
+    there = tuple(name for name in photodiodes if any(f"{led}:{name}" in header for led in leds))
     if not there:
-        example = title.format(leds[0], photodiodes[0])
+        example = f"{leds[0]}:{photodiodes[0]}"
         raise InputError(f"{name}: has no column such as {example!r} of this scene; give {OXIMETER_CSV}.")
-    titles = {light: [title.format(light, photodiode) for photodiode in there] for light in lights}
+    titles = {light: [f"{light}:{photodiode}" for photodiode in there] for light in (*leds, DARK)}
     if not any(title in header for title in titles[DARK]):
         del titles[DARK]
-    for missing in (title for columns_of in titles.values() for title in columns_of if title not in header):
+    numbers = ["time_s", *(title for of_light in titles.values() for title in of_light)]
+    for missing in (title for title in numbers if title not in header):
         raise InputError(f"{name}: has no column {missing!r}; an oximeter needs both LEDs on each photodiode.")
-    numbers = dict.fromkeys(
-        ["time_s", *(["slot"] if by_slot else []), *(title for columns_of in titles.values() for title in columns_of)]
-    )
-    codes = {"slot": {light: float(k) for k, light in enumerate(lights)}}
-    line, columns = number_columns(rows, {number: header.index(number) for number in numbers}, name, codes=codes)
-    series: dict[str, tuple[Array, Array]] = {}
-    for k, (light, columns_of) in enumerate(titles.items()):
-        lit = columns["slot"] == k if by_slot else np.ones(len(line), bool)
-        if by_slot and not lit.any() and light == DARK:
-            continue
-        check_columns({"time_s": columns["time_s"][lit]}, f"{name}, {light}", line[lit])
-        delay_s = 0.0 if by_slot else delays_s.get(light, 0.0)
-        series[light] = columns["time_s"][lit] + delay_s, np.array([columns[title][lit] for title in columns_of])
+    line, columns = number_columns(rows, {title: header.index(title) for title in numbers}, name)
+    check_columns({"time_s": columns["time_s"]}, name, line)
     # Everything at the times of the red readings, which are a few milliseconds from the others.
-    time_s, red = series[leds[0]]
+    start_s, red = columns["time_s"], np.array([columns[title] for title in titles[leds[0]]])
+    time_s = start_s + delays_s.get(leds[0], 0.0)
     infrared, *dark = (
-        np.array([np.interp(time_s, own_s, row) for row in volts])
-        for own_s, volts in (series[light] for light in lights[1:] if light in series)
+        np.array([np.interp(time_s, start_s + delays_s.get(light, 0.0), columns[title]) for title in of_light])
+        for light, of_light in titles.items()
+        if light != leds[0]
     )
     for kind, volts in (("red", red), ("infrared", infrared)):
         check_volts(volts, [f"{kind}:{photodiode}" for photodiode in there], name)
@@ -265,10 +252,10 @@ def read_oximeter_recording(
 
 
 def _is_module(header: Sequence[str]) -> bool:
-    """Whether a row is the header of a module's recording; one of slots has lights among its numbers."""
+    """Whether a row is the header of a module's recording."""
     titles = {title.strip().lower() for title in header}
     words = not any(title[:1] in "0123456789-+." for title in titles if title)
-    return words and "slot" not in titles and any(titles & {*MODULE_COLUMNS[light]} for light in ("red", "infrared"))
+    return words and any(titles & {*MODULE_COLUMNS[light]} for light in ("red", "infrared"))
 
 
 def _read_module(name: str, header: Sequence[str], rows: Rows, photodiode: str, frame_hz: float) -> OximeterRecording:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,11 +59,6 @@ class _Verification:
             raise Stopped
         return seed_of(self.seed, *key)
 
-    @cached_property
-    def areas_mm2(self) -> np.ndarray:
-        """Areas of the photodiodes. [mm^2]"""
-        return np.array([area.area_mm2 for area in self.scene.layout.photodiode_areas])
-
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
         return force_resolution_n(total_information(responses), self.point)
@@ -75,7 +69,9 @@ class _Verification:
         cells = self.tracer.cells()
         means: list[np.ndarray] = []
         by_depth: list[np.ndarray] = []
-        total, square = (np.zeros((len(self.blood), len(self.areas_mm2), *cells.shape)) for _ in range(2))
+        total, square = (
+            np.zeros((len(self.blood), len(self.scene.layout.photodiodes), *cells.shape)) for _ in range(2)
+        )
         volume = cells.volume_mm3[0, 0]
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
             detections = []
@@ -107,7 +103,7 @@ class _Verification:
 
     def ambient(self, rounds: int, deadline: float, values: np.ndarray) -> Variables:
         """What light from outside does, by light from each photodiode, with the cover and without."""
-        photodiodes = range(len(self.areas_mm2))
+        photodiodes = range(len(self.scene.layout.photodiodes))
         # Means and variances, summed.
         outside = np.zeros((2, len(COVERS), len(sources_of(self.scene)), len(photodiodes)))
         uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})

@@ -1,4 +1,4 @@
-"""Oxygen from recordings: coverage of its interval, motion, slots and columns, and what is refused."""
+"""Oxygen from recordings: coverage of its interval, motion, and what is refused."""
 
 from dataclasses import replace
 
@@ -89,21 +89,6 @@ def test_motion_is_marked_where_it_was_and_nowhere_else():
     assert np.nanmax(abs(moved.spo2 - still.spo2)) < 2.0
 
 
-def test_columns_and_slots_of_one_recording_tell_the_same(tmp_path):
-    made = recorded(0.85, seed=1, seconds=15.0)
-    columns, slots = tmp_path / "columns.csv", tmp_path / "slots.csv"
-    columns.write_text(oximeter_csv(made, ("red", "infrared")))
-    lines = ["time_s,slot,axis.1,axis.3"]
-    for k, time_s in enumerate(made.time_s):
-        for i, (light, values) in enumerate(
-            (("red", made.volts[0]), ("infrared", made.volts[1]), ("dark", made.dark_v))
-        ):
-            lines.append(f"{time_s + 2.5e-3 * i:.6f},{light},{values[0, k]:.9g},{values[1, k]:.9g}")
-    slots.write_text("\n".join(lines))
-    told = [spo2_over_time(read_for(SCENE, path), KNOWN, SCENE) for path in (columns, slots)]
-    assert np.allclose(told[0].spo2, told[1].spo2, atol=0.02)
-
-
 KIT = "reg0x0D,reg0x10,\n0x02,0x00,\nstart time,1596743022076\ntimestamp,sampleNum,LEDC1,LEDC2,LEDC3,sensor,\n"
 
 
@@ -183,8 +168,7 @@ def test_what_tells_nothing_is_refused_in_one_line():
         ("time_s,red:axis.1\n0,1\n1,1\n", "infrared"),
         ("time_s,red:axis.1,infrared:axis.1\n0,1,2\n0,1,2\n", "after"),
         ("time_s,red:axis.1,infrared:axis.1\n0,1,2\n1,x,2\n", "line 3"),
-        ("time_s,slot,axis.1\n0,red,1\n1,blue,1\n", "slot"),
-        ("time_s,slot,axis.1\n0,red,1\n1,red,2\n", "infrared"),
+        ("time_s,slot,axis.1\n0,red,1\n1,infrared,2\n", "LED:PHOTODIODE"),
     ],
 )
 def test_broken_files_are_one_line(tmp_path, text, words):
