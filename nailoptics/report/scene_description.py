@@ -4,8 +4,11 @@ from typing import Any
 
 from ..scene import Scene
 from ..scene.vessels import FACTORS
+from ..sensor.exposure import EYE_W_PER_M2, SKIN_W_PER_M2
 from .numbers import aligned
 
+# What single causes of noise are called.
+CAUSES = {"feedback": "Johnson", "adc": "converter"}
 _PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
 
 
@@ -72,6 +75,18 @@ def body_words(scene: Scene) -> str:
     return ", ".join(filter(None, parts))
 
 
+def _exposure_words(exposures: list[dict[str, Any]]) -> str:
+    """The LED that is brightest on the nail, beside the limits of IEC 62471, and what one of its readings takes."""
+    worst = max(exposures, key=lambda row: row["nail_w_per_m2"])
+    skin, eye_w_per_m2 = worst["nail_w_per_m2"] / SKIN_W_PER_M2, sum(row["eye_w_per_m2"] for row in exposures)
+    charge = "" if worst["charge_c"] is None else f" and {1e6 * worst['charge_c']:.2g} uC"
+    return (
+        f"exposure (IEC 62471): {worst['nail_w_per_m2']:.3g} W/m^2 right below {worst['led']}, {100 * skin:.2g} % of "
+        f"skin's limit for 10 s; {eye_w_per_m2:.2g} W/m^2 at 0.2 m, of {EYE_W_PER_M2:g} in the exempt group; a reading "
+        f"takes {1e6 * worst['light_j']:.2g} uJ of light{charge}"
+    )
+
+
 def check_lines(report: dict[str, Any]) -> list[str]:
     """The report of `check` on a scene."""
     lines = [f"{report['scene']}: the scene is valid"]
@@ -85,7 +100,7 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         u, v = report["board_mm"]
         of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
         lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
-        lines.append("reading at rest by layered diffusion (within 40 %):")
+        lines.append("reading at rest by a short trace:")
         places = {
             diode["name"]: {
                 "part": diode.get("part", ""),
@@ -97,10 +112,21 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         }
         rows = [
             {"LED": pair["led"], "photodiode": pair["photodiode"], **places[pair["photodiode"]]}
-            | {"distance [mm]": f"{pair['distance_mm']:.2f}", "reading [V]": f"{pair['volts']:.4f}"}
+            | {"distance [mm]": f"{pair['distance_mm']:.2f}", "gain [Mohm]": f"{1e-6 * pair['feedback_ohm']:.3g}"}
+            | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"}
             for pair in report["pairs"]
         ]
         lines += [f"  {line}" for line in aligned(rows)]
+        noise = [
+            {"LED": pair["led"], "photodiode": pair["photodiode"]}
+            | {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
+            for pair in report["pairs"]
+            if pair["noise_v"]
+        ]
+        if noise:
+            lines += ["noise of one sample, rms:", *(f"  {line}" for line in aligned(noise))]
+        lines += [f"noise: {report['noise']}"] if report["noise"] else []
+        lines.append(_exposure_words(report["exposure"]))
     if assumed := report.get("assumed"):
         words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())
         lines.append(f"assumed of the board, as neither its file nor the scene says it: {words}")

@@ -47,6 +47,8 @@ class LedPart(Table):
     """Full width at half maximum of the spectrum; 0 for monochromatic light. [nm]"""
     flux_mw: Positive
     """Radiant flux. [mW]"""
+    current_ma: Positive | None = None
+    """Current of that flux. [mA]"""
     die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0

@@ -138,13 +138,15 @@ def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[lis
     du, dv = board.center_mm
     for photodiode in photodiodes:
         u, v = photodiode.position_mm
+        resistors = iter(photodiode.feedback_ohm) if isinstance(photodiode.feedback_ohm, tuple) else None
         pitch = photodiode.pitch_mm or photodiode.size_mm[1]
         for i, name in enumerate(photodiode.element_names()):
             along, up = turned((0.0, (i - (photodiode.elements - 1) / 2) * pitch), photodiode.rotation_deg)
             center = (u + du + along, v + dv + up)
             area = Rectangle.around(name, center, photodiode.size_mm, photodiode.rotation_deg)
             if photodiode.wired is None or i in photodiode.wired:
-                wired.append(Element(area, photodiode))
+                one = photodiode.model_copy(update={"feedback_ohm": next(resistors)}) if resistors else photodiode
+                wired.append(Element(area, one))
             else:
                 unwired.append(area)
     return wired, unwired

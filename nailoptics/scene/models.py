@@ -100,10 +100,14 @@ class Phantom(Table):
 class Electronics(Table):
     """The transimpedance amplifier and the converter of each photodiode."""
 
-    feedback_ohm: Positive = 1e6
-    """Feedback resistance: the gain from photocurrent to volts. [ohm]"""
+    feedback_ohm: Positive | Literal["auto"] = 1e6
+    """Feedback resistance of stages whose photodiode gives none: the gain from photocurrent to volts. auto: for each
+    photodiode the largest E24 value, up to 22 Mohm, at which its brightest reading has the headroom. [ohm]"""
+    headroom: Annotated[float, Field(ge=1, le=1000)] = 2.0
+    """Full scale over the brightest reading for "auto": room for other people and for light from outside beyond
+    [ambient]."""
     bandwidth_hz: Positive = 100.0
-    """Noise bandwidth. [Hz]"""
+    """Noise bandwidth, whatever the feedback resistance. [Hz]"""
     capacitance_pf: NonNegative = 50.0
     """Capacitance at the amplifier's input. [pF]"""
     noise_nv_per_rt_hz: NonNegative = 10.0
@@ -281,6 +285,8 @@ class Scene(Table):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
         if self.phantom is not None and self.ambient is not None:
             raise ValueError("ambient needs a [finger], whose cover and skin it passes; leave it out of a [phantom]")
+        if self.phantom is not None and self.electronics.feedback_ohm == "auto":
+            raise ValueError('electronics.feedback_ohm = "auto" needs a [finger]; give a [phantom] a resistance')
         check_unique([led.name for led in self.leds], "leds")
         elements = [name for p in self.photodiodes for name in p.element_names()]
         check_unique(elements, "photodiodes")

@@ -26,6 +26,7 @@ ELECTRICAL = (
     "dark_current_doubling_k",
     "shunt_mohm",
     "capacitance_pf",
+    "feedback_ohm",
 )
 # Where a part's dark current is given. [K]
 USUAL_TEMPERATURE_K = 298.15
@@ -45,6 +46,9 @@ def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
         raise ValueError(str(error).rstrip(".")) from None
     assert not isinstance(part, ModulePart)
     fields = part.scene_fields()
+    if "flux_mw" in data:
+        # The part's current is that of the part's flux.
+        fields["current_ma"] = None
     if data.get("pattern", "measured") != "measured":
         # The part's measured table goes with the part's own pattern only.
         fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
@@ -79,6 +83,8 @@ class Led(Mounted):
     """Full width at half maximum of the spectrum (Gaussian). [nm]"""
     flux_mw: Positive = 1.0
     """Radiant flux. [mW]"""
+    current_ma: Positive | None = None
+    """Drive current of that flux; give both where you drive a part otherwise. [mA]"""
     pattern: Literal["lambertian", "pencil", "measured"] = "lambertian"
     """Angular pattern: Lambertian, a measured table, or (phantom) a pencil beam at normal incidence."""
     pattern_deg: tuple[NonNegative, ...] | None = None
@@ -121,6 +127,9 @@ class Photodiode(PhotodiodeElements, Mounted):
     """Size of one element (u, v). [mm]"""
     shunt_mohm: Positive = 1000.0
     """Shunt resistance of one element. [Mohm]"""
+    feedback_ohm: Positive | tuple[Positive, ...] | None = None
+    """Feedback resistance of its stage, or of the stage of each wired element from the proximal end on; that of
+    [electronics] if not given. [ohm]"""
 
     def dark_current_a(self, temperature_k: float) -> float:
         """Dark current of one element at a temperature. [A]"""
@@ -150,6 +159,11 @@ class Photodiode(PhotodiodeElements, Mounted):
                 raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
         if self.wired is not None and len(set(self.wired)) < len(self.wired):
             raise ValueError(f"wired names an element twice: {list(self.wired)}")
+        count = len(self.wired or range(self.elements))
+        if isinstance(self.feedback_ohm, tuple) and len(self.feedback_ohm) != count:
+            raise ValueError(
+                f"feedback_ohm has {len(self.feedback_ohm)} values for {count} wired elements; give each one"
+            )
         if self.elements > 1 and self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
             raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
         return self

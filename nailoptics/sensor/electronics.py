@@ -9,21 +9,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, fraction, not_negative
 from ..errors import InputError
+from ..scene import Scene
 from ..scene.base import PHOTON_NM_PER_V
 from ..scene.models import Electronics, Led, Photodiode
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
+# Preferred numbers of the series E24 (IEC 60063), and the largest chip resistor in common series of them. [ohm]
+E24 = np.array([10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30, 33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91])
+MOST_OHM = 22e6
 
 
 class NoiseBudget(NamedTuple):
-    """Variances of the stage's output by their cause; they add. [V^2]"""
+    """Variances of one reading by their cause in stage and converter; they add. [V^2]"""
 
     shot_v2: Array
     feedback_v2: Array
     shunt_v2: Array
     amplifier_v2: Array
     adc_v2: Array
+    ambient_v2: Array | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,19 @@ class Output:
 
     amplified_v : The stage's output, dark current included, as if the converter had no limit. [V]
     volts : What the converter reads: the same, held at `adc_range_v`, less what ambient rejection takes away. [V]
-    noise_v2 : Variance that stage and converter add to one reading. [V^2]
+    noise : Variances that stage and converter add to one reading. [V^2]
     saturated : bool. The converter is at its limit: neither volts nor noise tell the light.
     """
 
     amplified_v: Array
     volts: Array
-    noise_v2: Array
+    noise: NoiseBudget
     saturated: NDArray[np.bool_]
+
+    @property
+    def noise_v2(self) -> Array:
+        """Variance of one reading. [V^2]"""
+        return np.asarray(sum(self.noise))
 
     @property
     def volts_noise_rms(self) -> Array:
@@ -78,6 +88,56 @@ def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Ph
     return np.array([by_id[id(photodiode)] for photodiode in photodiodes])
 
 
+def fitted_ohm(current_a: ArrayLike, amplifier: Electronics) -> Array:
+    """The largest E24 resistor that holds currents, dark and ambient ones included, below the converter's limit by the
+    stage's headroom, of any shape. [ohm]"""
+    least_a = limit_v(amplifier) / amplifier.headroom / MOST_OHM
+    most = limit_v(amplifier) / amplifier.headroom / np.maximum(current_a, least_a)
+    # A relative 1e-9 lets a resistor be its own fit, whatever the rounding.
+    step = 10.0 ** np.floor(np.log10(most * (1 + 1e-9)) - 1)
+    return np.asarray(E24[np.searchsorted(E24, most / step * (1 + 1e-9), side="right") - 1] * step)
+
+
+def stage_ohm(
+    photodiodes: Photodiode | Sequence[Photodiode], amplifier: Electronics, *, largest_a: Array | float | None = None
+) -> Array:
+    """Feedback resistance of a photodiode's stage, or of each of several, () or (photodiodes,) float. [ohm]
+
+    largest_a : (..., photodiodes) float. Their largest photocurrents, to which "auto" fits; then of its shape. [A]
+
+    Raises: InputError for "auto" without them.
+    """
+
+    def of(photodiode: Photodiode) -> float:
+        ohm = amplifier.feedback_ohm if photodiode.feedback_ohm is None else photodiode.feedback_ohm
+        assert not isinstance(ohm, tuple), "the elements of an array have one each"
+        return np.nan if ohm == "auto" else ohm
+
+    given = _of_each(photodiodes, of)
+    if not np.isnan(given).any():
+        return given
+    if largest_a is None:
+        raise InputError('electronics.feedback_ohm = "auto" is not known here; give the resistance in ohm.')
+    dark_a = _of_each(photodiodes, lambda p: p.dark_current_a(amplifier.temperature_k))
+    return np.where(np.isnan(given), fitted_ohm(largest_a + dark_a, amplifier), given)
+
+
+def with_resistors(scene: Scene, largest_a: Array) -> Scene:
+    """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents.
+
+    largest_a : (photodiodes,) float. Of elements that are read, in the layout's order. [A]
+    """
+    ohm = stage_ohm([e.photodiode for e in scene.layout.photodiodes], scene.electronics, largest_a=largest_a)
+    photodiodes, first = [], 0
+    for photodiode in scene.photodiodes:
+        count = len(photodiode.wired or range(photodiode.elements))
+        of_elements = tuple(ohm[first : first + count].tolist())
+        update = {"feedback_ohm": of_elements if photodiode.elements > 1 else of_elements[0]}
+        photodiodes.append(photodiode.model_copy(update=update))
+        first += count
+    return scene.model_copy(update={"photodiodes": tuple(photodiodes)})
+
+
 def lsb_v(amplifier: Electronics) -> float:
     """The converter's step. [V]"""
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
@@ -92,6 +152,7 @@ def noise_budget(
     current_a: ArrayLike,
     amplifier: Electronics,
     *,
+    feedback_ohm: Array | float | None = None,
     dark_current_na: ArrayLike = 0.1,
     shunt_ohm: ArrayLike = 1e9,
     capacitance_pf: ArrayLike = 0.0,
@@ -103,6 +164,7 @@ def noise_budget(
     converter adds LSB^2/12.
 
     current_a : array. Photocurrent without the dark current. [A]
+    feedback_ohm : that of the amplifier if not given. [ohm]
     capacitance_pf : Of the photodiode, besides that of the amplifier's input. [pF]
     """
     current = not_negative("current_a", current_a)
@@ -110,13 +172,15 @@ def noise_budget(
     shunt, capacitance = np.asarray(shunt_ohm, float), np.asarray(capacitance_pf, float)
     if not np.all(shunt > 0):
         raise InputError(f"shunt_ohm = {shunt.min():g} must be above 0; correct it")
-    bandwidth, gain2 = amplifier.bandwidth_hz, amplifier.feedback_ohm**2
+    bandwidth = amplifier.bandwidth_hz
+    ohm = np.asarray(amplifier.feedback_ohm if feedback_ohm is None else feedback_ohm, float)
+    gain2 = ohm**2
     thermal_j = 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
     charge_noise = 2 * np.pi * (amplifier.capacitance_pf + capacitance) * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
     same = np.ones_like(current)
     return NoiseBudget(
         shot_v2=2 * ELEMENTARY_CHARGE_C * (current + dark) * bandwidth * gain2,
-        feedback_v2=same * thermal_j * bandwidth * amplifier.feedback_ohm,
+        feedback_v2=same * thermal_j * bandwidth * ohm,
         shunt_v2=same * thermal_j / shunt * bandwidth * gain2,
         amplifier_v2=same * charge_noise**2 * bandwidth**3 / 3 * gain2,
         adc_v2=same * lsb_v(amplifier) ** 2 / 12,
@@ -124,35 +188,46 @@ def noise_budget(
 
 
 def stage_noise(
-    current_a: ArrayLike, photodiode: Photodiode | Sequence[Photodiode], amplifier: Electronics
+    current_a: ArrayLike,
+    photodiode: Photodiode | Sequence[Photodiode],
+    amplifier: Electronics,
+    *,
+    feedback_ohm: Array | float | None = None,
 ) -> NoiseBudget:
-    """The noise of a photodiode's stage at a photocurrent, without its dark current. [A]"""
+    """The noise of a photodiode's stage at a photocurrent, without its dark current [A]; feedback_ohm : that of the
+    stage if not given. [ohm]"""
     return noise_budget(
         current_a,
         amplifier,
+        feedback_ohm=stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm,
         dark_current_na=_of_each(photodiode, lambda p: 1e9 * p.dark_current_a(amplifier.temperature_k)),
         shunt_ohm=_of_each(photodiode, lambda p: 1e6 * p.shunt_mohm),
         capacitance_pf=_of_each(photodiode, lambda p: p.capacitance_pf),
     )
 
 
-def reading_noise_v2(
+def reading_noise(
     current_a: ArrayLike,
     photodiode: Photodiode | Sequence[Photodiode],
     amplifier: Electronics,
     *,
     ambient_a: ArrayLike = 0.0,
-) -> Array:
-    """Variance of one reading of a photocurrent, of which ambient_a is by light from outside, with its rejection. [V^2]
+    feedback_ohm: Array | float | None = None,
+) -> NoiseBudget:
+    """Noise of one reading of a photocurrent by an LED beside that by light from outside [A], with its rejection.
 
     A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
     bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
     """
-    lit_v2 = sum(stage_noise(current_a, photodiode, amplifier))
+    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
+    lit = stage_noise(current_a, photodiode, amplifier, feedback_ohm=ohm)
+    shot_v2 = 2 * ELEMENTARY_CHARGE_C * np.asarray(ambient_a) * amplifier.bandwidth_hz * np.asarray(ohm) ** 2
     if amplifier.ambient_rejection is None:
-        return np.asarray(lit_v2)
-    both_v2 = lit_v2 + sum(stage_noise(ambient_a, photodiode, amplifier))
-    return np.asarray(both_v2 if amplifier.ambient_rejection == "dark_slot" else 2 * both_v2)
+        return lit._replace(ambient_v2=shot_v2)
+    dark = stage_noise(np.zeros_like(current_a), photodiode, amplifier, feedback_ohm=ohm)
+    factor = 1 if amplifier.ambient_rejection == "dark_slot" else 2
+    both = (np.asarray(factor * (a + b)) for a, b in zip(lit, dark, strict=True))
+    return NoiseBudget(*both)._replace(ambient_v2=2 * factor * shot_v2)
 
 
 def flicker_gain(flicker_hz: float, amplifier: Electronics) -> float:
@@ -187,6 +262,7 @@ def read(
     amplifier: Electronics,
     *,
     ambient_a: ArrayLike = 0.0,
+    feedback_ohm: Array | float | None = None,
 ) -> Output:
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
@@ -194,23 +270,35 @@ def read(
     photodiode : or several, along the last axis.
     amplifier : The stage and its converter, a scene's `[electronics]`.
     ambient_a : array that broadcasts with it. Photocurrent by light from outside. [A]
+    feedback_ohm : that of the photodiode's stage if not given. [ohm]
 
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
-    power_w = not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3
-    current = power_w * _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
-    current = current + not_negative("ambient_a", ambient_a)
+    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
+    lit_a, outside_a = photocurrent_a(detected_fraction, led, photodiode), not_negative("ambient_a", ambient_a)
     dark_a = _of_each(photodiode, lambda p: p.dark_current_a(amplifier.temperature_k))
-    amplified = np.asarray((current + dark_a) * amplifier.feedback_ohm)
+    amplified = np.asarray((lit_a + outside_a + dark_a) * ohm)
     volts, saturated = converted(amplified, amplifier)
     if amplifier.ambient_rejection is not None:
-        volts = volts - converted((np.asarray(ambient_a) + dark_a) * amplifier.feedback_ohm, amplifier)[0]
-    noise_v2 = reading_noise_v2(current, photodiode, amplifier, ambient_a=ambient_a)
-    return Output(amplified_v=amplified, volts=volts, noise_v2=noise_v2, saturated=saturated)
+        volts = volts - converted(np.asarray((outside_a + dark_a) * ohm), amplifier)[0]
+    noise = reading_noise(lit_a, photodiode, amplifier, ambient_a=outside_a, feedback_ohm=ohm)
+    return Output(amplified_v=amplified, volts=volts, noise=noise, saturated=saturated)
 
 
-def volts_per_fraction(led: Led, photodiode: Photodiode | Sequence[Photodiode], amplifier: Electronics) -> Array:
-    """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
-    () or (photodiodes,) float. [V]"""
+def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiode | Sequence[Photodiode]) -> Array:
+    """The photocurrent of a part of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
     per_w = _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
-    return np.asarray(led.flux_mw * 1e-3 * per_w * amplifier.feedback_ohm)
+    return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
+
+
+def volts_per_fraction(
+    led: Led,
+    photodiode: Photodiode | Sequence[Photodiode],
+    amplifier: Electronics,
+    *,
+    feedback_ohm: Array | float | None = None,
+) -> Array:
+    """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
+    () or (photodiodes,) float, or of the shape of feedback_ohm. [V]"""
+    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
+    return np.asarray(photocurrent_a(1.0, led, photodiode) * ohm)

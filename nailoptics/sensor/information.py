@@ -7,8 +7,9 @@ Gaussians this is the same as adding the shapes' outer products to the covarianc
 still add up one by one.
 """
 
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.special import ndtr
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
 from ..hemodynamics.touch_course import contact_at
 from ..hemodynamics.waves import pressure_lines
-from ..scene import Photodiode, Scene
+from ..scene import Led, Photodiode, Scene
 from ..scene.body import Body, Drift
 from ..statistics import covariance_root, jackknife
 from . import electronics
@@ -32,6 +33,8 @@ STEP_PA = 100.0
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
 LIFT_PER_UM = 0.001
+# The same of a slide along the nail: on the prototype, traced, it moves no reading by more.
+SLIDE_PER_UM = 1e-4
 # Fields of the body that move the blood once and for all, as they are where nothing does.
 POSTURE = {"hand_height_m": 0.0, "venous_pressure_pa": None}
 
@@ -44,11 +47,13 @@ class PhysiologicalNoise:
         as large as its standard deviation. Their outer products add up to the covariance of both zones' blood. [1]
     led_gain : (leds, leds) float. Relative changes of all readings of an LED, a row for each LED, in columns likewise.
     reading_gain : float. Relative change of each reading by itself, rms.
+    gain_by_cause : relative change of a reading by drift, lift and slide, rms.
     """
 
     blood: Array
     led_gain: Array
     reading_gain: float
+    gain_by_cause: dict[str, float] = field(default_factory=dict)
 
     def shapes_v(self, zone_v: Array, light_v: Array, led: int) -> Array:
         """What each of the body's shapes adds, rms, to readings of an LED, (..., k) float. [V]
@@ -64,17 +69,19 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
     since_rest_s : for so long readings have drifted. [s]
 
     Drift and lift of the sensor move all readings of an LED alike, as parts of themselves. A slide along the nail is
-    left out: on the prototype it moves no reading by more than 1e-4 in a micrometre.
+    in `gain_by_cause` alone.
     """
     body = scene.body
     if body is None or not (body.moves or body.drift or body.motion):
         return None
     drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
-    led_drift, all_leds = drift.led_per_rt_min * rt_min, LIFT_PER_UM * (body.motion.lift_um if body.motion else 0.0)
+    led_drift, reading_drift = float(drift.led_per_rt_min * rt_min), float(drift.reading_per_rt_min * rt_min)
+    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if (motion := body.motion) else (0, 0)
     return PhysiologicalNoise(
         blood=covariance_root(_blood_covariance(scene, force_n, body) if body.moves else np.zeros((2, 2))),
-        led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + all_leds**2),
-        reading_gain=float(drift.reading_per_rt_min * rt_min),
+        led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),
+        reading_gain=reading_drift,
+        gain_by_cause={"drift": math.hypot(led_drift, reading_drift), "lift": lift, "slide": slide},
     )
 
 
@@ -197,6 +204,17 @@ class Response:
         return np.sqrt(self.noise_v2)
 
 
+def brightest_current_a(
+    values: Array, led: Led, photodiode: Photodiode | Sequence[Photodiode], point: OperatingPoint
+) -> Array:
+    """The photocurrent of an LED's light through a bed without blood, to first order, (...) float. [A]
+
+    values : (..., 4) float. As of `response`.
+    """
+    bloodless = values[..., 0] - np.minimum(values[..., 2:] @ point.blood_fraction, 0.0)
+    return electronics.photocurrent_a(np.maximum(bloodless, 0.0), led, photodiode)
+
+
 def response(
     values: Array,
     scene: Scene,
@@ -205,6 +223,7 @@ def response(
     point: OperatingPoint,
     *,
     ambient_a: float | Array = 0.0,
+    feedback_ohm: Array | None = None,
     replicates: bool = False,
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
@@ -213,13 +232,18 @@ def response(
     scene : with the electronics. led : number of its LED.
     photodiode : or several, (..., photodiodes, 4).
     ambient_a : photocurrent by light from outside, which tells nothing. [A]
+    feedback_ohm : of the stages; if not given the photodiodes' own, and for "auto" what fits each place by itself.
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
         the converter's limit tells as much as it is likely to: what all tell is a mean, and has no jumps.
     """
     detected = np.maximum(values[..., 0], 0.0)
     source, amplifier = scene.leds[led], scene.electronics
-    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a)
-    per_fraction = electronics.volts_per_fraction(source, photodiode, amplifier)
+    if feedback_ohm is None:
+        brightest_a = brightest_current_a(values[0] if replicates else values, source, photodiode, point)
+        feedback_ohm = electronics.stage_ohm(photodiode, amplifier, largest_a=brightest_a)
+    stage: dict[str, Any] = {"feedback_ohm": feedback_ohm}
+    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a, **stage)
+    per_fraction = electronics.volts_per_fraction(source, photodiode, amplifier, **stage)
     zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
@@ -240,6 +264,32 @@ def response(
         independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
         unsaturated=unsaturated,
     )
+
+
+def noise_by_cause(
+    values: Array,
+    scene: Scene,
+    led: int,
+    photodiode: Photodiode | Sequence[Photodiode],
+    point: OperatingPoint,
+    *,
+    ambient_a: float | Array = 0.0,
+) -> dict[str, Array]:
+    """The noise budget of one sample of readings, rms, (...) float for each cause. [V]
+
+    values, photodiode, ambient_a : as of `response`.
+
+    Returns: by the names of `NoiseBudget` what stage and converter make of each reading, whose squares add up to its
+        electronic noise; drift, lift, slide and waves of the body, which readings share, 0 where it is still.
+    """
+    detected, amplifier = np.maximum(values[..., 0], 0.0), scene.electronics
+    read = electronics.read(detected, scene.leds[led], photodiode, amplifier, ambient_a=ambient_a)
+    per_fraction = electronics.volts_per_fraction(scene.leds[led], photodiode, amplifier)
+    budget = {name.removesuffix("_v2"): np.sqrt(v2) + 0.0 * detected for name, v2 in read.noise._asdict().items()}
+    body = point.body or PhysiologicalNoise(np.zeros((2, 2)), np.zeros((0, 0)), 0.0)
+    waves = np.linalg.norm(values[..., 2:] @ body.blood, axis=-1)
+    relative = {name: body.gain_by_cause.get(name, 0.0) * detected for name in ("drift", "lift", "slide")}
+    return budget | {name: change * per_fraction for name, change in (relative | {"waves": waves}).items()}
 
 
 def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint, **how: Any) -> list[Response]:

@@ -1,4 +1,4 @@
-"""What a scene asks for, in numbers, and everything in it that a command would refuse; only ambient light is traced."""
+"""What a scene asks for, in numbers, and everything in it that a command would refuse, by a second of tracing."""
 
 import math
 from typing import Any
@@ -9,17 +9,20 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n, vessels
 from ..hemodynamics.parameters import beds, bounds
 from ..light import backend, optics
-from ..light.diffusion import DiffusionModel
-from ..options import TraceOptions
 from ..scene import Scene
 from ..sensor import electronics
-from ..sensor.ambient import trace_ambient
-from ..sensor.information import posture_force_n
-from ..statistics import Z95
+from ..sensor.electronics import NoiseBudget
+from ..sensor.exposure import SKIN_W_PER_M2, exposures
+from ..sensor.front_end import ambient_bound_a, rough_readings, with_fitted_resistors
+from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, posture_force_n
 from .placement import boards, candidates
 
-# Layered diffusion predicts a reading within about 40 %: from this part of the range on it may be full.
+# Over the priors of its finger the shipped prototype reads up to 1/0.6 of the scene's own in 97.5 % of the draws: from
+# this part of the range on a reading may be full.
 MAY_BE_FULL = 0.6
+# Causes of noise in stage and converter; relative steps of either zone's blood; what "auto" must gain to be named.
+ELECTRONIC = tuple(name.removesuffix("_v2") for name in NoiseBudget._fields)
+BLOOD_STEP, WORTH_SAYING = 0.5, 1.2
 # The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
 FAR_FROM_LIST = 100.0
 # What lies on a board and below it, which no file of a layout program says.
@@ -31,7 +34,7 @@ POSTURE_FORCES_N = (0.1, 0.5)
 def check_scene(scene: Scene) -> dict[str, Any]:
     """What a scene reads, lights and ignores, and what may not be as its author wants it.
 
-    Returns: leds, photodiodes, pairs (distances between them and readings as layered diffusion predicts them),
+    Returns: leds, photodiodes, pairs (distances between them, readings by a short trace, their noise by cause),
         candidates, ignored references of files, and warnings in words.
 
     Raises: InputError for what simulate, trace, compare or place would refuse, with the field of the scene.
@@ -62,9 +65,15 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     report["warnings"] += _beyond_the_nail(scene) + _beyond_the_list(scene) + _posture(scene)
     if scene.ambient is not None and not backend.choose("auto").jit:
         report["warnings"].append("[ambient] is left out: it needs a backend that compiles kernels (nailoptics doctor)")
-    course = blood_over_touch(scene)
-    report["pairs"], full = _pairs(scene, course.blood_fraction.values.T)
-    report["warnings"] += full
+    blood = np.maximum(blood_over_touch(scene).blood_fraction.values.T, 0.0)
+    report["pairs"] = pairs = _pairs(with_fitted_resistors(scene), blood)
+    report |= {"noise": _limits(pairs), "exposure": [vars(one) for one in exposures(scene)]}
+    report["warnings"] += _saturation(scene, pairs)
+    report["warnings"] += [
+        f"exposure: {one.nail_w_per_m2:.3g} W/m^2 right below {one.led}, more than skin's {SKIN_W_PER_M2:.3g} over 10 s"
+        for one in exposures(scene)
+        if one.nail_w_per_m2 > SKIN_W_PER_M2
+    ]
     two = forces_with_two_balances_n(scene)
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:
@@ -117,31 +126,82 @@ def _beyond_the_nail(scene: Scene) -> list[str]:
     return [f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"]
 
 
-def _pairs(scene: Scene, blood_fraction: np.ndarray) -> tuple[list[dict[str, Any]], list[str]]:
-    """Every LED with every photodiode: their distance, and the reading at rest and at most as diffusion tells it, in
-    the upper end of the 95 % interval of the scene's ambient light."""
-    layout, pairs, full = scene.layout, [], []
-    ambient_a = np.zeros(len(layout.photodiodes))
-    if scene.ambient is not None and backend.choose("auto").jit:
-        ambient_a = np.array([1, Z95]) @ trace_ambient(scene, [scene.ambient], TraceOptions(), seed=0)[:2, 0]
-    fractions = DiffusionModel(scene).readings(np.maximum(blood_fraction, 0.0))
-    for led, die, rows in zip(scene.leds, layout.leds, fractions, strict=True):
-        for element, row, current_a in zip(layout.photodiodes, rows, ambient_a, strict=True):
-            read = electronics.read(row, led, element.photodiode, scene.electronics, ambient_a=current_a)
-            most_v = float(read.amplified_v.max())
+def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
+    """Every LED with every photodiode: their distance, the reading at rest and at most over the touch by a short trace,
+    the resistor, how many times less noise "auto" would leave beside the light, and the noise of one sample by cause,
+    in the upper end of the 95 % interval of the scene's ambient light.
+
+    blood_fraction : (t, zones) float. Over the touch, from rest on.
+    """
+    layout, stage, pairs = scene.layout, scene.electronics, []
+    photodiodes, ambient_a = [element.photodiode for element in layout.photodiodes], ambient_bound_a(scene)
+    at, near = _operating_point(scene), np.zeros((1, blood_fraction.shape[1]))
+    if at is not None:
+        near = at.blood_fraction * (1 + BLOOD_STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
+    read = rough_readings(scene, np.concatenate([blood_fraction, near]))
+    ohm, fitted_ohm = electronics.stage_ohm(photodiodes, stage), np.full(len(photodiodes), electronics.MOST_OHM)
+    for led, fraction in zip(scene.leds, read.fraction, strict=True):
+        most_a = electronics.photocurrent_a(fraction.max(-1), led, photodiodes) + ambient_a
+        fitted_ohm = np.minimum(fitted_ohm, electronics.fitted_ohm(most_a, stage))
+    for i, (led, die) in enumerate(zip(scene.leds, layout.leds, strict=True)):
+        touched, by_state = np.split(read.fraction[i].T, [len(blood_fraction)])
+        how: dict[str, Any] = {"ambient_a": ambient_a}
+        output = electronics.read(touched, led, photodiodes, stage, **how)
+        fitted = electronics.read(touched[0], led, photodiodes, stage, feedback_ohm=fitted_ohm, **how)
+        gain = output.volts_noise_rms[0] / ohm * fitted_ohm / fitted.volts_noise_rms
+        noise = {} if at is None else noise_by_cause(_values(by_state, at), scene, i, photodiodes, at, **how)
+        error_v = electronics.volts_per_fraction(led, photodiodes, stage) * read.stderr[i, :, 0]
+        for j, element in enumerate(layout.photodiodes):
             pair: dict[str, Any] = {"led": led.name, "photodiode": element.name}
-            pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm), "volts": float(read.volts[0])}
-            pairs.append(pair | {"may_be_saturated": most_v > MAY_BE_FULL * scene.electronics.adc_range_v})
-            if pairs[-1]["may_be_saturated"]:
-                full.append(f"{element.name} under {led.name} ({most_v:.2g} V)")
-    if not full:
-        return pairs, []
-    shown = ", ".join(full[:4]) + (f" and {len(full) - 4} more" if len(full) > 4 else "")
+            pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm), "feedback_ohm": float(ohm[j])}
+            pair |= {"volts": float(output.volts[0, j]), "volts_stderr": float(error_v[j])}
+            pair |= {"most_volts": float(output.amplified_v[:, j].max()), "fitted_ohm": float(fitted_ohm[j])}
+            pair |= {"may_be_saturated": pair["most_volts"] > MAY_BE_FULL * stage.adc_range_v}
+            pair |= {"fitted_noise_gain": float(gain[j])}
+            pairs.append(pair | {"noise_v": {cause: float(rms_v[j]) for cause, rms_v in noise.items()}})
+    return pairs
+
+
+def _operating_point(scene: Scene) -> OperatingPoint | None:
+    """The touch at which [placement] judges; None where the bed has other than two zones."""
+    rules = boards.rules(scene)
+    if len(scene.zone_edges_mm) != 1:
+        return None
+    return operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s)
+
+
+def _values(by_state: np.ndarray, at: OperatingPoint) -> np.ndarray:
+    """Readings (states, photodiodes) at a touch and a step up and down in either zone's blood, as `noise_by_cause`
+    takes them, (photodiodes, 4) float; their shunted part, which makes no noise of its own, as 0."""
+    level, *sides = by_state
+    slopes = [(sides[2 * k] - sides[2 * k + 1]) / (2 * BLOOD_STEP * at.blood_fraction[k]) for k in (0, 1)]
+    return np.stack([level, 0 * level, *slopes], -1)
+
+
+def _saturation(scene: Scene, pairs: list[dict[str, Any]]) -> list[str]:
+    """A warning of readings that may be saturated."""
+    names = [f"{p['photodiode']} under {p['led']} ({p['most_volts']:.2g} V)" for p in pairs if p["may_be_saturated"]]
+    if not names:
+        return []
+    shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
     less = "" if scene.ambient is None else ", or the light of [ambient]"
-    return pairs, [
+    return [
         f"may be saturated, of {scene.electronics.adc_range_v:g} V: {shown}; lower leds.flux_mw or "
-        f"electronics.feedback_ohm{less}"
+        f'electronics.feedback_ohm ("auto" fits it){less}'
     ]
+
+
+def _limits(pairs: list[dict[str, Any]]) -> str:
+    """How many readings the converter limits, and what "auto" would make of them; empty where it limits none."""
+    limited = [p for p in pairs if p["noise_v"] and p["noise_v"]["adc"] == max(p["noise_v"][k] for k in ELECTRONIC)]
+    if not limited:
+        return ""
+    best = max(limited, key=lambda pair: pair["fitted_noise_gain"])
+    text = f"of the electronics' noise the converter makes most in {len(limited)} of {len(pairs)} readings"
+    if best["fitted_noise_gain"] < WORTH_SAYING:
+        return text
+    mohm, gain = 1e-6 * best["fitted_ohm"], best["fitted_noise_gain"]
+    return f'{text}; {mohm:.2g} Mohm on {best["photodiode"]} gives {gain:.2g} times less noise (feedback_ohm = "auto")'
 
 
 def _candidates(scene: Scene) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from ..scene import Scene
 from ..sensor import electronics
 from ..sensor.ambient import trace_ambient
 from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, worn_light
+from ..sensor.front_end import with_fitted_resistors
 from ..sensor.information import false_forces_n
 from ..variables import Variables, variable
 from .prior_uncertainty import read_by_groups, readings_over_priors
@@ -94,6 +95,7 @@ def simulate_from(
 
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
+    scene = with_fitted_resistors(scene)
     ambient = _ambient(scene, options)
     result = course.merge(_read_volts(scene, light, course, moved, ambient))
     result = result.merge(_fit_reduced(result, light.transfer, options.seed)).assign(ambient)
@@ -154,7 +156,8 @@ def _ambient(scene: Scene, options: TraceOptions) -> Variables:
     on_each: Variables = {}
     stage = scene.electronics
     flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
-    to_v, left = stage.feedback_ohm, 1.0 if stage.ambient_rejection is None else 0.0
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    to_v, left = electronics.stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
     with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
         for name, factor, unit, text in (
             ("a", 1.0, "A", "photocurrent of ambient light"),
@@ -165,10 +168,9 @@ def _ambient(scene: Scene, options: TraceOptions) -> Variables:
         ):
             how = {"units": unit, "stderr": factor * error}
             on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
-    dark_v2, lit_v2 = (electronics.reading_noise_v2(a, diodes, stage, ambient_a=a) for a in (0.0 * current, current))
+    shot_v2 = electronics.reading_noise(0.0, diodes, stage, ambient_a=current).ambient_v2
     text = "shot noise of ambient light in one reading, rms"
-    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(lit_v2 - dark_v2), text, units="V")
+    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(shot_v2), text, units="V")
 
 
 def _read_volts(
@@ -193,10 +195,12 @@ def _read_volts(
     # Drift and motion scale what is read: of its error they add their own part to the change's.
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    ohm = electronics.stage_ohm(diodes, scene.electronics)
     saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
     ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(fraction.shape[1])
     for i, j in np.ndindex(*fraction.shape[:2]):
-        led, diode = scene.leds[i], scene.layout.photodiodes[j].photodiode
+        led, diode = scene.leds[i], diodes[j]
         read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
         per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
         volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
@@ -214,6 +218,7 @@ def _read_volts(
     data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
     data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
     data |= variable("saturated", over, saturated, "converter at its limit")
+    data |= variable("feedback_ohm", "photodiode", ohm, "feedback resistance of the stage", units="ohm")
     text = "responsivity at the LED's peak"
     data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
     text, error = "mean path of the light detected at rest", light.mean_path_stderr

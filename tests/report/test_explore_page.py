@@ -148,7 +148,8 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
         expected = electronics.read(fraction, led, photodiode, scene.electronics)
         current = fraction * led.flux_mw * 1e-3
         displayed = shown.evaluate(
-            "x => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0], 0)", current
+            "([x, ohm]) => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0], 0, ohm)",
+            [current, scene.electronics.feedback_ohm],
         )
         assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
         assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
@@ -166,7 +167,7 @@ def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Explo
     displayed = shown.evaluate(
         """([kind, lit, ambient, rejects]) => {
             const before = tables.stage.rejects;
-            try { tables.stage.rejects = rejects; return stage(kind, lit, ambient); }
+            try { tables.stage.rejects = rejects; return stage(kind, lit, ambient, tables.stage.feedbackOhm); }
             finally { tables.stage.rejects = before; }
         }""",
         [kind, lit_a, ambient_a, rejection is not None],

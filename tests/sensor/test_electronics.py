@@ -50,7 +50,7 @@ def test_the_amplifiers_noise_is_the_integral_of_its_density():
 def test_each_noise_grows_with_bandwidth_as_it_should():
     narrow = noise_budget(1e-7, Electronics(bandwidth_hz=1e3))
     wide = noise_budget(1e-7, Electronics(bandwidth_hz=2e3))
-    assert [b / a for a, b in zip(narrow, wide, strict=True)] == pytest.approx([2, 2, 2, 8, 1])
+    assert [b / a for a, b in zip(narrow[:-1], wide[:-1], strict=True)] == pytest.approx([2, 2, 2, 8, 1])
 
 
 def test_simulated_electrons_show_the_same_shot_noise():

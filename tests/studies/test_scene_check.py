@@ -46,7 +46,8 @@ def test_it_warns_of_readings_that_may_be_saturated():
         return check_scene(prototype.model_copy(update={"leds": leds}))
 
     assert lit(0.5)["warnings"] == []
-    (line,) = lit(20)["warnings"]
+    line, exposure = lit(20)["warnings"]
+    assert exposure.startswith("exposure: ")
     assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
 
 

@@ -15,6 +15,7 @@ from ...light import DetectedLight
 from ...scene import Scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
+from ...sensor.front_end import with_fitted_resistors
 from ...statistics import seed_of
 from .person import MOST_GAIN, TABLE, Array, Numbers, within
 
@@ -142,7 +143,7 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
 
     Raises: InputError where a photodiode sees no light, or a converter is at its limit at rest.
     """
-    rest = scene.blood.rest_blood_fraction
+    scene, rest = with_fitted_resistors(scene), scene.blood.rest_blood_fraction
     step, stage = 0.5 * rest, scene.electronics
     near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
@@ -165,10 +166,10 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)
     coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
     rest_fraction = near.fraction.reshape(len(names), -1)[:, :1]
-    dark_v = [diode.dark_current_a(stage.temperature_k) * stage.feedback_ohm for _, diode in pairs]
+    dark_a = np.array([diode.dark_current_a(stage.temperature_k) for _, diode in pairs])
     return ReadingTable(
         ln_volts=dict(zip(names, coefficients, strict=True)),
-        dark_v=np.array(dark_v),
+        dark_v=dark_a * electronics.stage_ohm([diode for _, diode in pairs], stage),
         most_blood_fraction=most_blood,
         slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / rest_fraction / step,
         noise_v=np.array(noise_v),

@@ -271,12 +271,11 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
 def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Effect:
     """The light from outside that the scene names, or else a lamp's, beside the LED's light on each photodiode."""
     scene = base.transfer.scene
-    source, stage = scene.ambient or LAMP, scene.electronics
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
-    full_v = np.array([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
-    outside_v = stage.feedback_ohm * trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
+    source, diodes = scene.ambient or LAMP, [element.photodiode for element in scene.layout.photodiodes]
+    full_a = np.array([electronics.photocurrent_a(1.0, led, diodes) for led in scene.leds])
+    outside_a = trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio, error = (np.where(base.level > 0, volts / (base.level * full_v), np.inf) for volts in outside_v)
+        ratio, error = (np.where(base.level > 0, current / (base.level * full_a), np.inf) for current in outside_a)
         paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)

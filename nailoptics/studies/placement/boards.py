@@ -21,7 +21,8 @@ SPECK_MM = 0.05
 # LEDs that a search places together.
 MOST_LEDS = 4
 # One die in place of an array.
-SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None}
+UNFITTED = {"feedback_ohm": None}
+SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_mm": None} | UNFITTED
 
 
 def rules(scene: Scene) -> Placement:
@@ -195,11 +196,13 @@ def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
 
 
 def searchable_board(base: Scene, placement: Placement) -> Scene:
-    """The board whose parts, those aside that stay where they are, lie along or across the nail."""
+    """The board whose parts, those aside that stay where they are, lie along or across the nail; photodiodes that do
+    not stay, or are wired anew, have the resistor of [electronics]."""
     stay = {*placement.fixed, *((photodiode.name for photodiode in base.photodiodes) if placement.wire else ())}
     leds = tuple(led if led.name in stay else straightened(led) for led in base.leds)
     photodiodes = tuple(
-        photodiode if photodiode.name in stay else straightened(photodiode) for photodiode in base.photodiodes
+        p if p.name in placement.fixed else (p if p.name in stay else straightened(p)).model_copy(update=UNFITTED)
+        for p in base.photodiodes
     )
     return base.model_copy(update={"leds": leds, "photodiodes": photodiodes})
 

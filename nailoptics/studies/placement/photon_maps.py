@@ -13,7 +13,8 @@ from ...light.identity import light_digest, light_scene
 from ...light.tracing.store import LightStore
 from ...scene import FingerCase, Scene, digest
 from ...scene.rectangles import Rectangle
-from ...sensor.information import OperatingPoint, Response, scene_responses
+from ...sensor import electronics
+from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
 from ...statistics import left_out, seed_of
 from . import boards
 
@@ -155,8 +156,20 @@ class PhotonMapCache:
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
-        areas = layout.layout.photodiode_areas
+        areas, layout = layout.layout.photodiode_areas, self.with_resistors(layout, board)
         return [
             scene_responses(layout, [left_out(m.over(areas)) for m in by_led], condition.point, replicates=True)
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
         ]
+
+    def with_resistors(self, layout: Scene, board: Scene) -> Scene:
+        """The layout with the resistors that fit the brightest light of any LED on any finger, where it has "auto"."""
+        if layout.electronics.feedback_ohm != "auto":
+            return layout
+        areas, photodiodes = layout.layout.photodiode_areas, [e.photodiode for e in layout.layout.photodiodes]
+        lit_a = [
+            brightest_current_a(light.over(areas).mean(0), led, photodiodes, condition.point)
+            for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
+            for led, light in zip(layout.leds, by_led, strict=True)
+        ]
+        return electronics.with_resistors(layout, np.max(lit_a, axis=0))

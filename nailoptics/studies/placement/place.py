@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
@@ -80,6 +81,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
+    layouts = [replace(layout, scene=judging.with_resistors(layout.scene, layout.board)) for layout in layouts]
     closer = light | {"stop": partial(report_progress.is_over, 1.0)}
     verified, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:
@@ -148,7 +150,8 @@ def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> Candida
     """The paper's layout on the same finger with the same electronics; None where it does not fit every nail."""
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
     shared = ("finger", "blood", "touch", "body", "electronics", "light", "priors")
-    scene = prototype.model_copy(update={name: getattr(base, name) for name in shared})
+    unfitted = tuple(p.model_copy(update=boards.UNFITTED) for p in prototype.photodiodes)
+    scene = prototype.model_copy(update={name: getattr(base, name) for name in shared} | {"photodiodes": unfitted})
     try:
         for condition in conditions:
             candidates.check(boards.worn_on(scene, condition.case, light_only=True), "paper")

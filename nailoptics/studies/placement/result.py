@@ -15,7 +15,7 @@ from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
 from ...variables import Variables, estimated, variable
-from .boards import rules, straightened
+from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n
 from .photon_maps import FingerCondition, PhotonMapCache
@@ -178,7 +178,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
 
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:
     """What one more photodiode would read by itself, wherever it lies on the board."""
-    photodiode, outline = straightened(scene.photodiodes[0]), maps[0].outline
+    photodiode, outline = straightened(scene.photodiodes[0]).model_copy(update=UNFITTED), maps[0].outline
     half_u, half_v = (size / 2 for size in photodiode.size_mm)
     place_u = np.arange(outline.u_min + half_u, outline.u_max - half_u + 1e-9, PLACES_MM)
     place_v = np.arange(outline.v_min + half_v, outline.v_max - half_v + 1e-9, PLACES_MM)

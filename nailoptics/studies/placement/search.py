@@ -17,7 +17,8 @@ from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.layout import SIDES
 from ...scene.rectangles import Rectangle
-from ...sensor.information import response
+from ...sensor.electronics import stage_ohm
+from ...sensor.information import brightest_current_a, response
 from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
@@ -343,10 +344,17 @@ class Search:
 
     def _columns(self, led: int, board: Scene, design: RowDesign) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
-        columns, kinds = [], design.places.photodiodes
-        for finger, ((light, *_), case) in enumerate(zip(self.cache.maps(board), self.cache.conditions, strict=True)):
-            values = light.over(design.places.areas).mean(0)
-            read = response(values, self.base, led, kinds, case.point)
+        columns, kinds, one = [], design.places.photodiodes, self.base.leds[led]
+        conditions = self.cache.conditions
+        by_finger = [light.over(design.places.areas).mean(0) for light, *_ in self.cache.maps(board)]
+        # A resistor is the same on all fingers; that other LEDs may be brighter is left to the judging.
+        brightest_a = [
+            brightest_current_a(values, one, kinds, condition.point)
+            for values, condition in zip(by_finger, conditions, strict=True)
+        ]
+        ohm = stage_ohm(kinds, self.base.electronics, largest_a=np.max(brightest_a, axis=0))
+        for finger, (values, condition) in enumerate(zip(by_finger, conditions, strict=True)):
+            read = response(values, self.base, led, kinds, condition.point, feedback_ohm=ohm)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
 

@@ -234,6 +234,7 @@ class Sites:
                 areas = [a for a in areas if span_mm(a, wall.name)[0] >= behind - ROUNDING_MM]
         free = [a for a in areas if walled or self._is_beside(a, leds)]
         by_name = {name: photodiode for photodiode in self.base.photodiodes for name in photodiode.element_names()}
+        by_name |= {e.name: e.photodiode for e in lay_elements(self.base.board, self.base.photodiodes)[0]}
         kinds = [by_name.get(area.name, self.base.photodiodes[0]) for area in (*free, *self._fixed[0])]
         return PhotodiodePlaces((*free, *self._fixed[0]), tuple(kinds), len(free), spacing)
 

@@ -120,14 +120,21 @@ function stateAt(force, rest, so2) {
   return [...atForce(tables.touch.blood, force).map((x) => Math.min(high, Math.max(low, x * rest))), so2];
 }
 
-/** Noise variance of one reading at the photocurrents of LED and ambient light [A], its mean, the stage's output [V] and whether the converter is at its limit. */
-function stage(kind, lit, ambient) {
-  const { feedbackOhm, rangeV, lsbV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * feedbackOhm;
+/** The largest E24 resistor that holds a photocurrent [A] below the converter's limit by the headroom. [ohm] */
+function fittedOhm(largestA) {
+  const { headroom, mostOhm, e24, rangeV, lsbV } = tables.stage, most = Math.min(mostOhm, (rangeV - lsbV) / headroom / largestA) * (1 + 1e-9);
+  const step = 10 ** (Math.floor(Math.log10(most)) - 1);
+  return e24.findLast((x) => x * step <= most) * step;
+}
+
+/** Noise variance of one reading at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
+function stage(kind, lit, ambient, ohm) {
+  const { rangeV, lsbV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { adcV2, perOhm, perOhm2, perOhm2A } = kind.noise;
   return {
-    volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * feedbackOhm, rangeV) : 0),
+    volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * ohm, rangeV) : 0),
     amplified,
     // What rejection subtracts has the noise of ambient light, too.
-    noiseV2: kind.fixedNoiseV2 + kind.noiseV2PerA * (lit + (rejects ? 2 : 1) * ambient),
+    noiseV2: adcV2 + ohm * (perOhm + ohm * (perOhm2 + perOhm2A * (lit + (rejects ? 2 : 1) * ambient))),
     saturated: amplified >= rangeV - lsbV,
   };
 }
@@ -210,22 +217,32 @@ function evaluate(layout, cache = new Map()) {
   const rest = stateAt(0, layout.rest, layout.so2), state = stateAt(layout.force, layout.rest, layout.so2);
   const known = { rest: monomials(rest), state: monomials(state), slope: [monomials(state, 0), monomials(state, 1)] };
   const rows = [], elements = layout.photodiodes.flatMap((pd) => elementsOf(pd));
-  layout.leds.forEach((led, number) => {
+  // A bed with hardly any blood is the brightest; a resistor is the same under all LEDs.
+  const least = tables.polynomial.bloodFraction[0], bright = monomials([least, least, layout.so2]);
+  const pairOf = (led, element) => {
     const kind = tables.ledKinds[led.kind], die = dieOf(led);
-    for (const element of elements) {
-      const key = JSON.stringify([kind.colour, die.u, die.v, die.turn, die.width, die.length, element.u, element.v,
-        element.turn, element.width, element.length]);
-      if (!cache.has(key)) cache.set(key, readPair(die, element, colours[kind.colour]));
-      rows.push(readRow(cache.get(key), known, led, number, element, layout, state, rest));
-    }
+    const key = JSON.stringify([kind.colour, die.u, die.v, die.turn, die.width, die.length, element.u, element.v,
+      element.turn, element.width, element.length]);
+    if (!cache.has(key)) cache.set(key, readPair(die, element, colours[kind.colour]));
+    return cache.get(key);
+  };
+  for (const element of elements) {
+    const diode = tables.photodiodeKinds[element.kind], ambientA = ambientCurrent(element, layout.ambient);
+    const lit = layout.leds.map((led) => Math.max(0, dot(bright, pairOf(led, element).coefficients)) * currentPerFraction(led, diode));
+    element.ohm = tables.stage.feedbackOhm ?? fittedOhm(Math.max(0, ...lit) + ambientA + diode.darkA);
+  }
+  layout.leds.forEach((led, number) => {
+    for (const element of elements) rows.push(readRow(pairOf(led, element), known, led, number, element, layout, state, rest));
   });
   if (cache.size > 4000) cache.clear();
   return { rows, state, rest, ...resolve(rows, layout.force, layout.rest, layout.leds.length) };
 }
 
+/** Photocurrent of all of an LED's light on a photodiode. [A] */
+const currentPerFraction = (led, diode) => tables.ledKinds[led.kind].fluxMw * 1e-3 * diode.responsivity[led.kind];
+
 function readRow(pair, known, led, number, element, layout, state, rest) {
-  const diode = tables.photodiodeKinds[element.kind], kind = tables.ledKinds[led.kind];
-  const gain = kind.fluxMw * 1e-3 * diode.responsivity[led.kind] * tables.stage.feedbackOhm;
+  const diode = tables.photodiodeKinds[element.kind], gain = currentPerFraction(led, diode) * element.ohm;
   const atRest = dot(known.rest, pair.coefficients), now = dot(known.state, pair.coefficients);
   const slope = known.slope.map((row) => dot(row, pair.coefficients));
   const groups = [0, 1, 2].map((q) => Array.from({ length: blockCount }, (_, k) => pair.blocks[3 * k + q]));
@@ -238,7 +255,7 @@ function readRow(pair, known, led, number, element, layout, state, rest) {
   // What either zone's blood changes by itself, added up: both may cancel in a reading, their errors do not.
   const gross = Math.abs(moved[0] * slope[0]) + Math.abs(moved[1] * slope[1]), changeCounted = jackknife(linear);
   const light = Math.max(now, 0), ambient = ambientCurrent(element, layout.ambient);
-  const read = stage(diode, (light * gain) / tables.stage.feedbackOhm, ambient);
+  const read = stage(diode, (light * gain) / element.ohm, ambient, element.ohm);
   const change = (now - atRest) * gain;
   return {
     led: number, element, few, fraction: now, fractionRest: atRest, gain, ambientA: ambient, ...read,
@@ -378,6 +395,7 @@ function toScene(layout) {
     if (pd.pitch) fields.pitch_mm = pd.pitch;
     return fields;
   });
+  if (tables.stage.feedbackOhm === null) scene.electronics.feedback_ohm = "auto";
   const wall = tables.board.wall;
   if (wall) scene.board.barrier_gap_mm = round(Math.min(...layout.leds.map((led) => gapTo(wall, led, wall.side))));
   scene.blood.rest_blood_fraction = layout.rest;

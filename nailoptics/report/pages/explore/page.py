@@ -29,7 +29,7 @@ from ....studies.exploration.pair_table import NEAREST_MM
 from ...html import Html, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
-PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired"}
+PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
 # Rules of Gauss quadrature up to so many points.
 MOST_POINTS = 6
 # The smallest current at which the slope of the noise's variance is taken. [A]
@@ -97,6 +97,8 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
     leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
     (nodes_u, nodes_v), rest = exploration.ambient_nodes, scene.blood.rest_blood_fraction
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
+    # Photodiodes that move need other resistors than those that fit them where they lay.
+    stage, fixed = scene.electronics, all(photodiode.feedback_ohm is None for photodiode in scene.photodiodes)
     return {
         "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
         "basis": {
@@ -126,10 +128,13 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
         "stage": {
-            "feedbackOhm": scene.electronics.feedback_ohm,
-            "rangeV": scene.electronics.adc_range_v,
-            "lsbV": electronics.lsb_v(scene.electronics),
-            "rejects": scene.electronics.ambient_rejection is not None,
+            "feedbackOhm": stage.feedback_ohm if fixed and stage.feedback_ohm != "auto" else None,
+            "headroom": stage.headroom,
+            "mostOhm": electronics.MOST_OHM,
+            "e24": electronics.E24,
+            "rangeV": stage.adc_range_v,
+            "lsbV": electronics.lsb_v(stage),
+            "rejects": stage.ambient_rejection is not None,
         },
         "touch": exploration.touch,
         "board": _board(scene),
@@ -214,17 +219,22 @@ def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
 
 
 def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
-    """What makes volts and noise of a photodiode's light: the variance is linear in the current."""
+    """What makes volts and noise of a photodiode's light: the variance is linear in the current, and apart from that of
+    converter and feedback it goes as the square of the feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    noise_v2 = [float(electronics.reading_noise_v2(current, photodiode, stage)) for current in (0.0, TEST_CURRENT_A)]
+    dark, lit = (electronics.reading_noise(a, photodiode, stage, feedback_ohm=1.0) for a in (0.0, TEST_CURRENT_A))
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
         "responsivity": electronics.photodiode_responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
-        "fixedNoiseV2": noise_v2[0],
-        "noiseV2PerA": (noise_v2[1] - noise_v2[0]) / TEST_CURRENT_A,
+        "noise": {
+            "adcV2": dark.adc_v2,
+            "perOhm": dark.feedback_v2,
+            "perOhm2": dark.shot_v2 + dark.shunt_v2 + dark.amplifier_v2,
+            "perOhm2A": (lit.shot_v2 - dark.shot_v2) / TEST_CURRENT_A,
+        },
     }
 
 

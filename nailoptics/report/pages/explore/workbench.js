@@ -171,7 +171,7 @@ function drawReadings() {
     const cells = row.few ? ["", "", "", "", "", "", "", "too few photons"] : [
       `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
       (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
-      row.ambientA ? (row.ambientA * tables.stage.feedbackOhm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
+      row.ambientA ? (row.ambientA * row.element.ohm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
     return [`${led.name} → ${row.element.name}`, separation.toFixed(2), ...cells];
   });
   const table = $("readings");
@@ -316,7 +316,7 @@ function drawPlots() {
     const state = stateAt(force, layout.rest, layout.so2), slopes = [monomials(state, 0), monomials(state, 1)], now = monomials(state);
     const there = rows.map((one) => {
       const light = Math.max(dot(now, one.pair.coefficients), 0) * one.gain;
-      const read = stage(tables.photodiodeKinds[one.element.kind], light / tables.stage.feedbackOhm, one.ambientA);
+      const read = stage(tables.photodiodeKinds[one.element.kind], light / one.element.ohm, one.ambientA, one.element.ohm);
       return { led: one.led, light, zone: slopes.map((slope) => dot(slope, one.pair.coefficients) * one.gain), ...read };
     });
     const scaled = atForce(tables.touch.blood_per_pa, force).map((x) => x.map((y) => y * layout.rest));

@@ -1,0 +1,49 @@
+"""Light on nail and eye against integrals over the die, and what a reading takes."""
+
+import numpy as np
+import pytest
+
+from nailoptics.assets import data_dir
+from nailoptics.scene import Scene, load_scene
+from nailoptics.sensor.exposure import SKIN_W_PER_M2, exposures
+from nailoptics.studies.scene_check import check_scene
+
+
+def scene(name: str = "prototype", **led_fields: object) -> Scene:
+    shipped = load_scene(data_dir("scenes") / f"{name}.toml")
+    return shipped.model_copy(update={"leds": tuple(led.model_copy(update=led_fields) for led in shipped.leds)})
+
+
+def test_the_limit_of_skin_is_that_of_the_standard():
+    # 20 000 t^0.25 J/m^2 in 10 s.
+    assert 10 * SKIN_W_PER_M2 == pytest.approx(20_000 * 10**0.25)
+
+
+@pytest.mark.parametrize("size_mm", [0.05, 0.25, 1.0])
+def test_irradiance_below_a_die_is_the_integral_over_it(size_mm):
+    """A Lambertian face of radiance P / (pi A) gives cos^4 / h^2 of it from each of its places."""
+    lit = scene(size_mm=(size_mm, size_mm))
+    (one,), height_mm = exposures(lit), lit.board.height_mm
+    u, v = np.meshgrid(*2 * [size_mm * ((np.arange(200) + 0.5) / 200 - 0.5)])
+    cos2 = height_mm**2 / (height_mm**2 + u**2 + v**2)
+    expected = np.mean(cos2**2) / height_mm**2 * lit.leds[0].flux_mw * 1e-3 / np.pi * 1e6
+    # The formula's disc is no square.
+    assert one.nail_w_per_m2 == pytest.approx(expected, rel=0.02)
+
+
+def test_a_reading_takes_the_light_and_the_charge_of_its_time():
+    (one,) = exposures(scene(current_ma=20.0))
+    assert (one.duty, one.reading_s) == (1.0, 1 / 200)
+    assert one.light_j == pytest.approx(2e-3 / 200) and one.charge_c == pytest.approx(20e-3 / 200)
+    assert exposures(scene())[0].charge_c is None
+
+
+def test_leds_that_are_lit_in_turn_share_the_time():
+    red, infrared = exposures(scene("pulse_oximeter"))
+    (alone,) = exposures(scene())
+    assert 0 < red.duty == infrared.duty < 0.5 and red.eye_w_per_m2 == pytest.approx(red.duty * alone.eye_w_per_m2)
+
+
+def test_check_warns_of_a_led_too_bright_for_skin(jit_backend):
+    dim, bright = (check_scene(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (1.0, 5.0))
+    assert not any("exposure" in line for line in dim) and any("exposure" in line for line in bright)
