@@ -82,17 +82,20 @@ def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
     return at_rest + (blood.so2 - at_rest) * part
 
 
-def saturation_over_time(blood: Blood, time_s: ArrayLike, blood_fraction: ArrayLike, flow: ArrayLike) -> np.ndarray:
+def saturation_over_time(
+    blood: Blood, time_s: ArrayLike, blood_fraction: ArrayLike, flow: ArrayLike, *, flow_before: ArrayLike = 1.0
+) -> np.ndarray:
     """The oxygen saturation of the blood in each zone by the balance of inflow and consumption, (zones, t) float.
 
     blood : of a scene, with venous_so2.
     time_s : (t,) float. [s]
     blood_fraction : (zones, t) float. Blood in capillaries, without the pulse. [1]
     flow : (zones, t) float. What flows through them over that at rest. [1]
+    flow_before : (zones,) float. The same before the first sample, with which the saturation begins in balance. [1]
 
     Blood f of saturation S loses oxygen evenly from inflow (S_a) to outflow (2 S - S_a), fills with arterial blood and
     is squeezed out as it is: f dS/dt = (2 q + max(df/dt, 0)) (S_a - S) - q_0 (S_a - S_v), with the flow q, which at
-    rest is q_0 = f_0 / exchange_s, and consumption as at rest as long as there is oxygen. It begins in balance.
+    rest is q_0 = f_0 / exchange_s, and consumption as at rest as long as there is oxygen.
 
     References: M. Nitzan et al., J. Biomed. Opt. 5, 155 (2000), inflow x (S_a - S_v) = consumption; G. N. Stamatas, N.
     Kollias, J. Biomed. Opt. 9, 315 (2004), stasis in skin.
@@ -109,7 +112,7 @@ def saturation_over_time(blood: Blood, time_s: ArrayLike, blood_fraction: ArrayL
     part = -np.expm1(-exchanged)
     lost = used * step_s / mean * np.divide(part, exchanged, out=np.ones_like(part), where=exchanged > 1e-12)
     below = np.empty_like(fraction)
-    below[:, 0] = np.minimum(used / np.maximum(2.0 * rest_flow * through[:, 0], tiny), blood.so2)
+    below[:, 0] = np.minimum(used / np.maximum(2.0 * rest_flow * np.asarray(flow_before, float), tiny), blood.so2)
     for k in range(len(step_s)):
         below[:, k + 1] = np.minimum(below[:, k] * (1.0 - part[:, k]) + lost[:, k], blood.so2)
     return np.asarray(blood.so2 - below)

@@ -200,15 +200,23 @@ class BloodModel:
             """Inflow, which goes with the fourth power of the diameter, and outflow."""
             return (high_pa - capillary_pa) * diameter_m**4, capillary_pa - vein_pa
 
-        rest = hemodynamics.steady_state(self.rest, zones=self.zones)
-        pressures = rest.capillary_diameter_m, rest.capillary_pressure_pa, rest.vein_pressure_pa
-        at_rest = flows(*pressures, self.rest.arterial_pressure_pa)
+        def through(*state: Any) -> np.ndarray:
+            # What a wall that moves takes up or gives off does not flow through.
+            both = zip(flows(*state), at_rest, strict=True)
+            return np.asarray(np.minimum(*(np.maximum((flow.T / rest_flow).T, 0.0) for flow, rest_flow in both)))
+
+        def untouched(parameters: hemodynamics.Parameters) -> tuple[Any, ...]:
+            state = hemodynamics.steady_state(parameters, zones=self.zones)
+            vessels = state.capillary_diameter_m, state.capillary_pressure_pa, state.vein_pressure_pa
+            return *vessels, parameters.arterial_pressure_pa
+
+        at_rest = flows(*untouched(self.rest))
         names = "capillary_diameter_m", "capillary_pressure_pa", "vein_pressure_pa", "arterial_pressure_pa"
-        both = zip(flows(*(run[name].values for name in names)), at_rest, strict=True)
-        # What a wall that moves takes up or gives off does not flow through.
-        through = np.minimum(*(np.maximum(flow / rest_flow[:, None], 0.0) for flow, rest_flow in both))
+        flow, high_pa = through(*(run[name].values for name in names)), without_pulse(run.arterial_pressure_pa.values)
+        # A touch that is there from the first sample finds the finger as it was without it.
+        before = through(*untouched(self.parameters.replace(arterial_pressure_pa=float(high_pa[0]))))
         steady = without_pulse(fraction.astype(float))
-        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(through))
+        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(flow), flow_before=before)
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 

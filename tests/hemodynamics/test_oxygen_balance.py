@@ -120,3 +120,11 @@ def test_a_balance_without_venous_saturation_is_refused_in_one_line() -> None:
     text = SMALL_FINGER_BEST.replace('parameters = "best"\n', 'parameters = "best"\noxygen_balance = true\n')
     with pytest.raises(InputError, match=r"oxygen_balance needs venous_so2; 0.89 is usual"):
         parse_scene(text)
+
+
+def test_a_touch_from_the_first_sample_begins_with_the_saturation_at_rest() -> None:
+    touch = "[touch]\nforce_n = 1.0\nproximal_share = 1.0\nstart_s = {}\nduration_s = 10.0\nprofile = 'step'\n"
+    first, later = (blood_over_touch(scene_with(touch.format(start_s))) for start_s in (0.0, 1.0))
+    assert first.so2.values[:, 0] == pytest.approx(BLOOD.rest_so2, abs=1e-9)
+    after = later.so2.sel(time=first.time[:-150].values + 1.0, method="nearest").values
+    assert first.so2.values[:, :-150] == pytest.approx(after, abs=1e-3)
