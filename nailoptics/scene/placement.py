@@ -1,7 +1,7 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, ValidationInfo, model_validator
 
@@ -10,7 +10,7 @@ from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, 
 from .finger import DermisAbsorption
 from .importers.board_files import read_board_file, read_outline
 from .importers.outlines import is_point, middle
-from .importers.positions import read_positions, reading_of, warn_of_mirrored
+from .importers.positions import UNITS_MM, FileUnit, read_positions, reading_of, warn_of_mirrored
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
@@ -115,11 +115,13 @@ class Placement(Table):
     search: bool = True
     """Also search for positions of the LED and the photodiodes."""
     outline: str | None = None
-    """Board outline in the scene's folder, a KiCad board or a CSV with columns x_mm, y_mm; that of [board] if not
-    given."""
+    """Board outline in the scene's folder, a KiCad board, a DXF or a CSV with columns x_mm, y_mm; that of [board] if
+    not given."""
     outline_origin: Literal["middle"] | Point | None = None
     """Point of that file on the nail's centre: the outline's centre, or (x, y); (0, 0), of a KiCad board its auxiliary
     origin, if not given. [mm]"""
+    outline_unit: FileUnit | None = None
+    """Unit of a DXF that does not state it, as KiCad's up to version 6; mm if not given."""
     outline_mm: tuple[Point, ...] | None = None
     """Corners of the outline (u, v); filled from outline. [mm]"""
     outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
@@ -160,10 +162,10 @@ class Placement(Table):
         if not isinstance(data, dict) or not isinstance(data.get("outline"), str) or "outline_mm" in data:
             return data
         folder = (info.context or {}).get("folder") or Path()
-        origin = data.get("outline_origin") or (0.0, 0.0)
-        if not (origin == "middle" or is_point(origin)):
+        unit, origin = data.get("outline_unit") or "mm", data.get("outline_origin") or (0.0, 0.0)
+        if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
             return data  # which its fields refuse
-        outline = read_outline(Path(folder) / data["outline"])
+        outline = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
         x, y = middle(outline) if origin == "middle" else origin
         corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (outline.corners_mm, *outline.holes_mm))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}

@@ -53,6 +53,12 @@ def read_text(path: Path, expected: str, *, shown: str | None = None, any_encodi
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def read_bytes(path: Path, expected: str) -> bytes:
+    """All that is in an ordinary file of bounded size; arguments as for `read_text`. Raises: InputError."""
+    with _reading(path, expected, str(path)):
+        return path.read_bytes()
+
+
 @contextmanager
 def _reading(path: Path, expected: str, name: str) -> Iterator[None]:
     """InputError where the path is no ordinary file of bounded size, cannot be read, or holds no text."""

@@ -154,6 +154,21 @@ def test_a_recorded_touch_of_anything(tmp_path_factory, head, body):
     one_line_or_nothing(read_recording, path)
 
 
+groups = st.tuples(
+    st.sampled_from(["0", "10", "20", "11", "21", "40", "42", "50", "51", "70", "8"]) | texts,
+    st.sampled_from(["LINE", "ARC", "CIRCLE", "LWPOLYLINE", "0", "1", "-1", "1e300", "nan"]) | texts,
+)
+
+
+@fuzz
+@given(st.lists(groups, max_size=30), st.booleans())
+def test_a_dxf_of_anything(tmp_path_factory, drawn, inside):
+    path = tmp_path_factory.mktemp("fuzz") / "outline.dxf"
+    body = [("0", "SECTION"), ("2", "ENTITIES")] * inside + drawn
+    path.write_text("".join(f"{code}\n{value}\n" for code, value in body), encoding="utf-8")
+    one_line_or_nothing(read_outline, path)
+
+
 @fuzz
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
@@ -162,6 +177,7 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
         ("a.toml", load_scene),
         ("b.toml", load_sweep),
         ("c.kicad_pcb", read_outline),
+        ("c.dxf", read_outline),
         ("d.csv", read_recording),
     ):
         (folder / name).write_bytes(data)
@@ -204,7 +220,7 @@ def test_a_cell_over_128_kb_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
-@pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.csv"])
+@pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.dxf", "outline.csv"])
 def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
     os.mkfifo(tmp_path / name)
     assert "no ordinary file" in one_line_or_nothing(read_outline, tmp_path / name)

@@ -165,8 +165,3 @@ def test_wrong_corners_are_refused_in_one_line(tmp_path, text, words):
 def test_lines_that_close_nothing_are_refused(lines, words):
     with pytest.raises(InputError, match=f"^x: .*({words})"):
         join(lines, "x")
-
-
-def test_a_drawing_in_dxf_is_refused_with_the_way_out(tmp_path):
-    with pytest.raises(InputError, match="import it into a board of KiCad on Edge.Cuts"):
-        read_outline(tmp_path / "board.dxf")

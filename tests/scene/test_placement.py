@@ -8,7 +8,7 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene
 from nailoptics.scene.importers.kicad import write_board
-from nailoptics.scene.importers.outlines import Outline
+from nailoptics.scene.importers.outlines import Outline, write_outline
 
 # As `kicad-cli pcb export pos --format csv --units mm --side both` writes it.
 POSITIONS = """Ref,Val,Package,PosX,PosY,Rot,Side
@@ -70,6 +70,17 @@ def test_the_scene_sets_an_outlines_origin(tmp_path, origin):
     flat = [x for corner in placement.outline_mm for x in corner]
     assert flat == pytest.approx([x for corner in SQUARE for x in corner], abs=1e-6)
     assert placement.outline_holes_mm[0][0] == pytest.approx((0, 0), abs=1e-6)
+
+
+def test_the_scene_sets_the_unit_of_a_drawing_without_one(tmp_path):
+    write_outline(tmp_path / "board.dxf", PAGE)
+    drawing = (tmp_path / "board.dxf").read_text()
+    assert "$INSUNITS\n 70\n4" in drawing
+    (tmp_path / "board.dxf").write_text(drawing.replace("$INSUNITS\n 70\n4", "$INSUNITS\n 70\n0"))
+    text = ON_PAGE.replace("board.kicad_pcb", "board.dxf") + 'outline_origin = "middle"\noutline_unit = "inch"'
+    (tmp_path / "scene.toml").write_text(text)
+    flat = [x for corner in load_scene(tmp_path / "scene.toml").placement.outline_mm for x in corner]
+    assert flat == pytest.approx([25.4 * x for corner in SQUARE for x in corner], abs=1e-6)
 
 
 def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys):

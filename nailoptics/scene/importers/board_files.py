@@ -107,8 +107,11 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
 
 
-def read_outline(path: Path) -> Outline:
-    """The outline of a KiCad board, from its auxiliary origin if that is set, or in a CSV with the columns x_mm, y_mm.
+def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
+    """The outline of a KiCad board, from its auxiliary origin if that is set, in a DXF drawing, or in a CSV with the
+    columns x_mm, y_mm.
+
+    unit_mm : one unit of a drawing that does not state it. [mm]
 
     Raises: InputError for a file that cannot be read, or an outline that is not closed.
     """
@@ -117,12 +120,12 @@ def read_outline(path: Path) -> Outline:
         x, y = board.auxiliary_mm or (0.0, 0.0)
         return join([[(a - x, b - y) for a, b in line] for line in board.edges], str(path))
     if path.suffix.lower() == ".dxf":
-        raise InputError(
-            f"{path}: a DXF is no longer read; import it into a board of KiCad on Edge.Cuts and give that .kicad_pcb."
-        )
+        from .dxf import dxf_lines
+
+        return join(dxf_lines(path, unit_mm=unit_mm), str(path))
     rows = list(read_rows(path, "an outline"))
     if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
-        raise InputError(f"{path}: is no outline; give a KiCad board, or a CSV whose first line is x_mm,y_mm.")
+        raise InputError(f"{path}: is no outline; give a KiCad board, a DXF, or a CSV whose first line is x_mm,y_mm.")
     corners = []
     for number, row in rows[1:]:
         if len(row) < 2:

@@ -106,7 +106,7 @@ def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point
         raise InputError(
             f"placement.outline: it is {size} around ({middle[0]:g}, {middle[1]:g}), "
             f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; tell which point lies on the nail's centre "
-            '(outline_origin = "middle" or [x, y]).'
+            '(outline_origin = "middle" or [x, y]), or the unit of a DXF that names none (outline_unit = "inch").'
         )
     (a, b), (c, d) = ends
     return ((a + b) / 2, (c + d) / 2), (b - a, d - c)
