@@ -4,6 +4,7 @@ import gc
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -13,8 +14,9 @@ import pytest
 
 # Before NumPy is loaded, here or in a worker: threads of BLAS that wait for small matrices take a fifth of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# The package is compiled once, not anew in each of the processes that tests start.
+# Package and tests are compiled once, not anew in each of the processes of a run.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 from nailoptics.errors import InputError  # noqa: E402
 from nailoptics.light import backend  # noqa: E402
@@ -40,6 +42,19 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A store of traced light for this test alone, and for the processes that it starts."""
     monkeypatch.setenv("NAILOPTICS_STORE", str(tmp_path / "store"))
     return tmp_path / "store"
+
+
+@pytest.fixture(scope="session")
+def shared_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of traced light that tests of this run share, whatever worker they are in."""
+    base = tmp_path_factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "light"
+
+
+@pytest.fixture
+def shared_light(shared_store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light comes from the shared store: for tests of what is made of it, not of how it is traced."""
+    monkeypatch.setenv("NAILOPTICS_STORE", str(shared_store))
 
 
 @pytest.fixture(scope="session")

@@ -17,19 +17,22 @@ from nailoptics.studies.colour.reflectance import NODES
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
-SIMULATE = ("simulate", "prototype", "--photons", "20000", "-o", "out")
+FINGER = SMALL_FINGER_BEST + "[priors]\nspread = false\n"
+SIMULATE = ("simulate", "finger.toml", "--photons", "8000", "-o", "out")
 COMPLETE = "nailoptics: interrupted; every file that was written is complete."
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory."""
+    """A working directory that holds a small finger alone."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "finger.toml").write_text(FINGER)
     return tmp_path
 
 
 def written(folder: Path) -> set[str]:
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    """Files below a folder, but for the scene."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {"finger.toml"}
 
 
 @pytest.mark.jit
@@ -74,7 +77,7 @@ def test_a_second_interrupt_ends_the_command_at_once(folder, chosen_jit, store):
 @pytest.mark.jit
 def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit):
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
-    Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n[colour]\nphotograph_px = [40, 30]\n")
+    Path("finger.toml").write_text(FINGER + "[colour]\nphotograph_px = [40, 30]\n")
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
     for place in (
         "nailoptics.studies.colour.adaptive_sampling:walk_colour",
@@ -90,7 +93,6 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
 @pytest.mark.jit
 def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
-    Path("finger.toml").write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n")
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
     ended = interrupted_at("nailoptics.light.walk.nail_reflectance:NailReflectance.reflect", *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]

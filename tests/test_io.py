@@ -357,7 +357,8 @@ def assert_full(command: subprocess.Popen, folder: Path, kept: list[str]) -> Non
 def test_a_full_disk_ends_simulate_with_one_line_and_the_old_result_whole(chosen_jit, small_disk, tmp_path):
     folder, limit = small_disk(40_960)
     (folder / "result.nc").write_text("old")
-    command = start("simulate", "prototype", "--photons", "100000", "-o", str(folder), folder=tmp_path, **limit)
+    (tmp_path / "finger.toml").write_text(SMALL_FINGER + "[priors]\nspread = false\n")
+    command = start("simulate", "finger.toml", "--photons", "8000", "-o", str(folder), folder=tmp_path, **limit)
     assert_full(command, folder, ["result.nc"])
     assert (folder / "result.nc").read_text() == "old"
 

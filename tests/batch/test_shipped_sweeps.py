@@ -30,7 +30,7 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.jit
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long if n in SLOW else ()) for n in names(SCENES)])
-def test_a_shipped_scene_runs_to_its_end(chosen_jit, name):
+def test_a_shipped_scene_runs_to_its_end(chosen_jit, shared_light, name):
     scene = load_scene(SCENES / f"{name}.toml")
     if name == "placement":
         scene = scene.model_copy(update={"placement": scene.placement.model_copy(update={"search": False})})

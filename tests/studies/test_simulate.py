@@ -22,11 +22,27 @@ from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, diges
 from nailoptics.sensor.information import posture_force_n
 from nailoptics.studies.simulate import simulate, simulate_from
 
+# Priors that need traces of their own, but for one: each takes as long as the scene's own light of few photons.
+KNOWN = (
+    "finger.plate_scattering",
+    "finger.bone_scattering",
+    "finger.pulp_scattering",
+    "finger.nail_thickness_mm",
+    "finger.bed_thickness_mm",
+)
+PHOTONS = 1 << 20
+
 
 def prototype(**touch) -> Scene:
-    """The shipped prototype, touched differently."""
+    """The prototype, of whose scattering that of the bed alone is unknown, touched differently."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
-    return scene.model_copy(update={"touch": scene.touch.model_copy(update=touch)})
+    priors = scene.priors.model_copy(update={"known": KNOWN})
+    return scene.model_copy(update={"touch": scene.touch.model_copy(update=touch), "priors": priors})
+
+
+def quiet(scene: Scene) -> Scene:
+    """The scene without the uncertainty due to its priors."""
+    return scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +53,14 @@ def own_store(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def pressed(chosen_jit, own_store) -> dict[str, xr.Dataset]:
-    """The prototype as shipped, and with the force on one side only; a million photons, the same for all three."""
-    shares = {"as shipped": {}, "proximal": {"proximal_share": 1.0}, "distal": {"proximal_share": 0.0}}
+    """The prototype touched as shipped, and with the force on one side only; the same photons for all three."""
+    scenes = {"as shipped": prototype()}
+    scenes |= {name: quiet(prototype(proximal_share=share)) for name, share in (("proximal", 1.0), ("distal", 0.0))}
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NAILOPTICS_STORE", str(own_store))
         return {
-            name: simulate(prototype(**touch), photons=1 << 20, seed=1, picture=name == "as shipped")
-            for name, touch in shares.items()
+            name: simulate(scene, photons=PHOTONS, seed=1, picture=name == "as shipped")
+            for name, scene in scenes.items()
         }
 
 
@@ -121,22 +138,25 @@ def test_stored_light_needs_no_mitsuba_until_a_part_of_it_is_gone(pressed, own_s
         from pathlib import Path
         from nailoptics import load_scene, simulate
         scene = load_scene(sys.argv[1])
+        priors = scene.priors.model_copy(update={"known": tuple(sys.argv[5:])})
+        scene = scene.model_copy(update={"priors": priors})
         def changed(part, **values):
             return scene.model_copy(update={part: getattr(scene, part).model_copy(update=values)})
         for other in (changed("blood", rest_blood_fraction=0.035), changed("touch", force_n=2.0)):
-            simulate(other, photons=1 << 20, seed=1, picture=True)
+            simulate(other, photons=int(sys.argv[4]), seed=1, picture=True)
         assert not {"mitsuba", "drjit"} & set(sys.modules)
         for file in Path(sys.argv[2]).glob("*/section.dat"):
             file.unlink()
-        result = simulate(scene, photons=1 << 20, seed=1, picture=True)
+        result = simulate(scene, photons=int(sys.argv[4]), seed=1, picture=True)
         assert "mitsuba" in sys.modules and result.attrs["reused"]
         result.path_density.to_netcdf(sys.argv[3])
     """
-    files = [str(file) for file in (data_dir("scenes") / "prototype.toml", own_store, tmp_path / "section.nc")]
+    section = tmp_path / "section.nc"
+    given = [str(one) for one in (data_dir("scenes") / "prototype.toml", own_store, section, PHOTONS, *KNOWN)]
     environment = os.environ | {"NAILOPTICS_STORE": str(own_store), "PYTHONPATH": str(Path(__file__).parents[2])}
-    done = subprocess.run([sys.executable, "-c", code, *files], env=environment, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code, *given], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    with xr.open_dataarray(files[-1]) as again:
+    with xr.open_dataarray(section) as again:
         assert np.array_equal(again, pressed["as shipped"].path_density)
 
 
@@ -168,8 +188,7 @@ def test_fitted_constants_scatter_over_seeds_by_their_standard_errors(chosen_jit
     """Rationale: all samples of a reading share the photons' noise, so what they miss of a curve is not its error.
     Expected: of ten traces of few photons, 95 % intervals of the constants of Taylor (9) and Beer-Lambert (8) hold
     their mean as often as they say, and the spread over the traces is the stated one."""
-    scene = load_scene(data_dir("scenes") / "static_proximal.toml")
-    scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
+    scene = quiet(load_scene(data_dir("scenes") / "static_proximal.toml"))
     results = [simulate(scene, photons=60_000, seed=seed) for seed in range(10)]
     for name in ("taylor_v0_v", "taylor_v1_v_per_m2", "beer_lambert_v1_v", "beer_lambert_alpha_per_m2"):
         value, error = (np.array([r[name + end].values[0] for r in results]) for end in ("", "_stderr"))
@@ -192,17 +211,18 @@ def test_a_result_survives_its_file(pressed, tmp_path):
 
 @pytest.mark.jit
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
-    first, second, other = (simulate(prototype(), photons=1 << 15, seed=seed) for seed in (5, 5, 6))
+    first, second, other = (simulate(prototype(), photons=1 << 14, seed=seed) for seed in (5, 5, 6))
     xr.testing.assert_identical(first.drop_attrs(), second.drop_attrs())
     assert not np.array_equal(first.volts, other.volts)
 
 
 @pytest.mark.jit
-def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkeypatch, tmp_path):
+def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkeypatch, own_store, tmp_path):
     """Rationale: a million samples of eight readings, each with its errors, noise and fits, are 0.7 GB in double
     precision. Expected: all that is told of few samples, to the 6e-8 of single precision, times in double, and the same
     from the file."""
-    scene, asked = prototype(), {"photons": 1 << 15, "seed": 5}
+    monkeypatch.setenv("NAILOPTICS_STORE", str(own_store))
+    scene, asked = prototype(), {"photons": 1 << 14, "seed": 5}
     few = simulate(scene, **asked)
     monkeypatch.setattr(variables, "MANY_SAMPLES", 400)
     many = simulate(scene, **asked)
@@ -230,13 +250,12 @@ def in_ambient_light(chosen_jit, own_store) -> dict[str, xr.Dataset]:
     lights = {"none": {}, "lamp": {"ambient": lamp}, "sun": {"ambient": sun}, "slot": {"ambient": lamp}}
     lights["dark"] = {"ambient": Ambient(illuminance_lux=0.0)}
     lights["slot"]["electronics"] = slot
-    quiet = prototype(duration_s=1.0)
-    quiet = quiet.model_copy(update={"priors": quiet.priors.model_copy(update={"spread": False})})
+    scene = quiet(prototype(duration_s=1.0))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NAILOPTICS_STORE", str(own_store))
         patch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
         return {
-            name: simulate(quiet.model_copy(update=update), photons=1 << 15, seed=1) for name, update in lights.items()
+            name: simulate(scene.model_copy(update=update), photons=1 << 15, seed=1) for name, update in lights.items()
         }
 
 
@@ -293,12 +312,10 @@ def test_a_bloodless_finger_is_a_control_whose_readings_stay(chosen_jit):
 
 @pytest.mark.jit
 def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
-    scene = prototype(duration_s=1.0, force_n=0.5)
     body = Body(heartbeat=Heartbeat(), hand_height_m=-0.1)
-    quiet = {"body": body, "priors": scene.priors.model_copy(update={"spread": False})}
-    result = simulate(scene.model_copy(update=quiet), photons=1 << 13, seed=1)
+    worn = quiet(prototype(duration_s=1.0, force_n=0.5)).model_copy(update={"body": body})
+    result = simulate(worn, photons=1 << 13, seed=1)
     at_hold_n = float(result.force_n.max())
-    worn = scene.model_copy(update={"body": body})
     assert list(result.disturbance.values) == ["heartbeat", "hand_height_m"]
     assert float(result.false_force_n[1]) == pytest.approx(posture_force_n(worn, at_hold_n), rel=0.02)
     assert 0 < float(result.false_force_n[0]) < 1
@@ -356,7 +373,7 @@ def test_an_interrupt_after_a_batch_keeps_the_batch(chosen_jit):
 
 @pytest.mark.jit
 def test_without_a_touch_nothing_changes(chosen_jit):
-    result = simulate(prototype(force_n=0.0), photons=1 << 17, seed=1)
+    result = simulate(quiet(prototype(force_n=0.0)), photons=1 << 15, seed=1)
     assert "path_density" not in result and "section_region" not in result
     assert abs(result.volts_change.values).max() < 1e-9
     assert_well_described(result)

@@ -16,7 +16,9 @@ PHOTONS = ["--photons", "100000", "--seed", "1"]
 
 @pytest.mark.long
 @pytest.mark.parametrize("scene", FINGERS, ids=lambda path: path.stem)
-def test_a_shipped_finger_is_recorded_calibrated_and_predicted(chosen_jit: object, scene: Path, tmp_path: Path) -> None:
+def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
+    chosen_jit: object, shared_light: None, scene: Path, tmp_path: Path
+) -> None:
     recording, subject, out = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "out"))
     assert run(["simulate", str(scene), "-o", str(tmp_path / "run"), "--recording", recording, *PHOTONS]) == 0
     assert run(["calibrate", str(scene), recording, "-o", subject, *PHOTONS]) == 0

@@ -1,6 +1,5 @@
 """What tests of a whole placement share."""
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -9,13 +8,6 @@ import pytest
 
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.studies.placement import verification
-
-
-@pytest.fixture(scope="session")
-def shared_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A store that the placements of this run of the tests share, whatever worker they are in."""
-    base = tmp_path_factory.getbasetemp()
-    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "placements"
 
 
 @pytest.fixture(scope="session")
