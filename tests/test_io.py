@@ -21,6 +21,7 @@ from nailoptics.errors import InputError, WriteError
 from nailoptics.scene import parse_scene
 
 ROOT = Path(__file__).parents[1]
+QUIET = SMALL_FINGER + "[priors]\nspread = false\n"
 PHANTOM = phantom(
     {"thickness_mm": 1.0, "mu_a_per_mm": 0.1, "g": 0.8, "n": 1.4},
     photodiodes=[{"name": "p", "position_mm": [1.0, 0.0]}],
@@ -280,10 +281,10 @@ def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
 def test_commands_that_share_a_folder_leave_the_files_of_one(jit_backend, store, tmp_path):
     """The page and the result that lie there in the end carry the same seeds. Stored light lets them meet there: they
     take as long as it takes to write."""
-    (tmp_path / "finger.toml").write_text(SMALL_FINGER)
+    (tmp_path / "finger.toml").write_text(QUIET)
     asked = ("simulate", "finger.toml", "--photons", "3000", "-o", "deep/out", "--seed")
     for seed in (1, 2, 3, 4):
-        nailoptics.simulate(parse_scene(SMALL_FINGER), photons=3000, seed=seed, picture=True)
+        nailoptics.simulate(parse_scene(QUIET), photons=3000, seed=seed, picture=True)
     commands = [start(*asked, str(seed), folder=tmp_path) for seed in (1, 2, 3, 4)]
     errors = [command.communicate(timeout=300)[1] for command in commands]
     assert [command.returncode for command in commands] == [0] * 4, errors
@@ -357,7 +358,7 @@ def assert_full(command: subprocess.Popen, folder: Path, kept: list[str]) -> Non
 def test_a_full_disk_ends_simulate_with_one_line_and_the_old_result_whole(chosen_jit, small_disk, tmp_path):
     folder, limit = small_disk(40_960)
     (folder / "result.nc").write_text("old")
-    (tmp_path / "finger.toml").write_text(SMALL_FINGER + "[priors]\nspread = false\n")
+    (tmp_path / "finger.toml").write_text(QUIET)
     command = start("simulate", "finger.toml", "--photons", "8000", "-o", str(folder), folder=tmp_path, **limit)
     assert_full(command, folder, ["result.nc"])
     assert (folder / "result.nc").read_text() == "old"

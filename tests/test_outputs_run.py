@@ -6,11 +6,13 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Scene, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
+from nailoptics.studies.placement import verification
 from nailoptics.studies.scene_check import check_scene
 from nailoptics.studies.simulate import simulate
 
@@ -21,16 +23,25 @@ ZONED = [name for name, scene in SCENES.items() if len(scene.zone_edges_mm) > 1]
 
 def is_read(scene: Scene) -> None:
     check_scene(scene)
+    scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
     assert simulate(scene, photons=2000, seed=1).detected_fraction.notnull().all()
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    "name", [pytest.param(one, marks=pytest.mark.long if one == "placement" else pytest.mark.slow) for one in FINGERS]
+    ("name", "search"),
+    [
+        pytest.param("placement", False, marks=pytest.mark.long),
+        *[pytest.param(one, True, marks=pytest.mark.slow) for one in FINGERS],
+    ],
 )
-def test_every_file_of_place_is_read(jit_backend, tmp_path: Path, name: str):
+def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, name: str, search: bool):
     """Few photons rank layouts badly, and are enough to write them."""
+    monkeypatch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
+    monkeypatch.setattr(verification, "BACK_PHOTONS", verification.BACK_PHOTONS // 4)
     scene = SCENES[name]
+    if not search:
+        scene = scene.model_copy(update={"placement": scene.placement.model_copy(update={"search": False})})
     try:
         result = nail.place(scene, photons=2000, seed=1)
     except nail.NotReachedError as short:

@@ -315,15 +315,15 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tm
     assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
 
 
-def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, tmp_path):
+def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="photons = 4_000_000_000")
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
-        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=5)
+        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=2)
     assert caught.value.result.unfinished == 1 and not bits(tmp_path / "b")
     [first] = (tmp_path / "b" / "light").iterdir()
     traced = {path: path.read_bytes() for path in first.iterdir()}
     with pytest.raises(NotReachedError, match="max_seconds"):
-        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=5)
+        run_batch(sweep, tmp_path / "b", workers=1, threads=1, max_seconds=2)
     again = {path: path.read_bytes() for path in first.iterdir()}
     assert traced.items() < again.items() and not bits(tmp_path / "b")
 

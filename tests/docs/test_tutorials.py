@@ -96,7 +96,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         text = one.read_text(encoding="utf-8")
         for pattern, by in SMALLER.items():
             text = re.sub(pattern, by, text, flags=re.M)
-        one.write_text(text, encoding="utf-8")
+        # Priors of scattering and thickness would each take traces of their own.
+        one.write_text(text + "\n[priors]\nown_traces = false\n", encoding="utf-8")
     monkeypatch.setattr(files, "data_dir", lambda name: shipped if name == "scenes" else data_dir(name))
 
 

@@ -68,6 +68,7 @@ def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arriva
     assert np.all(np.hypot(error[:, 0], spread) < [0.03, 0.06] * expected)
 
 
+@pytest.mark.long
 def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, transfer):
     """The map's derivative by each zone's blood, and 1 % more blood read from the trace of the real board."""
     areas = list(scene.layout.photodiode_areas)
@@ -128,8 +129,9 @@ def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, ch
     assert bare[0, 1] > 2 * behind[0, 1]
 
 
-def test_binned_map_and_records_agree_on_any_rectangle(scene, arrivals):
-    point = blood_point(scene, 0)
+def test_binned_map_and_records_agree_on_any_rectangle(scene, chosen_jit):
+    point, tracer = blood_point(scene, 0), BoardTracer(scene)
+    arrivals = [tracer.arrivals(0, photons=1 << 16, seed=i) for i in range(2)]
     binned = PhotonMap(scene.layout.outline, values=4, spacing_mm=0.1)
     for one in arrivals:
         binned.add(one, point.values(one))

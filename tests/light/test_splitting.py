@@ -105,7 +105,7 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
     from nailoptics.light.walk.interfaces import DETECTED
 
     tracer = FingerTracer(prototype)
-    photons, count = 1 << 19, len(tracer.photodiodes)
+    photons, count = 1 << 18, len(tracer.photodiodes)
     split = tracer.batch(0, photons=photons, seed=2026_11_21)
     walked = tracer.walk(0, photons=photons, seed=1911_05_03)
     ended = np.flatnonzero(walked.outcome >= DETECTED)

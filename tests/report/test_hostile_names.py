@@ -101,7 +101,7 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     assert_text_alone(html.table(tradeoff._needs(found)), name)
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", ["".join(HOSTILE)], ids=["all"])
 def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     over = ("reading", "sample")
     volts = 1.0 + np.linspace(0.0, 1e-3, 8)[None]
@@ -143,6 +143,6 @@ def hostile_sweep(name) -> str:
     )
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", ["".join(HOSTILE)], ids=["all"])
 def test_hostile_names_are_text_on_the_page_of_a_prediction(name, monkeypatch):
     assert_text_alone(hostile_prediction(name, monkeypatch), name)

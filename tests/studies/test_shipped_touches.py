@@ -97,6 +97,7 @@ def test_the_white_band_reaches_the_light(chosen_jit):
     shielded = scene("white_band")
     unshielded = {"blood": shielded.blood.model_copy(update={"decay_length": 0.15})}
     unshielded["touch"] = shielded.touch.model_copy(update={"distal_onset_n": None})
+    unshielded["priors"] = shielded.priors.model_copy(update={"spread": False})
     asked = shielded.model_copy(update=unshielded)
     result = nail.simulate(asked, photons=20_000, seed=1)
     change = result.volts_change.isel(led=0, photodiode=-1)

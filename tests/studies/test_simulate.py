@@ -183,6 +183,7 @@ def test_the_reduced_optics_follow_the_traced_volts(pressed):
         assert np.allclose(np.sqrt(np.mean(off**2, -1)), residual, rtol=0.05, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_fitted_constants_scatter_over_seeds_by_their_standard_errors(chosen_jit):
     """Rationale: all samples of a reading share the photons' noise, so what they miss of a curve is not its error.

@@ -300,7 +300,7 @@ def test_what_cannot_be_compared_is_one_line():
 
 @pytest.mark.jit
 def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, capsys):
-    folder = ["-o", str(tmp_path), "--photons", "150000", "--json"]
+    folder = ["-o", str(tmp_path), "--photons", "60000", "--json"]
     assert cli.run(["compare", "prototype", *folder, "--require", "1e-4"]) == 4
     printed = capsys.readouterr()
     found = json.loads(printed.out)

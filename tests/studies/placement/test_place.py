@@ -397,6 +397,7 @@ def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
         assert result.rows(kept) == result.rows(found)
 
 
+@pytest.mark.long
 def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, scene, monkeypatch):
     """Rationale: a layout is judged again and again, with other electronics and blood. Expected: the same numbers, and
     with coarser conversion coarser ones, from light that is stored; with other blood the maps of a fresh trace."""
