@@ -40,7 +40,7 @@ def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    "power", [pytest.param(1.0, marks=pytest.mark.long), 3.5, pytest.param(20.0, marks=pytest.mark.long)]
+    "power", [pytest.param(1.0, marks=pytest.mark.slow), 3.5, pytest.param(20.0, marks=pytest.mark.long)]
 )
 def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power):
     """Of even radiance a response cos^m takes int cos^m dw / int cos dw = 2 / (m + 1) of what a flat face does."""

@@ -54,7 +54,7 @@ def statistics(batches):
 
 
 @pytest.mark.parametrize("n", [1.0, 1.4])
-@pytest.mark.parametrize("wavelength", [660.0, *(pytest.param(nm, marks=pytest.mark.long) for nm in (800.0, 940.0))])
+@pytest.mark.parametrize("wavelength", [660.0, *(pytest.param(nm, marks=pytest.mark.slow) for nm in (800.0, 940.0))])
 def test_a_slab_at_each_wavelength_meets_adding_doubling(wavelength, n, engine):
     """R and T of 1 mm of dermis under a beam, index-matched and not."""
     iadpython = pytest.importorskip("iadpython")

@@ -139,7 +139,7 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     assert found.signal.total[0][0] == pytest.approx(signal, rel=0.3)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced):
     """Expected: of 40 draws, all priors at once, 88 to 99 % of readings and signals lie within the stated interval."""
     transfer = trace(traced.scene, photons=1_000_000, seed=1)

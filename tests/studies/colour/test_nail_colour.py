@@ -163,6 +163,7 @@ def test_priors_span_peoples_nails_and_skin(jit_backend):
     assert (skin + reach > low).all() and (skin - reach < high).all() and (low[:2] < skin[:2]).all()
 
 
+@pytest.mark.long
 def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_backend):
     scene = without_spread(load_scene("scenes/nail_colour.toml"))
     found = colour(scene, photons=60_000, seed=2)

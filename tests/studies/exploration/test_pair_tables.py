@@ -41,7 +41,7 @@ def places(basis, rng, count):
     [
         pytest.param(None, id="open", marks=pytest.mark.long),
         pytest.param(WALL, id="left"),
-        pytest.param(Rectangle("above", -4.0, 4.0, 1.0, 1.2), id="above", marks=pytest.mark.long),
+        pytest.param(Rectangle("above", -4.0, 4.0, 1.0, 1.2), id="above", marks=pytest.mark.slow),
     ],
 )
 def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):

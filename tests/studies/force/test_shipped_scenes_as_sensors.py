@@ -10,12 +10,17 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.studies.force.predict import CSV_COLUMNS
 
-FINGERS = [path for path in sorted(data_dir("scenes").glob("*.toml")) if load_scene(path).finger is not None]
+# Differ from the two that stay in the side of the touch alone.
+LIKE_OTHERS = {"static_distal", "dynamic_proximal"}
+FINGERS = [
+    pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in LIKE_OTHERS else pytest.mark.long)
+    for path in sorted(data_dir("scenes").glob("*.toml"))
+    if load_scene(path).finger is not None
+]
 PHOTONS = ["--photons", "100000", "--seed", "1"]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("scene", FINGERS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("scene", FINGERS)
 def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
     chosen_jit: object, shared_light: None, scene: Path, tmp_path: Path
 ) -> None:
