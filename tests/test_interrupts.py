@@ -35,6 +35,7 @@ def written(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {"finger.toml"}
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, chosen_jit):
     """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
