@@ -37,6 +37,9 @@ def names(folder: Path) -> list[str]:
 )
 def test_a_shipped_scene_runs_to_its_end(chosen_jit, shared_light, name):
     scene = load_scene(SCENES / f"{name}.toml")
+    if name != "prototype":
+        # Priors that need traces of their own take these of one scene as of another.
+        scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"own_traces": False})})
     COMMANDS.get(name, nail.simulate)(scene, photons=20_000, seed=1)
 
 

@@ -32,7 +32,7 @@ def power_of_cosine(power: float) -> tuple[tuple[float, float], ...]:
 
 @pytest.mark.jit
 def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
-    bare, flat = (nail.trace(with_response(r, r), photons=1 << 17, seed=3).traces[0] for r in (None, FLAT))
+    bare, flat = (nail.trace(with_response(r, r), photons=1 << 14, seed=3).traces[0] for r in (None, FLAT))
     assert len(bare.weight) > 100
     assert np.array_equal(bare.weight, flat.weight) and np.array_equal(bare.photodiode, flat.photodiode)
     assert np.array_equal(bare.path_mm, flat.path_mm)

@@ -73,18 +73,21 @@ def readings() -> PeopleReadings:
         return people.read_people([scenes[4], narrow])
 
 
+@pytest.mark.long
 def test_proximal_readings_fall_and_distal_ones_rise_until_the_touch_ends(readings):
     assert (np.diff(readings.cycle[0].mean(-2)[:, :20]) < 0).all() and (np.diff(readings.cycle[1].mean(-2)) > 0).all()
     assert (np.abs(readings.press_on[..., -1]) > 0.3 * np.abs(readings.cycle[:, :, 0, 20])).all()
     assert np.abs(readings.press_off[..., -1]).max() < 0.01 * np.abs(readings.press_on[..., -1]).min()
 
 
+@pytest.mark.long
 def test_taylor_fits_each_person_within_a_hundredth_of_the_change(readings):
     for values, fit in ((readings.cycle, readings.cycle_fit), (np.abs(readings.press_on), np.abs(readings.press_fit))):
         missed = np.abs(values - fit[..., : values.shape[-1]]).reshape(4, -1).max(1)
         assert (missed < 0.02 * np.abs(values).reshape(4, -1).max(1)).all()
 
 
+@pytest.mark.long
 def test_skin_matters_where_light_meets_it_and_only_there(readings):
     """Rationale: a nail 4 mm wide lets some of the light cross the skin at its folds; a thumb's does not."""
     thumb, narrow = np.abs(readings.skin_effect).max((0, 2))
