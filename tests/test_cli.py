@@ -574,6 +574,7 @@ def on_terminal(arguments: list[str]) -> str:
     return shown.decode(errors="replace")
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit, store):
     """A real interrupt of a real process as soon as its first photons are stored."""

@@ -100,6 +100,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, store):
     """An interrupt while light is traced, and a second one; expected: neither a fault of ours nor a subject."""
@@ -117,6 +118,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_command_in_the_background_of_a_script_hears_no_interrupt(folder, chosen_jit, store):
     """A shell lets it ignore SIGINT, which is for the script; expected: it goes on to its end."""

@@ -56,6 +56,7 @@ def test_a_run_gives_each_scene_its_reading_and_a_second_run_does_nothing(jit_ba
     assert bits(tmp_path / "b") == before
 
 
+@pytest.mark.long
 def test_random_kills_and_the_number_of_workers_and_threads_change_no_bit(calm, tmp_path):
     """A worker is killed (SIGKILL) after every seventh scene; what is left is the work of an undisturbed run."""
     rng, killed = random.Random(1), [0]
@@ -181,6 +182,7 @@ def test_an_interrupted_run_ends_at_once_and_keeps_what_is_done(calm, tmp_path):
     assert 4 <= len(there) < 30 and there.items() <= calm.bits.items()
 
 
+@pytest.mark.long
 def test_two_runs_in_one_folder_share_the_work(calm, tmp_path):
     rival = driver(calm.file, tmp_path / "b", "--workers", "1", "--json")
     deadline = time.time() + 60

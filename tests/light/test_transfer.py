@@ -275,6 +275,7 @@ def test_no_standard_error_is_given_of_what_few_photons_tell():
     assert energy["reflected"]["stderr"] == pytest.approx(np.sqrt(3) / photons, rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
     """Readings, mean paths and derivatives of 200 traces so short that some photodiodes see a handful of photons."""
