@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .studies.placement.place import place as place
     from .studies.simulate import simulate as simulate
 
-__version__ = "0.2.0"
+__version__ = "0.3.0.dev0"
 
 # Imported when first used, so that `import nailoptics` takes no time.
 _ROOMS = ("hemodynamics", "scene", "tissue")

@@ -12,12 +12,21 @@ _ROOT = Path(__file__).resolve().parents[1]
 _BUILT_FROM = Path(__file__).resolve().with_name("_commit.txt")
 
 
+def code_versions(*packages: str) -> dict[str, str]:
+    """Versions of nailoptics and of packages. That of nailoptics is this code's: an editable installation may state an
+    older one.
+    """
+    from . import __version__
+
+    return {"nailoptics": __version__} | {name: metadata.version(name) for name in packages}
+
+
 def code_attributes(versions: Mapping[str, str] | None = None) -> dict[str, str]:
     """Attributes of a result that say which code made it: versions and, where it is known, the commit.
 
     versions : of packages; of nailoptics and NumPy if not given, for what traces no light of its own.
     """
-    numbers = versions or {name: metadata.version(name) for name in ("nailoptics", "numpy")}
+    numbers = versions or code_versions("numpy")
     attributes = {"versions": " ".join(f"{name}={number}" for name, number in numbers.items())}
     return attributes | ({"commit": known} if (known := commit()) else {})
 

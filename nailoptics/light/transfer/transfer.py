@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from ... import checks, io
-from ...commit import code_attributes
+from ...commit import code_attributes, code_versions
 from ...errors import InputError
 from ...scene import Scene, digest, parse_scene, to_toml
 from ...statistics import FEW_TERMS, upper_limit_95
@@ -42,7 +41,7 @@ class ReweightWarning(UserWarning):
 @cache
 def current_versions() -> dict[str, str]:
     """Versions of what decides a result's bits."""
-    return {name: version(name) for name in ("nailoptics", "mitsuba", "drjit", "numpy")}
+    return code_versions("mitsuba", "drjit", "numpy")
 
 
 def rest_state(scene: Scene, led: int) -> tuple[np.ndarray, np.ndarray]:
