@@ -43,7 +43,7 @@ class Settings:
         deadline = None if options.max_seconds is None else time.time() + options.max_seconds
         chosen = cast(BackendName, backends.choose_jit(options.backend, "batch").name)
         if study == "colour" and options.relative_error is not None:
-            raise InputError("a sweep of colours has no --relative-error; give colour.tolerance in its base scene.")
+            raise InputError("relative_error: a sweep of colours has none; give colour.tolerance in its base scene.")
         return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline, study)
 
     def required(self, scene: Scene) -> Accuracy:
@@ -105,7 +105,7 @@ def parse_shard(text: str | None) -> tuple[int, int]:
         return 1, 1
     match = re.fullmatch(r"(\d+)/(\d+)", text)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise InputError(f"--shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
+        raise InputError(f"shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
     return int(match[1]), int(match[2])
 
 
@@ -157,7 +157,7 @@ def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> st
         if (then := getattr(old.made, name)) != (now := getattr(made, name)):
             raise InputError(
                 f"{folder.root}: was begun with {name} {then}, and {now} is requested; "
-                f"use --{name} {then} or another folder."
+                f"give {name} {then}, or another folder."
             )
     if old.made != made:
         raise InputError(

@@ -98,7 +98,7 @@ def run_batch(
         if value is not None and not value > 0:
             raise InputError(f"{name} = {value}; must be above 0.")
     if workers is not None and scheduler is not None:
-        raise InputError("--workers and --scheduler exclude each other; a scheduler has its own workers.")
+        raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
     settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)
     place, part = Folder(settings.folder), parse_shard(shard)
@@ -168,16 +168,16 @@ class ClusterSlots(LocalSlots):
         try:
             from distributed import Client
         except ImportError:
-            raise InputError("--scheduler needs Dask: pip install 'nailoptics[cluster]'.") from None
+            raise InputError("a scheduler needs Dask: pip install 'nailoptics[cluster]'.") from None
         try:
             self.client = Client(address, timeout="10s", set_as_default=False)
         except (OSError, ValueError) as error:
             why = str(error).splitlines()[0]
-            raise InputError(f"--scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None
+            raise InputError(f"scheduler {address}: cannot be reached ({why}); start dask scheduler first.") from None
         threads = self.client.nthreads()
         if not threads:
             self.client.close()
-            raise InputError(f"--scheduler {address}: has no workers; start dask worker {address} --nthreads 1.")
+            raise InputError(f"scheduler {address}: has no workers; start dask worker {address} --nthreads 1.")
         # One more than there are workers, so that none waits for the driver.
         self.executors = [self.client.get_executor(pure=False)] * (2 * sum(threads.values()))
         # Workers of one machine divide its cores.
@@ -363,7 +363,7 @@ class _Driver:
         reasons = [trouble] if trouble else []
         if outcome.failed:
             first = next(iter(outcome.failed.values())).rstrip(".")
-            reasons.append(f"{len(outcome.failed)} failed (the first: {first}; --retry-failed tries them again)")
+            reasons.append(f"{len(outcome.failed)} failed (the first: {first}; retry_failed tries them again)")
         if outcome.unmet:
             reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue)")
         if outcome.unfinished and not trouble:

@@ -45,7 +45,7 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
         try:
             constants = _scaled(constants, blood.tuning.factors or {}).replace(**blood.tuning.values())
         except InputError as error:
-            raise InputError(str(error).replace("hemodynamics.", "blood.tuning.")) from None
+            raise InputError(f"blood.tuning.{error}") from None
     factors: dict[str, PerBed] = {
         "capillary_stiffness_n_per_m": (blood.wall_stiffness, blood.wall_stiffness * blood.distal_stiffness),
         "vein_stiffness_n_per_m": blood.wall_stiffness * blood.vein_stiffness,

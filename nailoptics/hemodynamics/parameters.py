@@ -81,7 +81,7 @@ class Parameters:
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
                 hint = f"did you mean {near[0]!r}?" if near else f"use one of {', '.join(known)}."
-                raise InputError(f"hemodynamics.{name} is not a parameter; {hint}")
+                raise InputError(f"{name} is not a parameter; {hint}")
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, Any]:
@@ -100,16 +100,14 @@ def is_of_beds(name: str) -> bool:
 
 
 def _checked(name: str, given: Any) -> float:
-    value = number(f"hemodynamics.{name}", given)
+    value = number(name, given)
     if name == "venular_share":
         if not 0.0 <= value < 1.0:
-            raise InputError(f"hemodynamics.{name} must be 0 or more and less than 1, got {value:g}; 0 is none.")
+            raise InputError(f"{name} must be 0 or more and less than 1, got {value:g}; 0 is none.")
     elif "damping" in name and 0.0 < value < LEAST_DAMPING_N_S_PER_M:
-        raise InputError(
-            f"hemodynamics.{name} must be {LEAST_DAMPING_N_S_PER_M:g} or more, got {value:g}; 1e-6 is as good as none."
-        )
+        raise InputError(f"{name} must be {LEAST_DAMPING_N_S_PER_M:g} or more, got {value:g}; 1e-6 is as good as none.")
     elif name not in _MAY_BE_ANY_SIGN and value <= 0.0:
-        raise InputError(f"hemodynamics.{name} must be greater than 0, got {value:g}; give a positive value.")
+        raise InputError(f"{name} must be greater than 0, got {value:g}; give a positive value.")
     return value
 
 
@@ -212,7 +210,7 @@ def parameters(name: str = "listed") -> Parameters:
     Raises: InputError if the name is unknown.
     """
     if name not in _SETS:
-        raise InputError(f"hemodynamics.parameters {name!r} is not a named set; use one of {', '.join(NAMES)}.")
+        raise InputError(f"parameters {name!r} is not a named set; use one of {', '.join(NAMES)}.")
     return Parameters(**_SETS[name])
 
 
@@ -224,7 +222,7 @@ def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
     Raises: InputError if the factor is not greater than 1.
     """
     if not (math.isfinite(factor) and factor > 1.0):
-        raise InputError(f"hemodynamics.bounds factor must be finite and greater than 1, got {factor}; use 10.")
+        raise InputError(f"factor must be finite and greater than 1, got {factor}; use 10.")
     listed = Parameters().as_dict()
     left_out = _MAY_BE_ANY_SIGN + _BEYOND_THE_PAPER
     return {name: (value / factor, value * factor) for name, value in listed.items() if name not in left_out}

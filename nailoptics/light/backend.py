@@ -41,6 +41,7 @@ VOLPATH_ADVICE = (
     "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
 )
 PROBE_TIMEOUT_S = 120.0
+NOT_INSTALLED = 75  # exit code of a probe without Mitsuba
 CACHE = "backends.json"
 LLVM_FILE = re.compile(r"libLLVM(?:-.*)?\.so|libLLVM.*\.dylib$")
 FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
@@ -54,7 +55,11 @@ try:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 except (ImportError, ValueError, OSError):
     pass
-import mitsuba as mi
+try:
+    import mitsuba as mi
+except ImportError as error:
+    print(error, file=sys.stderr)
+    sys.exit(int(sys.argv[2]))
 mi.set_variant(sys.argv[1])
 import drjit as dr
 two = dr.opaque(mi.Float, 2.0)
@@ -116,7 +121,7 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
                 return replace(candidate, why=why, advice=ADVICE if requested == "auto" and not candidate.jit else None)
             failed.append(f"{candidate.library}: {candidate.why}" if candidate.library else candidate.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
-    raise InputError(f"backend {failures[0]}; use --backend auto, or see nailoptics doctor.")
+    raise InputError(f"backend {failures[0]}; use backend auto, or see nailoptics doctor.")
 
 
 def findings() -> list[Backend]:
@@ -269,7 +274,7 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
     environment = dict(os.environ)
     if name == "llvm":
         environment["DRJIT_LIBLLVM_PATH"] = library
-    command = [sys.executable, "-P", "-c", PROBE, VARIANTS[name]]
+    command = [sys.executable, "-P", "-c", PROBE, VARIANTS[name], str(NOT_INSTALLED)]
     try:
         with tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
             # Kernels compiled earlier, perhaps by another library, must not answer for this one.
@@ -303,7 +308,7 @@ def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
     # Dr.Jit's own words come first; the exception that follows them only says that there is no backend.
     refusal = re.search(r"jit_(?:llvm|cuda)\w*\(\): (.+?)(?:, shutting down|[.\n]|$)", message)
     why = refusal.group(1) if refusal else _last_line(message)
-    missing = "ModuleNotFoundError" in message or not message
+    missing = run.returncode == NOT_INSTALLED or not message
     return (), f"refused: {why}" if why else f"ended with code {run.returncode}", not missing
 
 

@@ -121,7 +121,7 @@ def test_two_studies_of_one_scene_are_two_results(tmp_path):
 
 def test_an_unknown_study_is_refused_in_one_line(tmp_path):
     sweep = colours(tmp_path)
-    with pytest.raises(InputError, match="colours has no --relative-error; give colour.tolerance"):
+    with pytest.raises(InputError, match="relative_error: a sweep of colours has none; give colour.tolerance"):
         run_batch(sweep, tmp_path / "b", relative_error=0.1)
     (tmp_path / "colours.toml").write_text(COLOURS.replace('"colour"', '"smell"', 1))
     with pytest.raises(InputError, match="study = \"smell\": must be 'simulate', 'trace', 'oximeter' or 'colour'"):

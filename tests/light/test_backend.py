@@ -115,6 +115,14 @@ def test_a_probe_that_hangs_is_given_up_and_not_remembered(library, fresh, monke
     assert not fresh.exists()
 
 
+def test_a_missing_package_is_not_remembered(library, fresh, monkeypatch, tmp_path):
+    """Power: a library that is refused is remembered."""
+    assert backend._probe("llvm", str(library))[2]
+    (tmp_path / "mitsuba.py").write_text("raise ImportError('no mitsuba here')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert backend._probe("llvm", str(library)) == ((), "refused: no mitsuba here", False)
+
+
 def test_an_unwritable_cache_costs_a_probe_and_nothing_else(library, monkeypatch, tmp_path):
     blocker = tmp_path / "file"
     blocker.write_text("in the way")
