@@ -20,8 +20,8 @@ MOST_READINGS, RANGES = 20_000, 4096
 class FittedCurve:
     """y = value - slope (1 - exp(-curvature (x - centre))) / curvature; the straight line where curvature is 0.
 
-    Nearly straight readings determine V0, V1 and alpha of (8) only together; value, slope and curvature at their centre
-    they determine one by one.
+    Nearly straight readings determine V0, V1 and alpha of Beer-Lambert (8) only together, but value, slope and
+    curvature at their centre one by one.
 
     curved : whether the curvature was fitted, too.
     """
@@ -115,7 +115,8 @@ def fit_curve(
 class OpticsFit:
     """Beer-Lambert (8) or Taylor (9), fitted to readings over D^2.
 
-    constants : V0, V1 and alpha of (8), as v0_v, v1_v and alpha_per_m2; V0' and V1' of (9), as v0_v and v1_v_per_m2.
+    constants : V0, V1 and alpha of Beer-Lambert (8), as v0_v, v1_v and alpha_per_m2; V0' and V1' of Taylor (9), as v0_v
+        and v1_v_per_m2.
     residual_rms_v, residual_max_v : what the curve misses of the readings. [V]
     note : empty, or one line on what the readings do not determine.
     jacobian : (constants, 2 or 3) float. Derivatives of the constants by value, slope and curvature of the curve.

@@ -125,7 +125,7 @@ def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[Pe
 def _own_readings(width: np.ndarray, touch: Protocol, venules: tuple[PerBed, PerBed]) -> np.ndarray:
     """The proximal reading of the first touch and the distal one of the second, (2, *B, T), from (N+1, *B, 2, T). [1]
 
-    Those of eq. (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode
+    Those of Taylor (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode
     sees its half of the bed: the mean over its units, weighted by their shares.
     """
     zones = FINGER_ZONES

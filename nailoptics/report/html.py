@@ -155,4 +155,4 @@ def _provenance(attributes: Mapping[str, Any]) -> str:
     if "scene" in attributes:
         scene = escaped(attributes["scene"])
         lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")
-    return "\n".join([*lines, "</section>"])
+    return "\n".join([*lines, small("Terms and symbols: docs/glossary.md in the repository."), "</section>"])

@@ -143,6 +143,7 @@ def test_equations_have_their_names(make):
     text = Page(page(make(section=False)))
     said = re.findall(r"(.{14})\((?:8|9)\)", text.said)
     assert len(said) > 4 and all(one.endswith(("Beer–Lambert ", "Taylor ")) for one in said), said
+    assert "docs/glossary.md" in text.said
 
 
 def test_a_touch_that_changes_nothing_has_no_constants_of_rounding(undrawn, make):

@@ -148,7 +148,9 @@ def _photodiode_order(result: xr.Dataset) -> list[int]:
 
 @style.drawing()
 def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
-    """The error of fitted (9) and (8) over each range from the sweep's start with 95 % intervals, beside 1 and 5 %."""
+    """The error of Taylor (9) and Beer-Lambert (8), fitted over each range from the sweep's start, with 95 % intervals
+    and lines at 1 and 5 %.
+    """
     places, sweeps = _photodiode_order(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
     room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}
@@ -178,7 +180,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
 
 @style.drawing()
 def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
-    """What the error of (9) is made of, photodiode by photodiode, where it is largest."""
+    """What the error of Taylor (9) is made of, photodiode by photodiode, where it is largest."""
     places, count = _photodiode_order(result), result.sizes["way"]
     rows, height_in = np.arange(len(places)), 1.3 + 0.42 * len(places)
     figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)

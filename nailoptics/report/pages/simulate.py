@@ -68,7 +68,7 @@ VOLTS = (
     "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is thinner "
     "than the line."
 )
-FITS = "± is the trace's standard error, whose noise all samples of a reading share; the misfit is no part of it."
+FITS = "± is the trace's standard error, whose noise all samples of a reading share; the residual is no part of it."
 MEAN_PATH = (
     "Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of the "
     "reduced optics. A reading falls by this fraction per mm⁻¹ of absorption."
@@ -82,7 +82,8 @@ NAMES = {
 }
 # Less of the light than this is not worth a row, at any LED.
 LEAST = 1e-4
-# Less alpha D^2 than this over the whole touch: (8) is as straight in D^2 as (9), and its constants are not known.
+# Less alpha D^2 than this over the whole touch, Beer-Lambert (8) is as straight in D^2 as Taylor (9), and its
+# constants are not identifiable.
 STRAIGHT = 0.01
 # A mean path below this is as good as none.
 LEAST_PATH_MM = 1e-3
@@ -281,19 +282,20 @@ def _paths(result: xr.Dataset, readings: "pd.DataFrame") -> list[dict[str, str]]
 
 
 def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, str]], dict[str, str]]:
-    """Constants of Beer-Lambert (8) and Taylor (9) as fitted, with their misfit; and marks of what is not determined.
+    """Fitted constants of Beer-Lambert (8) and Taylor (9) with their residuals; and marks of what is not determined.
 
-    Where the readings do not bend, V0, V1 and alpha of (8) are not known one by one: such a fit is shown as straight.
+    Where the readings do not bend, V0, V1 and alpha of Beer-Lambert (8) are not identifiable; the fit is shown as
+    straight.
     """
     largest_m2 = float(result.capillary_diameter_m.max()) ** 2
     fields = {
         "Beer–Lambert (8) V₀ [mV]": ("beer_lambert_v0_v", 1e-3),
         "V₁ [mV]": ("beer_lambert_v1_v", 1e-3),
         "α [10⁻³ µm⁻²]": ("beer_lambert_alpha_per_m2", 1e9),
-        "misfit of (8), rms [µV]": ("beer_lambert_residual_rms_v", 1e-6),
+        "Beer–Lambert (8) residual, rms [µV]": ("beer_lambert_residual_rms_v", 1e-6),
         "Taylor (9) V′₀ [mV]": ("taylor_v0_v", 1e-3),
         "V′₁ [µV µm⁻²]": ("taylor_v1_v_per_m2", 1e6),
-        "misfit of (9), rms [µV]": ("taylor_residual_rms_v", 1e-6),
+        "Taylor (9) residual, rms [µV]": ("taylor_residual_rms_v", 1e-6),
     }
     rows, marks = [], dict[str, str]()
     for r in readings.itertuples():

@@ -82,7 +82,9 @@ def formula_errors(pair: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray
 
 
 def _readings(pair: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
-    """Readings by (9) and (8): fitted, with the own zone's mean path, with both zones', (way, model, r, t) float."""
+    """Readings by Taylor (9) and Beer-Lambert (8), (way, model, r, t) float: fitted, with the mean path in the own
+    zone, and with those in both zones.
+    """
     own_depth = pair.path_mm[:, pair.own, None] * (pair.own_mu_a - pair.own_mu_a[0])
     both = pair.path_mm @ (pair.mu_a - pair.mu_a[0]).T
     predicted = [[pair.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own_depth, both)]
@@ -100,7 +102,7 @@ def _line(pair: TracedSweep, rows: np.ndarray) -> np.ndarray:
 
 
 def _parts(pair: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The error of (9), step by step from the formula to the trace, and standard errors, (way, part, t) float each."""
+    """The error of Taylor (9), step by step from formula to trace, and standard errors, (way, part, t) float each."""
     (line, curve), (line_of_both, curve_of_both) = readings[1:]
     chain = [curve, pair.alone, pair.traced, pair.scattered]
     missed = [_line(pair, level) - level for level in chain]
