@@ -1,4 +1,4 @@
-"""The page "Beside real fingers": the model beside every table measured on people, what disagrees first."""
+"""The page of `validate`: the model compared with tables measured on people, the largest disagreement first."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ def page(result: Validation) -> str:
     agreeing = sum(comparison.agrees for comparison in ranked)
     return document(
         kicker="validation",
-        title="Beside real fingers",
+        title="Comparison with measurements on people",
         lead=LEAD,
         cards=[(f"{agreeing} of {len(ranked)}", "measured quantities agree with the model")],
         body=[
