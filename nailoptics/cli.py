@@ -109,12 +109,12 @@ def run(arguments: list[str]) -> int:
 
 @app.command
 def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study = STUDY) -> None:
-    """Simulate a touch: force to volts over time, traced light beside the paper's Taylor (9) and Beer-Lambert (8).
+    """Simulate a touch: force to volts over time, by traced light and by the paper's Taylor (9) and Beer-Lambert (8).
 
     Writes result.nc and report.html.
 
     Args:
-        recording: Write what a worn sensor would record, noise included, to this CSV file, too.
+        recording: Also write the simulated recording of a worn sensor, noise included, to this CSV file.
     """
     from .report.pages.simulate import SIMULATION
     from .scene.importers.sensor_recordings import recording_csv
@@ -153,7 +153,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """How the colour of a nail is viewed, in place of what the scene's [colour] says."""
+    """Viewing conditions of the nail's colour, instead of the scene's [colour]."""
 
     forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None
     """Held forces, the first to compare with. May be repeated. [N]"""
@@ -162,11 +162,11 @@ class View:
     observer: Literal["2", "10"] | None = None
     """Field of the standard observer, in degrees."""
     lit_by: Annotated[Literal["sky", "lamp"] | None, Parameter(name="--light")] = None
-    """From all sides, or at 45 degrees all round."""
+    """Diffuse illumination, or an annulus at 45 degrees."""
     gloss: bool | None = None
-    """Include the light that the surface mirrors."""
+    """Include specular reflection."""
     tolerance: float | None = None
-    """Standard error of every place's colour (CIEDE2000)."""
+    """Standard error of the colour at every position (CIEDE2000)."""
     change_tolerance: float | None = None
     """Standard error of every change by force (CIEDE2000)."""
 
@@ -221,14 +221,14 @@ def compare(
     model: Literal["taylor", "beer_lambert"] = "taylor",
     options: Study = STUDY,
 ) -> None:
-    """Compare traced light with the paper's Taylor (9) and Beer-Lambert (8): where they hold, and why not further.
+    """Compare traced light with the paper's Taylor (9) and Beer-Lambert (8): ranges of validity and causes of errors.
 
     Writes compare.nc and compare.html.
 
     Args:
         over: What is swept: force, blood fraction 0-10 %, saturation 1-0.5. May be repeated.
-        require: Exit with 4 unless the fitted model stays within this part of every reading's swing.
-        model: The model that --require judges: Taylor (9) or Beer-Lambert (8).
+        require: Exit with 4 unless the fitted model stays within this fraction of every reading's swing.
+        model: The model that --require tests: Taylor (9) or Beer-Lambert (8).
     """
     from .report.pages.compare import COMPARISON, verdict_line
     from .studies.comparison.compare import compare as study
@@ -253,7 +253,7 @@ def compare(
 
 @app.command
 def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study = STUDY) -> None:
-    """Rank layouts of LEDs and photodiodes by the force that they resolve; search better ones.
+    """Rank layouts of LEDs and photodiodes by their force resolution, and search for better ones.
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
 
@@ -277,7 +277,7 @@ def validate(*, data: Path | None = None, output: File = None, options: Traced =
     Writes validation.html. Photons are those of each LED, and the rays of all colours.
 
     Args:
-        data: Folder of tables of your own, with the names and columns of those in assets/real.
+        data: Folder of your own tables, with the names and columns of those in assets/real.
         output: Folder for the page; results/validation if not given.
     """
     from .report.pages.validate import VALIDATION
@@ -290,7 +290,7 @@ def validate(*, data: Path | None = None, output: File = None, options: Traced =
 
 @app.command
 def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: Traced = TRACED) -> None:
-    """Make a page on which LEDs and photodiodes are dragged and every reading follows, from light traced once.
+    """Make an interactive page: drag LEDs and photodiodes, readings update, from light traced once.
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
 
@@ -319,7 +319,7 @@ class Distribution:
     workers: int | None = None
     """Processes on this machine; one per core if not given."""
     scheduler: str | None = None
-    """Dask scheduler in their place, such as tcp://host:8786."""
+    """Dask scheduler to use instead, such as tcp://host:8786."""
     shard: str | None = None
     """I/N: run only the I-th of N parts, for job arrays."""
 
@@ -376,7 +376,7 @@ def batch(
 
 @app.command
 def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = None, options: Traced = TRACED) -> None:
-    """Explain what a scene models and what it leaves out, and measure how far each of these moves the readings.
+    """List the effects that a scene models or omits, and measure how much each changes the readings.
 
     Args:
         output: TOML file for the scene with only what it requires; a page beside it.
@@ -413,7 +413,7 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
 
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
-    """Check a scene: what was read, what is lit, distances, what is ignored, and what any command would refuse."""
+    """Validate a scene and list its LEDs, photodiodes, separations, ignored fields and errors."""
     from .report.scene_description import blood_words, body_words, check_lines, touch_words
     from .scene import load_scene
     from .studies.scene_check import check_scene
@@ -446,11 +446,11 @@ def export(
 ) -> None:
     """Write the finger and the board for another program: a mesh (glb, ply), or what it needs to trace the light.
 
-    A folder holds a README with what of the scene does not carry over.
+    The README in a folder lists what the format cannot represent.
 
     Args:
         output: File, or folder where a format needs several.
-        format_: What to write, unless the ending of the file's name says it.
+        format_: What to write, if the file name's extension does not say it.
         voxel_mm: Side of mcx's voxels; 0.1 if not given. [mm]
     """
     from .exports.formats import export as write
@@ -467,7 +467,7 @@ def export(
 
 @app.command
 def compare_with(file: Path, *, options: Traced = TRACED) -> None:
-    """Compare what another program detected of an exported scene with our own trace of it, with chi^2.
+    """Compare another program's detected light of an exported scene with our trace of it, with chi^2.
 
     Readings, their change with the blood and mean paths, each with its standard error and the z score of the
     difference.
@@ -490,13 +490,13 @@ def figures(
     people: Flag = False,
     json_: Json = False,
 ) -> None:
-    """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and judge its claims.
+    """Draw the paper's Fig. 4, and Figs. 2, 10-12 and 15-18 from parameter sets, and check its claims.
 
     Args:
         output: Folder for the pictures.
         sets: Named parameter sets; all if not given.
         colour: Trace Fig. 2, the nail under force, some seconds a set.
-        people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and judge what the paper says of people;
+        people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and check what the paper says of people;
             their light is traced, a minute of processor time.
     """
     from .paper.claims import as_rows, as_text
@@ -546,11 +546,11 @@ def predict(
 
     Args:
         subject: Subject file that calibrate wrote.
-        readings: Recording (CSV), or - for lines that come one by one on stdin.
+        readings: Recording (CSV), or - to read lines from stdin as they arrive.
         output: Folder for the results; results/READINGS if not given.
         press: Force at which the virtual switch closes. [N]
         release: Force below which it opens. [N]
-        smooth: Use the samples after each as well, not only those before it.
+        smooth: Also use later samples (smoothing).
     """
     from .report.pages.force import PREDICTION
     from .studies.force.predict import live
@@ -578,7 +578,7 @@ def predict(
 def oximeter(
     scene: ScenePath, *, readings: Path | None = None, recording: Path | None = None, options: Study = STUDY
 ) -> None:
-    """Simulate a pulse oximeter: R against saturation, SpO2 with its error, what disturbs it; or read a recording.
+    """Simulate a pulse oximeter: R against saturation, SpO2 with its error and biases; or evaluate a recording.
 
     The relative error that is requested is that of R on the best photodiode. Writes oximeter.nc, oximeter.html and
     oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
@@ -586,7 +586,7 @@ def oximeter(
 
     Args:
         readings: A recording (CSV): estimate its oxygen over time, by the scene's curve.
-        recording: Write what the oximeter would record, noise included, to this CSV file, too.
+        recording: Also write a simulated recording, noise included, to this CSV file.
     """
     from .report.pages.oximeter import OXIMETER, OXYGEN
     from .scene.importers.sensor_recordings import oximeter_csv

@@ -72,34 +72,34 @@ class Vasomotion(WaveTable):
 
 
 class Drift(Table):
-    """The slow wander of the worn sensor's own gain, random walks."""
+    """Slow drift of the sensor's gain (random walks)."""
 
     # An infrared die loses 0.35 to 0.6 % of its light with each kelvin (data sheets of TSHG6200 and TSAL6200); that it
     # warms and cools with the finger by some 0.4 K within a minute is an assumption.
     led_per_rt_min: Annotated[float, Field(ge=0, le=0.1)] = 0.002
-    """Standard deviation, after a minute, of what an LED emits, relative; all its readings share it. [1/sqrt(min)]"""
+    """Relative standard deviation of an LED's flux after a minute; common to all its readings. [1/sqrt(min)]"""
     # Amplifiers and photodiodes drift by less than 1e-4 for each kelvin; the bond between board and nail takes up
     # moisture and sweat, which nobody has measured: an assumption.
     reading_per_rt_min: Annotated[float, Field(ge=0, le=0.1)] = 0.0005
-    """The same of each reading by itself: adhesive, photodiode, amplifier. [1/sqrt(min)]"""
+    """The same of each reading, independently: adhesive, photodiode, amplifier. [1/sqrt(min)]"""
 
 
 class Motion(Table):
-    """How the sensor moves against the nail, to and fro about its place; what readings make of it is traced."""
+    """Motion of the sensor relative to the nail about its mean position; its effect on readings is traced."""
 
     # Nobody has measured how far a sensor moves that is bonded to a nail: all three are assumptions. The adhesive is
     # some 50 um thick, and readings with a micrometre more of it differ by some 0.2 %.
     lift_um: Annotated[float, Field(ge=0, le=100)] = 1.0
     """Standard deviation of its distance from the nail. [um]"""
     slide_um: Annotated[float, Field(ge=0, le=1000)] = 5.0
-    """Standard deviation of its place along the nail. [um]"""
+    """Standard deviation of its position along the nail. [um]"""
     correlation_s: Annotated[float, Field(ge=0.1, le=3600)] = 2.0
-    """Time in which it forgets where it was (a factor e). [s]"""
+    """Correlation time of the displacement (decrease by a factor e). [s]"""
 
 
 class Body(Table):
-    """What moves readings beside the touch: the arterial pressure P_H, and the sensor itself; what is not given is
-    still."""
+    """What changes readings besides the touch: the arterial pressure P_H, and the sensor itself. What is not given does
+    not vary."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of intervals between beats, of phases, of slow waves, of drift and of motion."""
@@ -108,16 +108,16 @@ class Body(Table):
     breathing: Breathing | None = None
     """The breath."""
     vasomotion: Vasomotion | None = None
-    """Slow waves of the vessels' tone."""
+    """Slow waves of the vessels' tone (Mayer waves)."""
     hand_height_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
     """Height of the hand above that at which P_H and P_L hold, by which both fall (rho g h); veins of a raised hand
     collapse at a P_L of 0. The blood at rest is that without it. [m]"""
     venous_pressure_pa: Annotated[float, Field(ge=-5000, le=10_000)] | None = None
     """Venous pressure P_L, in place of the vessels' own, at which the blood at rest holds. [Pa]"""
     drift: Drift | None = None
-    """The slow wander of LEDs and readings."""
+    """Slow drift of LEDs and readings."""
     motion: Motion | None = None
-    """The sensor's motion against the nail."""
+    """Motion of the sensor relative to the nail."""
     file: str | None = None
     """Recorded pressure beside the scene file, in place of heartbeat, breathing and vasomotion: a CSV with columns
     time_s (from the start of the touch) and arterial_pressure_pa."""

@@ -139,8 +139,8 @@ class Blood(Table):
     blood, and additional blood that pools is arterial; 0.86 is typical of a finger with an arterial saturation of
     0.95. If not given all blood has so2."""
     oxygen_balance: bool = False
-    """Let the bed's oxygen follow inflow and consumption over a touch: what pools there gives it off by and by. Needs
-    venous_so2, from which consumption follows. If not set, what pools keeps its oxygen."""
+    """Compute the bed's oxygen from inflow and consumption over a touch: pooled blood gradually desaturates. Needs
+    venous_so2, from which consumption follows. If not set, pooled blood keeps its oxygen."""
     # (so2 - venous_so2) / exchange_s is the desaturation of stagnant blood: 13 to 18 % in a minute in the hand
     # (vascular occlusion of 3 min, thenar: PMC2786105), and in a finger to some 26 % within 25 min (Marcinkevics 2018,
     # Proc. SPIE 10685, 106851A). Arteries and veins of fingers differ by 0.083 (Nitzan 2000, J. Biomed. Opt. 5:155).
