@@ -240,14 +240,14 @@ def compare(
     folder = _results(options.output, scene, COMPARISON)
     result, unmet = _traced(study, loaded, over=over, options=options)
     paths = COMPARISON.write(result, folder)
-    judged = verdict(result, 0.05 if require is None else require, model=model)
-    missed, line = require is not None and judged.outcome == "missed", verdict_line(judged)
-    summary = COMPARISON.summary(result) | {"verdict": vars(judged)}
+    decision = verdict(result, 0.05 if require is None else require, model=model)
+    missed, line = require is not None and decision.outcome == "missed", verdict_line(decision)
+    summary = COMPARISON.summary(result) | {"verdict": vars(decision)}
     with suppress(*([NotReachedError] if missed else [])):
         _finish(summary, [line], paths, options.json, unmet, folder)
     if missed:
         raise RequirementError(line)
-    if require is not None and judged.outcome == "undecided":
+    if require is not None and decision.outcome == "undecided":
         raise NotReachedError(line)
 
 
@@ -502,9 +502,9 @@ def figures(
     from .paper.claims import as_rows, as_text
     from .report.pages.paper import write_figures
 
-    judged, pictures = write_figures(output, sets, colour=colour, people=people)
-    claims = {"claims": as_rows(judged), "pictures": list(map(str, pictures))}
-    _finish(claims, [*as_text(judged).splitlines(), *pictures], {}, json_)
+    claims_by_set, pictures = write_figures(output, sets, colour=colour, people=people)
+    claims = {"claims": as_rows(claims_by_set), "pictures": list(map(str, pictures))}
+    _finish(claims, [*as_text(claims_by_set).splitlines(), *pictures], {}, json_)
 
 
 @app.command

@@ -55,7 +55,7 @@ class Made(Table):
 class Plan(Table):
     """What a batch is to do: enough to open its results and to show its progress.
 
-    asked : accuracy required of each scene.
+    required : accuracy of each scene.
     """
 
     format: int
@@ -67,12 +67,12 @@ class Plan(Table):
     photons: int | None
     relative_error: float | None
     scenes: tuple[Annotated[str, Field(pattern="^[0-9a-f]+$")], ...]
-    asked: tuple[Accuracy, ...]
+    required: tuple[Accuracy, ...]
     lights: int
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if not math.prod(self.dims.values()) == len(self.scenes) == len(self.asked):
+        if not math.prod(self.dims.values()) == len(self.scenes) == len(self.required):
             raise ValueError("its scenes do not fill its dims")
         for axis in self.axes:
             if len(axis.values) not in self.dims.values():
@@ -125,6 +125,8 @@ class Folder:
                     f"{path}: has format {data['format']}, and {FORMAT} is known here: another nailoptics wrote it; "
                     "use that one, or another folder."
                 )
+            if "asked" in data:  # its name until 0.2.0
+                data["required"] = data.pop("asked")
             return Plan.model_validate_json(json.dumps(data))
         except (FileNotFoundError, NotADirectoryError):
             why = "is not a batch folder (it has no plan.json); give the folder of a batch."
@@ -202,7 +204,7 @@ def _check(result: Result) -> None:
 
 def meets(header: dict[str, Any], required: Accuracy) -> bool:
     """Whether a stored result is at least as accurate as is required."""
-    if header["reached"] and header.get("asked") == required.model_dump(exclude_none=True):
+    if header["reached"] and header.get("required", header.get("asked")) == required.model_dump(exclude_none=True):
         return True
     if required.photons is not None:
         return bool(header["photons_per_led"] >= required.photons)
@@ -250,7 +252,7 @@ def status(folder: str | Path) -> Status:
     """How far a batch is; raises InputError where the folder holds none."""
     place = Folder(Path(folder))
     plan = place.read_plan()
-    required = dict(zip(plan.scenes, plan.asked, strict=True))
+    required = dict(zip(plan.scenes, plan.required, strict=True))
     states = {digest: place.state(digest, accuracy, plan.made) for digest, accuracy in required.items()}
     count = Counter(states.values())
     return Status(

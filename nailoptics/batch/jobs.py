@@ -136,7 +136,7 @@ def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
         photons=settings.options.photons,
         relative_error=settings.options.relative_error,
         scenes=tuple(p.digest for p in planned),
-        asked=tuple(settings.required(p.scene) for p in planned),
+        required=tuple(settings.required(p.scene) for p in planned),
         lights=len({p.key for p in planned}),
     )
 

@@ -118,7 +118,7 @@ def run_batch(
 
 
 class LocalSlots:
-    """Spawned processes of this machine, one per slot, so that a death tells which job it was."""
+    """Spawned processes of this machine, one per slot, so that a death identifies its job."""
 
     sharers = 0
 

@@ -103,7 +103,7 @@ def _result(p: Planned, settings: Settings, report: JobReport) -> tuple[dict[str
     header, arrays = to_record(dataset)
     return {
         **header,
-        "asked": required.model_dump(exclude_none=True),
+        "required": required.model_dump(exclude_none=True),
         "scene": to_toml(scene),
         "seed": settings.options.seed,
         "backend": settings.options.backend,

@@ -122,7 +122,7 @@ def session_of(
 ) -> dict[str, Any]:
     """What sessions of MCX and MMC for an LED share, as JSON.
 
-    longest_s : light that has wandered for so long has been absorbed. [s]
+    longest_s : light that has propagated for so long has been absorbed. [s]
     media : mu_a, mu_s [mm^-1], g and n of each, from medium 0 on.
     own : what stands under "nailoptics" beside what all sessions have there.
     """

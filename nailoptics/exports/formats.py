@@ -30,7 +30,7 @@ def export(
     """Write a finger scene for another program.
 
     path : a file for glb and ply, else a folder, which is made.
-    format : if not given, the ending of the path tells it.
+    format : if not given, the ending of the path decides.
     voxel_mm : side of the voxels of the format mcx; 0.1 if not given. [mm]
 
     Returns: what was written, by what it is.

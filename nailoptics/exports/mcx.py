@@ -27,7 +27,7 @@ from .run_session import MCX_PHOTONS
 
 USUAL_VOXEL_MM = 0.1
 LABELS = "labels.bin"
-# Light that has wandered for so long has been absorbed. [s]
+# Light that has propagated for so long has been absorbed. [s]
 LONGEST_S = 1e-8
 # What ends photons has the index of the epoxy and this share of it more, which reflects some 1e-11 of light that comes
 # straight. Where both are alike, MCX for OpenCL lets photons go on through label 0, and crashes if it keeps paths.

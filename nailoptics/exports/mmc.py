@@ -32,7 +32,7 @@ LATTICE = (19, 41)
 BELOW_DIE_MM = 1e-4
 # Detectors reach so much beyond the corners of their photodiode; what they catch beside it is sorted out.
 MARGIN = 1.01
-# Light that has wandered for so long has been absorbed. [s]
+# Light that has propagated for so long has been absorbed. [s]
 LONGEST_S = 1e-7
 # Six times the volume of a tetrahedron that counts as flat: rounding of cells that have collapsed. [mm^3]
 FLAT_MM3 = 1e-14

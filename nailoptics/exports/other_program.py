@@ -106,7 +106,7 @@ class ProgramComparison:
 
     def lines(self) -> list[str]:
         """All of it as a table for the terminal."""
-        rows = [f"{'':<24}{'nailoptics':>22}{self.program:>22}  apart"]
+        rows = [f"{'':<24}{'nailoptics':>22}{self.program:>22}  z score"]
         named = [*self.readings.items(), ("sum", self.total)]
         named += [(f"change to {f:.2g} blood", pair) for f, pair in self.changes.items()]
         named += [(f"path in {name} [mm]", pair) for name, pair in self.paths_mm.items()]
@@ -117,7 +117,7 @@ class ProgramComparison:
         rows.append(f"ratio of sums {ratio:.4f} +- {stderr:.4f}")
         rows.append(f"chi^2 {self.chi2:.1f} of {len(self.readings)} readings, p = {self.p_value:.2g}")
         if self.unread:
-            rows.append(f"reached by too few photons to be held: {', '.join(self.unread)}")
+            rows.append(f"too few photons for a comparison: {', '.join(self.unread)}")
         return rows
 
 
@@ -137,7 +137,7 @@ class OtherDetection:
 def compare_with(
     path: str | Path, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> ProgramComparison:
-    """Set what another program detected of an exported scene beside our own trace of that scene.
+    """Compare what another program detected of an exported scene with our trace of that scene.
 
     path : the file that an export's runner wrote.
     requested : how our light is traced, fields of `TraceOptions`.

@@ -20,8 +20,8 @@ FINE = 0.4  # covering radius of the fine samples, in spacings
 COARSE = 1.0
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
 CHUNK = 500_000
-# In the nail plate light scatters every 0.03 mm, so that cells tell it little. Those near its faces also have a plane,
-# which tells distances up to this one: a ray of three is left, and a walk takes two thirds of the time. [mm]
+# In the nail plate light scatters every 0.03 mm, so that cells help little. Those near its faces also have a plane,
+# which gives distances up to this one: a ray of three is left, and a walk takes two thirds of the time. [mm]
 PLANE_REACH_MM = 0.06
 # Interfaces near such a cell are taken in parts whose edges are no longer.
 PLANE_PART_MM = 0.12
@@ -141,7 +141,7 @@ def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of
     offset = np.rint(-(lowest + highest) / 2)
     # A little more, for points that were taken for one and what rounding adds where it is read.
     slack = np.ceil(np.maximum(highest + offset, -lowest - offset) + 0.1)
-    # Only where a plane tells more than the centre's distance, from 27 places of the cell.
+    # Only where a plane gives more than the centre's distance, from 27 places of the cell.
     places = grid.spacing_mm / 3 * (np.indices((3, 3, 3)).reshape(3, -1) - 1)
     plane = np.abs(normals @ places + PLANE_STEP_MM * offset[:, None]) - PLANE_STEP_MM * slack[:, None]
     center = grid.distance_mm[tuple(cells.T)][:, None] - np.linalg.norm(places, axis=0)

@@ -26,8 +26,8 @@ barrier : opaque walls between LEDs and photodiodes, from the nail to the board.
 kapton : the board's film beside its parts.
 cover : opaque epoxy over the board, if it has a cover, and the rim of it that closes the board's four sides down to
     the nail.
-cut : a slice beyond the proximal end of the modelled finger, to tell light that goes up the finger from light that
-    leaves to the air.
+cut : a slice beyond the proximal end of the modelled finger, to distinguish light that goes up the finger from light
+    that leaves to the air.
 silicon : photodiode elements that are not wired.
 """
 AROUND = {"bone": "pulp", "epidermis": "pulp", "kapton": "epoxy"}

@@ -16,7 +16,7 @@ from ..errors import InputError
 # the input would miss the next knot by more than this part of its range, did its slope go on unchanged. [1]
 _CORNER = 0.01
 # On a smooth curve it stops each time the square roots of such misses have summed to this: over a bump of any width
-# they sum to some 4, so that no bump lies unseen between two stops. [1]
+# they sum to some 4, so that no bump is missed between two stops. [1]
 _ROOTS_PER_STOP = 0.3
 # So is a finely sampled curve thinned: the line through two knots kept misses those between by less than this. [1]
 _ON_A_LINE = 1e-9
@@ -49,7 +49,7 @@ class Waveform:
         object.__setattr__(self, "pressure_pa", pressure)
 
     def at(self, time_s: np.ndarray, *, before_jump: bool = False) -> np.ndarray:
-        """The pressure at given times; at the instant of a jump the one after it, unless that before is asked. [Pa]"""
+        """The pressure at given times; at the instant of a jump the one after it, or that before. [Pa]"""
         knots, pressures = self.time_s, self.pressure_pa
         if knots.size == 1:
             return np.full(np.shape(time_s), pressures[0])

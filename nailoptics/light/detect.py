@@ -195,7 +195,7 @@ def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:
 
 
 def _reached(relative: np.ndarray) -> str:
-    """The largest relative standard error at rest, in words; NaN or infinite where nothing was seen."""
+    """The largest relative standard error at rest, in words; NaN or infinite where nothing was detected."""
     worst = float(np.max(relative))
     if not math.isfinite(worst):
         return "some photodiode detected no light or too few photons"

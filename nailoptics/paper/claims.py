@@ -1,6 +1,6 @@
 """What the paper says its figures show, as rules that the responses of one parameter set or of thousands are held to.
 
-Every rule stands for a sentence of the paper, in our words, and is judged under that figure's own touch. Where the
+Every rule stands for a sentence of the paper, in our words, and is evaluated under that figure's own touch. Where the
 paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a choice,
 spelled out with the rule. Readings follow Taylor (9): they fall with (D+x)^2, the blood under the photodiode.
 """
@@ -44,7 +44,7 @@ class Rule:
     given: str = ""
 
     @property
-    def judges(self) -> str:
+    def applies_to(self) -> str:
         """The set that the sentence speaks of: Figs. 10-12 show the paper's simulation, all else its subjects."""
         return SIMULATION if is_shown_by(SIMULATION, self.figure) else SUBJECT
 
@@ -291,7 +291,7 @@ RULES = (
          lambda r: (r.even[:4][..., _touch(1.0):-1] - r.even[:4][..., [_touch(1.0)]]).min(axis=(0, -1)), low=-0.02),
     Rule("II", _SHEAR, "blood driven from the tip by 0.5 N more, shear over normal", _shear_over_normal, low=1.1),
 )
-# Those of people, judged by their mean.
+# Those of people, evaluated by their mean.
 PEOPLE_RULES = (
     *(rule for rule in RULES if rule.figure in ("15", "16", "17", "18") and rule.sentence != _VARIES),
     Rule("15", _FIG_15, "part of people whose proximal reading rises from 1.2 to 2 N",
@@ -306,7 +306,7 @@ PEOPLE_RULES = (
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """One rule, judged on one set or on people.
+    """One rule, evaluated on one set or on people.
 
     value : measured, in the rule's unit. half_95 : half of its 95 % interval over people.
     """
@@ -321,12 +321,12 @@ class Claim:
         return self.rule.low <= self.value <= self.rule.high
 
 
-def judge(responses: Responses, name: str = "") -> list[Claim]:
-    """The rules, measured on the responses of one set: all, or of a set by a name that only some judge those."""
+def evaluate(responses: Responses, name: str = "") -> list[Claim]:
+    """The rules, measured on the responses of one set: all, or of a set that only some apply to, those."""
     return [Claim(rule, float(rule.measure(responses))) for rule in RULES if is_shown_by(name, rule.figure)]
 
 
-def judge_people(readings: PeopleReadings) -> list[Claim]:
+def evaluate_people(readings: PeopleReadings) -> list[Claim]:
     """The rules for people, each with its mean over them, whose interval is that of the jackknife."""
     count, claims = readings.cycle.shape[1], []
     for rule in PEOPLE_RULES:
@@ -345,14 +345,14 @@ def bounds_in_words(rule: Rule) -> str:
     return f"{rule.low:.3g} to {rule.high:.3g}"
 
 
-def as_rows(judged: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
-    """The table as plain rows: one for each rule, with value and verdict of each set that it judges."""
-    claims = {(name, claim.rule): claim for name, claims in judged.items() for claim in claims}
+def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
+    """The table as plain rows: one for each rule, with value and verdict of each set that it applies to."""
+    claims = {(name, claim.rule): claim for name, claims in claims_by_set.items() for claim in claims}
     rows = []
     for rule in dict.fromkeys((*RULES, *PEOPLE_RULES)):
         row = {"figure": rule.figure, "sentence": rule.sentence, "measure": rule.text, "unit": rule.unit}
-        row |= {"rule": bounds_in_words(rule), "number": _number(rule), "judges": rule.judges}
-        of_rule = {name: claims[name, rule] for name in judged if (name, rule) in claims}
+        row |= {"rule": bounds_in_words(rule), "number": _number(rule), "applies_to": rule.applies_to}
+        of_rule = {name: claims[name, rule] for name in claims_by_set if (name, rule) in claims}
         sets = {name: {"value": one.value, "half_95": one.half_95, "met": one.met} for name, one in of_rule.items()}
         rows.append(row | {"sets": sets})
     return [row for row in rows if row["sets"]]
@@ -363,24 +363,24 @@ def _number(rule: Rule) -> str:
     return f"the sentence gives {rule.given}, the tolerance is our choice" if rule.given else "our choice"
 
 
-def as_text(judged: Mapping[str, list[Claim]]) -> str:
+def as_text(claims_by_set: Mapping[str, list[Claim]]) -> str:
     """The table as text: below each sentence its rules, with the value of each set and whether it is met.
 
     A star marks a bound that is our choice alone. Of people, +- is half of the 95 % interval over them.
     """
-    rows = as_rows(judged)
+    rows = as_rows(claims_by_set)
     rules = [
         row["rule"] + (f" {row['unit']}" if row["unit"] != "1" else "") + ("" if "gives" in row["number"] else " *")
         for row in rows
     ]
     measure_width = max(len(row["measure"]) for row in rows) + 2
     rule_width = max(map(len, rules)) + 2
-    width = max(26 if "people" in judged else 18, *(len(name) + 1 for name in judged))
+    width = max(26 if "people" in claims_by_set else 18, *(len(name) + 1 for name in claims_by_set))
 
     def line(measure: str, rule: str, cells: Iterable[object]) -> str:
         return f"  {measure:<{measure_width}}{rule:<{rule_width}}" + "".join(f"{cell!s:>{width}}" for cell in cells)
 
-    lines, said = [line("measure", "rule", judged)], ""
+    lines, said = [line("measure", "rule", claims_by_set)], ""
     for row, rule in zip(rows, rules, strict=True):
         sentence = f"{'Sec.' if row['figure'] == 'II' else 'Fig.'} {row['figure']}: {row['sentence']}"
         if sentence != said:
@@ -393,7 +393,7 @@ def as_text(judged: Mapping[str, list[Claim]]) -> str:
             + (" met    " if one["met"] else " not met")
             for name, one in row["sets"].items()
         }
-        lines.append(line(row["measure"], rule, [verdicts.get(name, "-       ") for name in judged]))
-    met = [f"{sum(claim.met for claim in claims)} of {len(claims)}" for claims in judged.values()]
+        lines.append(line(row["measure"], rule, [verdicts.get(name, "-       ") for name in claims_by_set]))
+    met = [f"{sum(claim.met for claim in claims)} of {len(claims)}" for claims in claims_by_set.values()]
     star = "* the bound is our choice; of the others the sentence gives the number, and the tolerance is our choice"
     return "\n".join([*lines, line("rules met", "", met), star])

@@ -241,7 +241,7 @@ def value_at(corner_s: np.ndarray, values: np.ndarray, time_s: np.ndarray) -> np
 
 
 def _duration_of(data: dict[str, Any]) -> dict[str, float]:
-    """The duration that a cycle or a list of steps has where none is given, if what it takes to tell is there."""
+    """The duration that a cycle or a list of steps has where none is given, if it can be computed."""
     try:
         if data.get("profile") == "cycle":
             return {"duration_s": float(data.get("start_s", 0.25) + data["cycles"] * data["period_s"])}

@@ -1,1 +1,1 @@
-"""LIGHT -> VOLTS: electronics, sampling, drift and motion, ambient light, and what readings tell of force."""
+"""LIGHT -> VOLTS: electronics, sampling, drift and motion, ambient light, and the information of readings on force."""

@@ -38,7 +38,7 @@ class Output:
     amplified_v : The stage's output, dark current included, as if the converter had no limit. [V]
     volts : What the converter reads: the same, held at `adc_range_v`, less what ambient rejection takes away. [V]
     noise : Variances that stage and converter add to one reading. [V^2]
-    saturated : bool. The converter is at its limit: neither volts nor noise tell the light.
+    saturated : bool. The converter is at its limit: neither volts nor noise depend on the light.
     """
 
     amplified_v: Array
@@ -144,7 +144,7 @@ def lsb_v(amplifier: Electronics) -> float:
 
 
 def limit_v(amplifier: Electronics) -> float:
-    """Where the converter's last code begins, one step below its range: from there on it cannot tell more light. [V]"""
+    """Where the converter's last code begins, one step below its range: more light does not change it. [V]"""
     return amplifier.adc_range_v - lsb_v(amplifier)
 
 

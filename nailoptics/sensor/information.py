@@ -1,8 +1,8 @@
-"""How well readings tell force: the Fisher information of the two pressures, and the force that it resolves.
+"""How well readings resolve force: the Fisher information on the two pressures, and the force resolution.
 
 What the body adds to all readings of a sample alike, waves of the arterial pressure and drift and motion of the
 sensor, is of a known shape and an unknown height: one more unknown beside the pressures for each of its shapes, known
-beforehand to its standard deviation. Readings so tell all unknowns together, and the body's are marginalised. For
+beforehand to its standard deviation. All unknowns are estimated together, and the body's are marginalised. For
 Gaussians this is the same as adding the shapes' outer products to the covariance of the readings, but photodiodes
 still add up one by one.
 """
@@ -46,7 +46,7 @@ class PhysiologicalNoise:
     blood : (2, 2) float. Excursions of the proximal and distal zone's blood, in columns: two independent ones, each
         as large as its standard deviation. Their outer products add up to the covariance of both zones' blood. [1]
     led_gain : (leds, leds) float. Relative changes of all readings of an LED, a row for each LED, in columns likewise.
-    reading_gain : float. Relative change of each reading by itself, rms.
+    reading_gain : float. Relative change of each reading, independent of all others, rms.
     gain_by_cause : relative change of a reading by drift, lift and slide, rms.
     """
 
@@ -99,7 +99,7 @@ def _blood_covariance(scene: Scene, force_n: float, waves: Body) -> Array:
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """The touch at which a layout is judged.
+    """The touch at which a layout is evaluated.
 
     blood_fraction : (2,) float. Blood of the proximal and distal zone there.
     blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
@@ -186,7 +186,7 @@ class Response:
     body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once, times the root of
         `unsaturated`; None without a body. [V]
     independent_v2 : what the body adds to each reading by itself. [V^2]
-    unsaturated : (...) float. Probability that the converter is below its limit, at which a reading tells nothing.
+    unsaturated : (...) float. Probability that the converter is below its limit, at which a reading has no information.
     """
 
     volts: Array
@@ -231,10 +231,10 @@ def response(
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
     scene : with the electronics. led : number of its LED.
     photodiode : or several, (..., photodiodes, 4).
-    ambient_a : photocurrent by light from outside, which tells nothing. [A]
+    ambient_a : photocurrent by ambient light, which has no information. [A]
     feedback_ohm : of the stages; if not given the photodiodes' own, and for "auto" what fits each place by itself.
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
-        the converter's limit tells as much as it is likely to: what all tell is a mean, and has no jumps.
+        the converter's limit counts with the probability of being below it, so that information has no jumps.
     """
     detected = np.maximum(values[..., 0], 0.0)
     source, amplifier = scene.leds[led], scene.electronics
@@ -253,14 +253,14 @@ def response(
         with np.errstate(invalid="ignore", divide="ignore"):
             unsaturated = np.where(stderr_v > 0, ndtr(below_v / stderr_v), unsaturated)
     # Information is of second degree in these.
-    tells = np.sqrt(unsaturated)[..., None]
+    weight = np.sqrt(unsaturated)[..., None]
     return Response(
         volts=read.amplified_v,
         noise_v2=read.noise_v2,
-        slope_v_per_pa=(zone @ point.blood_per_pa) * tells,
+        slope_v_per_pa=(zone @ point.blood_per_pa) * weight,
         zone_v=zone,
         shunted_fraction=shunted,
-        body_v=None if point.body is None else point.body.shapes_v(zone, light_v, led) * tells,
+        body_v=None if point.body is None else point.body.shapes_v(zone, light_v, led) * weight,
         independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
         unsaturated=unsaturated,
     )
@@ -299,7 +299,7 @@ def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint
 
 
 def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:
-    """What each reading tells of the unknowns, (..., n (n + 1) / 2) float: the upper triangle of a symmetric matrix.
+    """Fisher information of each reading, (..., n (n + 1) / 2) float: the upper triangle of a symmetric matrix.
 
     electronics_alone : as if the body were still.
 
@@ -313,13 +313,13 @@ def fisher_information(read: Response, *, electronics_alone: bool = False) -> Ar
 
 
 def total_information(by_led: Iterable[Response], *, electronics_alone: bool = False) -> Array:
-    """What all photodiodes tell together under all LEDs, from (..., photodiodes) each; as `fisher_information`."""
+    """Sum of the `fisher_information` of all photodiodes, (..., photodiodes) each, under all LEDs."""
     informations = [fisher_information(read, electronics_alone=electronics_alone).sum(-2) for read in by_led]
     return np.sum(informations, axis=0)
 
 
 def pressure_information(information: Array) -> Array:
-    """What readings tell of the two pressures, whatever the body does meanwhile, (..., 3) float: 11, 12, 22. [Pa^-2]
+    """Information on the two pressures with the body's unknowns marginalised, (..., 3) float: 11, 12, 22. [Pa^-2]
 
     information : of all unknowns, as `fisher_information`. One after the other the body's, each of variance 1
         beforehand, are marginalised (Schur's complement).
@@ -368,9 +368,9 @@ def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array
 
 
 def physiological_noise_force_n(point: OperatingPoint) -> float:
-    """Force, rms, that waves of the arterial pressure look like where light tells the blood of both zones exactly. [N]
+    """False force, rms, by waves of the arterial pressure where light resolves the blood of both zones exactly. [N]
 
-    Their blood b is what the pressures B^-1 b would make of it: light that sees two zones cannot tell them apart, so
+    Their blood b is what the pressures B^-1 b would make of it: light from two zones cannot distinguish them, so
     that no layout resolves finer unless the split of the touch is known. NaN where a pressure moves no blood.
     """
     return 0.0 if point.body is None else float(np.linalg.norm(_as_force_n(point, point.body.blood)))

@@ -163,7 +163,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
 
 
 def _operating_point(scene: Scene) -> OperatingPoint | None:
-    """The touch at which [placement] judges; None where the bed has other than two zones."""
+    """The touch at which [placement] evaluates layouts; None where the bed has other than two zones."""
     rules = boards.rules(scene)
     if len(scene.zone_edges_mm) != 1:
         return None

@@ -130,8 +130,8 @@ def _spread(
 
     def states(varied: Scene) -> np.ndarray:
         # Of the blood, these are the light's alone.
-        seen = {name: getattr(scene.blood, name) for name in ("rest_blood_fraction", "pulp_blood_fraction", "so2")}
-        same = varied.blood.model_copy(update=seen) == scene.blood
+        optical = {name: getattr(scene.blood, name) for name in ("rest_blood_fraction", "pulp_blood_fraction", "so2")}
+        same = varied.blood.model_copy(update=optical) == scene.blood
         course = result if same and varied.touch == scene.touch else blood_over_touch(varied)
         # Eq. (7): blood goes with the blood at rest.
         rest, usual = varied.blood.rest_blood_fraction, scene.blood.rest_blood_fraction

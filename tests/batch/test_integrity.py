@@ -219,6 +219,13 @@ def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog
         again(calm, used)
 
 
+def test_a_plan_with_the_key_of_0_2_0_is_read(used):
+    plan = json.loads((used / "plan.json").read_text())
+    plan["asked"] = plan.pop("required")
+    (used / "plan.json").write_text(json.dumps(plan))
+    assert (status(used).done, status(used).left) == (30, 0)
+
+
 def test_another_version_is_refused(calm, used):
     plan = json.loads((used / "plan.json").read_text())
     plan["made"]["versions"]["nailoptics"] = "0.0.1"

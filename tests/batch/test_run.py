@@ -292,9 +292,10 @@ def test_of_scenes_that_share_their_light_one_without_memory_fails_alone(jit_bac
     assert len(report.done) == 3 and "not enough memory for it (Unable to allocate 99 TiB)" in why
 
 
-def test_what_reached_its_own_accuracy_is_not_run_again():
+@pytest.mark.parametrize("key", ["required", "asked"])  # the second by 0.2.0
+def test_what_reached_its_own_accuracy_is_not_run_again(key):
     """Colours have another tolerance than readings, and no relative error."""
-    header = {"reached": True, "relative_error": None, "photons_per_led": 700, "asked": {"relative_error": 0.01}}
+    header = {"reached": True, "relative_error": None, "photons_per_led": 700, key: {"relative_error": 0.01}}
     assert meets(header, Accuracy(relative_error=0.01)) and not meets(header, Accuracy(relative_error=0.02))
     assert not meets(header | {"reached": False}, Accuracy(relative_error=0.01))
 

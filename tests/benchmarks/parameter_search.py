@@ -106,7 +106,7 @@ def loss(responses: Responses, wanted: Sequence[Rule]) -> np.ndarray:
     r = responses
     miss = misses(r, margin=_MARGIN, wanted=wanted)
     total = (miss / (miss + _HALF_MISS)).sum(axis=0)
-    steps = ((r.proximal_on, r.proximal_off), (r.both_on, r.both_off)) if wanted[0].judges == SIMULATION else ()
+    steps = ((r.proximal_on, r.proximal_off), (r.both_on, r.both_off)) if wanted[0].applies_to == SIMULATION else ()
     for on, off in steps:
         left = np.abs(off[..., -1] - on[..., 0]) / np.maximum(np.abs(on[..., -1] - on[..., 0]), 1e-30)
         total = total + np.maximum(left[:2, ..., -1] - _LEFT, 0.0).sum(axis=0)
@@ -133,8 +133,8 @@ def largest_loop_gain(values: Mapping[str, Any]) -> np.ndarray:
 
 
 def rules_of(name: str) -> list[Rule]:
-    """The rules by which a set is judged."""
-    return [rule for rule in RULES if rule.judges == name]
+    """The rules that apply to a set."""
+    return [rule for rule in RULES if rule.applies_to == name]
 
 
 def loss_of_pairs(logarithms: np.ndarray) -> np.ndarray:
@@ -305,7 +305,7 @@ def simulate_responses_of_many(values: dict[str, Any], wanted: Sequence[Rule] = 
         return width, pressure / high
 
     def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
-        if not any(rule.judges == (SIMULATION if zones.count == 2 else SUBJECT) for rule in wanted):
+        if not any(rule.applies_to == (SIMULATION if zones.count == 2 else SUBJECT) for rule in wanted):
             return np.ones((zones.count + 1, size, len(touch.proximal_pa), touch.time_s.size))
         none = np.zeros(touch.proximal_pa.shape[0])
         rest = steady(none[:1], none[:1], zones, (1.0, 1.0))[0].repeat(none.size, axis=-1)

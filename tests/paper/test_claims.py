@@ -22,7 +22,7 @@ from benchmarks.parameter_search import (
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters, steady_state
 from nailoptics.hemodynamics.parameters import beds, each_bed
-from nailoptics.paper.claims import RULES, as_rows, as_text, judge
+from nailoptics.paper.claims import RULES, as_rows, as_text, evaluate
 from nailoptics.paper.protocols import (
     CURVE_PA,
     N_PER_CM2,
@@ -45,8 +45,8 @@ def responses():
 
 
 @pytest.fixture(scope="module")
-def judged(responses):
-    return {name: judge(one, name) for name, one in responses.items()}
+def evaluated(responses):
+    return {name: evaluate(one, name) for name, one in responses.items()}
 
 
 @pytest.fixture(scope="module")
@@ -62,25 +62,25 @@ def together(sets):
     return {field: one if np.array_equal(one, two) else (one, two) for field, (one, two) in pairs.items()}
 
 
-def missed(judged, name):
-    return {(claim.rule.figure, claim.rule.text.split(",")[0]) for claim in judged[name] if not claim.met}
+def missed(evaluated, name):
+    return {(claim.rule.figure, claim.rule.text.split(",")[0]) for claim in evaluated[name] if not claim.met}
 
 
-def test_simulation_and_subject_meet_all_rules_but_where_the_band_ends(judged):
+def test_simulation_and_subject_meet_all_rules_but_where_the_band_ends(evaluated):
     """Stiffness and damping alone differ, and no bed of either can have two balances."""
     first, second = (parameters(name).as_dict() for name in ("simulation", "subject"))
     assert {name for name in first if first[name] != second[name]} == set(OF_SUBJECT)
-    assert missed(judged, "simulation") == set()
-    assert missed(judged, "subject") == {("2", "growth of the band from 4 to 16 N over the bed's length")}
-    assert next(c.value for c in judged["subject"] if not c.met) < 0.06
+    assert missed(evaluated, "simulation") == set()
+    assert missed(evaluated, "subject") == {("2", "growth of the band from 4 to 16 N over the bed's length")}
+    assert next(c.value for c in evaluated["subject"] if not c.met) < 0.06
     assert max(largest_loop_gain(one).max() for one in (first, second)) < 1.0
 
 
-def test_the_last_rule_of_the_subject_needs_two_balances(judged):
+def test_the_last_rule_of_the_subject_needs_two_balances(evaluated):
     """Rationale: past 4 N the band stops within 0.05 of the bed if a half-shielded zone is white at 4 N, where the vein
     is shut: soft distal walls. Expected: on the way there the loop gain exceeds 1 before the rule is met."""
     subject, touch = parameters("subject"), np.linspace(8e3, 1e4, 401)
-    rule = next(claim.rule for claim in judged["subject"] if not claim.met)
+    rule = next(claim.rule for claim in evaluated["subject"] if not claim.met)
     growth, two = [], []
     for factor in (0.9, 0.8):
         proximal, distal = subject.capillary_stiffness_n_per_m
@@ -92,13 +92,15 @@ def test_the_last_rule_of_the_subject_needs_two_balances(judged):
     assert growth[0] > rule.high > growth[1] and all(two)
 
 
-def test_sets_of_one_bed_miss_what_both_beds_together_cannot_give(judged):
+def test_sets_of_one_bed_miss_what_both_beds_together_cannot_give(evaluated):
     """Fig. 10 releases slowly, Fig. 16 quickly: no set has both; "sluggish" has one, "best" all but the other."""
     v_p2 = {("12", "slope of V_P2 to 0.1 over that from 0.1 to 1 N/cm^2"), ("12", V_P2_LEVEL)}
     unloading = ("16", "proximal time constant on unloading (likewise)")
-    assert missed(judged, "best") > v_p2 | {("10", "time constants"), unloading}
-    assert missed(judged, "sluggish") > v_p2 | {unloading, ("11", "overshoot of the distal reading")}
-    value = {name: next(c.value for c in judged[name] if c.rule.text == unloading[1]) for name in ("best", "sluggish")}
+    assert missed(evaluated, "best") > v_p2 | {("10", "time constants"), unloading}
+    assert missed(evaluated, "sluggish") > v_p2 | {unloading, ("11", "overshoot of the distal reading")}
+    value = {
+        name: next(c.value for c in evaluated[name] if c.rule.text == unloading[1]) for name in ("best", "sluggish")
+    }
     assert value["best"] < 0.155 < 0.25 < value["sluggish"]
 
 
@@ -116,13 +118,13 @@ def test_linear_walls_without_feedback_cannot_begin_as_steeply_as_v_p2():
     assert straight.any() and 1.40 < slope.measure(made)[straight].max() < 1.45 < slope.low
 
 
-def test_the_guide_tells_how_many_rules_best_meets(judged):
+def test_the_guide_tells_how_many_rules_best_meets(evaluated):
     text = (Path(__file__).parents[2] / "docs" / "model.md").read_text(encoding="utf-8")
     section = text[text.index("| figure, touch | rules `best` meets |") :]
     rows = [line.split("|")[1:3] for line in section.splitlines()[2:9]]
     for figures, met in rows:
         names = set(re.findall(r"\d+|II", figures))
-        claims = [claim for claim in judged["best"] if claim.rule.figure in names]
+        claims = [claim for claim in evaluated["best"] if claim.rule.figure in names]
         assert met.strip() == f"{sum(claim.met for claim in claims)} of {len(claims)}", figures
     assert f"{len(RULES)} rules, each with its sentence" in text
 
@@ -133,13 +135,13 @@ def test_a_touch_of_2_n_on_either_side_leaves_best_where_it_was(responses):
         assert np.abs(responses[name].press_off[..., -1]).max() < 0.01
 
 
-def test_figures_set_loses_the_linearity_of_fig_11(judged):
-    assert not next(c for c in judged["figures"] if c.rule.text.startswith("distal reading off its chord")).met
+def test_figures_set_loses_the_linearity_of_fig_11(evaluated):
+    assert not next(c for c in evaluated["figures"] if c.rule.text.startswith("distal reading off its chord")).met
 
 
-def test_listed_set_is_not_sluggish_at_low_force(judged):
+def test_listed_set_is_not_sluggish_at_low_force(evaluated):
     # It comes from the feedback of R_A on D_C, which is weak at the listed R_A0/R_V1 of 1.2.
-    assert not next(c for c in judged["listed"] if c.rule.sentence.startswith("Capillaries are slower")).met
+    assert not next(c for c in evaluated["listed"] if c.rule.sentence.startswith("Capillaries are slower")).met
 
 
 def test_every_rule_stands_for_a_sentence_and_has_a_bound():
@@ -191,13 +193,13 @@ def test_overshoots_and_late_changes_are_what_they_are_on_made_up_curves(respons
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_search_measures_what_the_table_shows(name, judged, coarse):
-    for claim in judged[name]:
+def test_search_measures_what_the_table_shows(name, evaluated, coarse):
+    for claim in evaluated[name]:
         value = float(claim.rule.measure(coarse)[NAMES.index(name)])
         assert value == pytest.approx(claim.value, rel=0.02, abs=3e-3), claim.rule.text
-    wanted = [claim.rule for claim in judged[name]]
+    wanted = [claim.rule for claim in evaluated[name]]
     coarsely = misses(coarse, wanted=wanted)[:, NAMES.index(name)] > 0
-    assert np.array_equal(coarsely, [not claim.met for claim in judged[name]])
+    assert np.array_equal(coarsely, [not claim.met for claim in evaluated[name]])
 
 
 def test_simulating_many_sets_at_once_is_simulating_each():
@@ -228,14 +230,14 @@ def test_search_refuses_no_time_and_no_population():
         search(seed=0, population=2)
 
 
-def test_table_is_plain_rows_and_readable_text(judged):
-    rows = as_rows(judged)
+def test_table_is_plain_rows_and_readable_text(evaluated):
+    rows = as_rows(evaluated)
     assert json.loads(json.dumps(rows)) == rows
     for row in rows:
         assert row["sentence"] and row["rule"] and row["number"]
-        # Each of the two sets is judged by its own figures, all others by all.
-        assert set(NAMES) - set(row["sets"]) == set(NAMES) & {"simulation", "subject"} - {row["judges"]}
-    lines = as_text(judged).splitlines()
+        # Each of the two sets is evaluated by its own figures, all others by all.
+        assert set(NAMES) - set(row["sets"]) == set(NAMES) & {"simulation", "subject"} - {row["applies_to"]}
+    lines = as_text(evaluated).splitlines()
     assert all(name in lines[0] for name in NAMES)
     assert lines[-2].strip().startswith("rules met") and lines[-1].startswith("* the bound is our choice")
     ours = sum("given" not in row["number"] and "gives" not in row["number"] for row in rows)

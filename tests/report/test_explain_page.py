@@ -49,7 +49,7 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
 
 def test_an_undecided_effect_is_no_headline_beside_a_significant_one(found, tmp_path):
     noisy = effect("forward scattering", -0.9, 0.4)
-    assert noisy.matters == "cannot tell"
+    assert noisy.matters == "undecided"
     for shown, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
         page = write_explanation(replace(found, effects=shown), tmp_path / "required.toml")["report"]
         assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")

@@ -125,7 +125,7 @@ def test_a_reference_that_is_there_twice_is_refused_for_parts_alone(tmp_path):
 def test_where_no_column_tells_the_side_a_warning_says_so(tmp_path, caplog):
     path = tmp_path / "pos.csv"
     path.write_text("Ref,PosX,PosY,Rot\nD1,1,2,0\n")
-    assert read_positions(path)[0].side == "top" and "pos.csv: no column tells the side" in caplog.text
+    assert read_positions(path)[0].side == "top" and "pos.csv: no column states the side" in caplog.text
 
 
 def test_kicads_ascii_file_is_read_in_its_unit(tmp_path):

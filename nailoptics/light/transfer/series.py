@@ -182,7 +182,7 @@ def _absorption(
 class Replicates:
     """One LED's readings in many states; in replicate 0 by all photons, in each other without one group of them.
 
-    reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighed by the photodiode's
+    reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighted by the photodiode's
         response relative to that at the LED's peak.
     mean_path_mm : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
         absorption of the blood in each zone, averaged over the line: the mean path there. [mm]

@@ -188,7 +188,7 @@ class FingerWalk:
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
-            copies = dr.select(photon.is_last(), photon.statistical_weight(), 0)
+            copies = dr.select(photon.has_no_copies_left(), photon.statistical_weight(), 0)
             sampling.roulette(photon, segment.scatterings + 1, copies)
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
@@ -307,7 +307,7 @@ class FingerWalk:
             photon.w = mi.Vector3f(dr.select(reflected, mirrored, refracted))
             place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
-            tallied &= photon.is_last()
+            tallied &= photon.has_no_copies_left()
             left = photon.weight * photon.statistical_weight() * remaining(photon.tau)
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
@@ -346,7 +346,7 @@ class FingerWalk:
         within = splitting.reach.within(photon.p, over_bed, active)
         copies = splitting.reach.copies
         for k, number in enumerate(copies):
-            forks[k] = _split(photon, forks[k], within[k] & photon.is_whole(k), k, number)
+            forks[k] = _split(photon, forks[k], within[k] & photon.is_unsplit(k), k, number)
         for k in reversed(range(len(copies))):
             _go_on(photon, forks[k], (photon.outcome > 0) | ~within[k], k)
         return forks
@@ -365,7 +365,7 @@ def _split(photon: FingerPhoton, fork: list[Any], within: Any, k: int, number: i
 @dr.syntax
 def _go_on(photon: FingerPhoton, fork: list[Any], done: Any, k: int) -> None:
     """Begin the next of a photon's copies, or make the last one whole again."""
-    done &= (photon.copies[k] > 1) & photon.is_whole(k + 1)
+    done &= (photon.copies[k] > 1) & photon.is_unsplit(k + 1)
     if done & (photon.copies_left[k] == 0):
         photon.weight, photon.copies[k] = photon.weight * mi.Float(photon.copies[k]), mi.UInt32(1)
     if done & (photon.copies_left[k] > 0):

@@ -48,14 +48,14 @@ class FingerPhoton(Photon):
     copies_left: list[Any]
     score: Any = starts(0.0)
 
-    def is_whole(self, level: int) -> Any:
+    def is_unsplit(self, level: int) -> Any:
         """Whether it is not split from a level on."""
-        whole = mi.Bool(True)
+        unsplit = mi.Bool(True)
         for copies in self.copies[level:]:
-            whole &= copies == 1
-        return whole
+            unsplit &= copies == 1
+        return unsplit
 
-    def is_last(self) -> Any:
+    def has_no_copies_left(self) -> Any:
         """Whether no copy of it is still to be walked."""
         last = mi.Bool(True)
         for left in self.copies_left:

@@ -36,13 +36,13 @@ LIMITS = (
 
 def page(result: xr.Dataset) -> str:
     """The page of a comparison."""
-    judged = verdict(result, 0.05)
-    met, total, sweep = judged.surely_within, judged.readings, judged.sweep
+    decision = verdict(result, 0.05)
+    met, total, sweep = decision.surely_within, decision.readings, decision.sweep
     over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
     return document(
         kicker="reduced optics against traced light",
         title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
-        lead=verdict_line(judged),
+        lead=verdict_line(decision),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
         attributes=result.attrs,
@@ -289,19 +289,19 @@ def paper_claim(result: xr.Dataset) -> dict[str, Any]:
     return claim
 
 
-def verdict_line(judged: Verdict) -> str:
+def verdict_line(decision: Verdict) -> str:
     """Whether a model holds over a sweep, how sure that is, and its largest error."""
-    largest, low, high = (f"{100 * x:.3g}" for x in (judged.worst_error, judged.worst_low, judged.worst_high))
-    name = FORMULAS[judged.model].replace("–", "-")
-    of = f"{100 * judged.tolerance:g} % of the swing of all {judged.readings} readings over the {judged.sweep}"
-    confidence = "over 99.9" if judged.sure > 0.999 else f"{100 * judged.sure:.3g}"
+    largest, low, high = (f"{100 * x:.3g}" for x in (decision.worst_error, decision.worst_low, decision.worst_high))
+    name = FORMULAS[decision.model].replace("–", "-")
+    of = f"{100 * decision.tolerance:g} % of the swing of all {decision.readings} readings over the {decision.sweep}"
+    confidence = "over 99.9" if decision.sure > 0.999 else f"{100 * decision.sure:.3g}"
     words = {
         "met": f"{name} stays within {of} ({confidence} % confidence)",
         "missed": f"{name} does not stay within {of} ({confidence} % confidence)",
         "undecided": f"Whether {name} stays within {of} is undecided; trace more photons",
     }
-    where = f"LED {judged.led}, photodiode {judged.photodiode}"
-    return f"{words[judged.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
+    where = f"LED {decision.led}, photodiode {decision.photodiode}"
+    return f"{words[decision.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
 
 
 COMPARISON = Report(

@@ -149,7 +149,7 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
     if result.missing:
         names = (effect.name + (" (of the signal)" if effect.of == "signal" else "") for effect in result.missing)
         out.append((f"Left out, though it matters: {', '.join(names)}.", ""))
-    if unsure := [effect.name for effect in result.effects if effect.matters == "cannot tell"]:
+    if unsure := [effect.name for effect in result.effects if effect.matters == "undecided"]:
         out.append((f"Undecided, more photons are needed: {', '.join(unsure)}.", ""))
     return out
 

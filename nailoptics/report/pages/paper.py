@@ -1,4 +1,4 @@
-"""The paper's figures, drawn from any set's responses and from people, and its claims judged by them."""
+"""The paper's figures, drawn from any set's responses and from people, and its claims evaluated on them."""
 
 import logging
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from ... import hemodynamics, tissue
 from ...io import make_folder
 from ...light import backend as backends
-from ...paper.claims import Claim, is_shown_by, judge, judge_people
+from ...paper.claims import Claim, evaluate, evaluate_people, is_shown_by
 from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
 from ...paper.responses import PeopleReadings, Responses, simulate_responses
 from ...scene import Scene, load_scene
@@ -36,32 +36,32 @@ _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
 def write_figures(
     folder: Path, sets: Sequence[str] = (), *, colour: bool = True, people: bool = False
 ) -> tuple[dict[str, list[Claim]], list[Path]]:
-    """Draw the paper's figures into a folder and judge its claims; returns the claims by set, and the pictures.
+    """Draw the paper's figures into a folder and evaluate its claims; returns the claims by set, and the pictures.
 
     sets : names of parameter sets; all if none is given.
     colour : whether Fig. 2 is traced.
-    people : whether Figs. 15 to 18 are drawn of people, too, who are judged as one more set.
+    people : whether Figs. 15 to 18 are drawn of people, too, who are evaluated as one more set.
 
     Raises: InputError.
     """
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     make_folder(folder)
-    judged, pictures = {}, []
+    claims_by_set, pictures = {}, []
     for name, parameters in named.items():
         responses = simulate_responses(parameters)
         pictures += draw(folder, responses, name=name)
-        judged[name] = judge(responses, name)
+        claims_by_set[name] = evaluate(responses, name)
     pictures.append(draw_haemoglobins(folder))
     if people:
         readings = subjects.read_people(scenes := subjects.people())
         pictures.append(draw_people(folder, readings, scenes))
-        judged["people"] = judge_people(readings)
+        claims_by_set["people"] = evaluate_people(readings)
     if colour and backends.choose("auto").jit:
         nail = load_scene("nail_colour")
         pictures += [draw_fig2(nail, folder, name=name) for name in named if is_shown_by(name, "2")]
     elif colour:
         log.warning("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
-    return judged, pictures
+    return claims_by_set, pictures
 
 
 @style.drawing()

@@ -84,7 +84,7 @@ def draw(result: Tradeoff) -> "Figure":
     best = np.array(points).reshape(-1, 2).T
     axes.plot(*best, color=style.INK, lw=2.2, zorder=2, label="the best of all")
     axes.axhline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
-    # Where no level could be judged there is nothing to fit them to.
+    # Where no level could be evaluated there is nothing to fit them to.
     low, high = axes.get_xlim() if marks or ends else axes.set_xlim(*NO_TIMES)
     _names(axes, marks, x=None, room=(high / low) ** 0.02)
     # Where the names stand there is no time.
@@ -176,7 +176,7 @@ def sentence(result: Tradeoff) -> str:
 def chosen_line(result: Tradeoff) -> str:
     """The level to take."""
     if math.isinf(result.chosen.error):
-        return f"Too few photons to judge any level: take {result.chosen.level.name}."
+        return f"Too few photons to evaluate any level: take {result.chosen.level.name}."
     answer = f"{result.chosen.level.name}, {duration(result.chosen.seconds)} of processor time"
     return f"Fastest within the tolerance: {answer}."
 

@@ -43,7 +43,7 @@ LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNOREC
 FARTHEST_MM = 1e6
 # How files of Excel begin, read as text.
 SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
-# What a scene may say of a file that does not tell its unit.
+# What a scene may say of a file that does not state its unit.
 FileUnit = Literal["mm", "mil", "inch"]
 # The angle of a part on the bottom: seen from the top, as KiCad writes it, or from below, as JLCPCB and others ask for.
 BottomRotation = Literal["kicad", "assembler"]
@@ -81,7 +81,7 @@ def read_positions(
     """Read a position file, both sides, in the order of the file.
 
     Columns may be parted by commas, semicolons, tabs or, in a .pos, blanks; lengths are in the unit that stands in the
-    cell, in the column's name, or beside the columns, else in the one given. Where no column tells the side, all parts
+    cell, in the column's name, or beside the columns, else in the one given. Where no column states the side, all parts
     are taken to lie on the top, and a warning says so.
 
     negate_x_on_bottom : the file was exported with "use negative X coordinates for footprints on bottom layer"; turn
@@ -93,7 +93,7 @@ def read_positions(
     head, rows = _table(read_text(path, "a position file (CSV or .pos)", any_encoding=True), path, UNITS_MM[unit])
     at, unit_mm = head
     if "Side" not in at:
-        log.warning("%s: no column tells the side (Side or Layer); all its parts are read as on the top.", path.name)
+        log.warning("%s: no column states the side (Side or Layer); all its parts are read as on the top.", path.name)
     parts: list[PlacedPart] = []
     for number, row in rows:
         where = f"{path} line {number}"
@@ -112,7 +112,7 @@ def read_positions(
         ref, value, package = (of_plain_cell(cells.get(name, "")) for name in ("Ref", "Val", "Package"))
         parts.append(PlacedPart(ref, value, package, (x, y), turn, side))
     if not parts:
-        raise InputError(f"{path}: names no part; export the positions of both sides.")
+        raise InputError(f"{path}: contains no parts; export the positions of both sides.")
     return tuple(parts)
 
 
@@ -178,14 +178,14 @@ def _table(
     """The columns, each with its unit, and the numbered rows below them."""
     lines = text.splitlines()
     for number, line in enumerate(lines):
-        usual_mm = _unit_told(line) or usual_mm
+        usual_mm = _stated_unit(line) or usual_mm
         for separator in (",", ";", "\t", " "):
             header = _cells(line.lstrip("# ") if separator == " " else line, separator)
             at = _columns(header)
             if all(name in at for name in NEEDED):
                 numbered = list(enumerate(lines, 1))[number + 1 :]
-                # PCB and pcb-rnd tell the unit below the names of the columns.
-                below = (_unit_told(line) for _, line in numbered if line.startswith("#"))
+                # PCB and pcb-rnd state the unit below the names of the columns.
+                below = (_stated_unit(line) for _, line in numbered if line.startswith("#"))
                 usual_mm = next(filter(None, below), usual_mm)
                 units = {name: _unit_of(header[k], path) or usual_mm for name, k in at.items() if name in LENGTHS}
                 rows = [(k, row) for k, line in numbered if (row := _cells(line, separator)) and any(row)]
@@ -220,8 +220,8 @@ def _columns(header: Sequence[str]) -> dict[str, int]:
     return {name: k for name, k in columns.items() if k is not None}
 
 
-def _unit_told(line: str) -> float | None:
-    """The unit that a line beside the table tells, as in "Units used: mil" or "# X,Y in mm". [mm]"""
+def _stated_unit(line: str) -> float | None:
+    """The unit that a line beside the table states, as in "Units used: mil" or "# X,Y in mm". [mm]"""
     match = re.search(r"(?:\bunits?(?:\s+used)?\s*[:=]|^#\s*x,\s*y in)\s*\"?(\w+)", line, re.IGNORECASE)
     return UNITS_MM.get(match[1].lower()) if match else None
 

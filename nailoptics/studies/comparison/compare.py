@@ -86,7 +86,7 @@ def state_sweep(scene: Scene, over: Over) -> StateSweep:
 
 
 def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> np.ndarray:
-    """Slope of ln reading by ln of the bed's scattering at rest and its error, (2, led, photodiode); NaN if unseen."""
+    """Slope of ln reading by ln of the bed's scattering at rest and its error, (2, led, photodiode) float."""
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))
     limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
     fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit)
@@ -217,7 +217,7 @@ def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -
 class Verdict:
     """Whether a fitted model stays within a tolerance for every LED and photodiode over a whole sweep.
 
-    sure : probability with which it does so, or does not, by the traces' noise; readings : how many were judged.
+    sure : probability with which it does so, or does not, by the traces' noise; readings : how many were compared.
     surely_within : how many of these stay within it, each with a probability of 95 %.
     worst_error, worst_stderr : of the reading that is furthest off, in parts of its swing.
     worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.

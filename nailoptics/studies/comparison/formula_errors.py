@@ -16,7 +16,7 @@ TOLERANCES = (0.01, 0.05)
 
 @dataclass(frozen=True)
 class StateSweep:
-    """States over which the models are judged; the first is where the predicted ones start from.
+    """States over which the models are evaluated; the first is where the predicted ones start from.
 
     setting : (t,) float. Force [N], blood fraction or saturation.
     blood : (t, zones) float. so2 : (t,) float.

@@ -53,7 +53,7 @@ class Effect(Change):
         photodiode named, which it surely moves most; the error counts that it was picked: its 95 % interval holds with
         Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
-    typical, typical_stderr : change over all photodiodes, weighed by the errors of the scene's readings.
+    typical, typical_stderr : change over all photodiodes, weighted by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
     """
 
@@ -69,11 +69,11 @@ class Effect(Change):
     of: Literal["reading", "signal"] = "reading"
 
     @property
-    def matters(self) -> Literal["yes", "no", "cannot tell"]:
+    def matters(self) -> Literal["yes", "no", "undecided"]:
         """Whether it moves a reading, or the signal, by more than the tolerance, as far as the traces resolve it."""
         if self.bound <= self.tolerance:
             return "no"
-        return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "cannot tell"
+        return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "undecided"
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def explain(
     tracer = PairedTracer(2 + sum(len(scenes) for _, *scenes in planned), options, progress)
     base = tracer.trace(scene)
     effects: list[Effect] = []
-    together, unmet = None, tracer.shortfall
+    together, unmet = None, tracer.unmet_reason
     try:
         for effect, *scenes in planned:
             effects.append(effect(base, *map(tracer.trace, scenes)))
@@ -194,18 +194,18 @@ def effect_of(
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
-    What surely moves no reading by more than the tolerance is judged by the signal, where that is known.
+    What surely changes no reading by more than the tolerance is evaluated by the signal, where that is known.
     """
     from scipy.special import ndtri
 
     of: Literal["reading", "signal"] = "reading"
-    judged = paired.reading
+    differences = paired.reading
     moves_blood = base.largest_modulation[0] > 0
     if moves_blood and paired.signal is not None and (paired.reading.bound <= tolerance).all():
-        of, judged = "signal", paired.signal
-    known = np.isfinite(judged.value) & np.isfinite(judged.stderr)
+        of, differences = "signal", paired.signal
+    known = np.isfinite(differences.value) & np.isfinite(differences.stderr)
     # Where nothing was detected, anything may be.
-    ratio, error = np.where(known, judged.value, np.nan), np.where(known, judged.stderr, np.nan)
+    ratio, error = np.where(known, differences.value, np.nan), np.where(known, differences.stderr, np.nan)
     # What is known best, not what is noisiest, says by how much readings move at least.
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
@@ -217,7 +217,7 @@ def effect_of(
         how=how,
         change=float(ratio[best]),
         stderr=picked * float(error[best]),
-        bound=float(np.where(known, judged.bound, np.inf).max()),
+        bound=float(np.where(known, differences.bound, np.inf).max()),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
         typical=mean,
         typical_stderr=mean_stderr,

@@ -38,7 +38,7 @@ class PairedReadings:
     """What one scene reads, by photons that it may share with other scenes; (led, photodiode) float each.
 
     parts : per LED (n, 2) float. What each recorded photon adds to the reading at rest and at the largest force,
-        fractions of the emitted power, weighed by the photodiode's response over the LED's line.
+        fractions of the emitted power, weighted by the photodiode's response over the LED's line.
     setup_seconds : processor time before the first photon, as if nothing of the scene's shape were there before.
     """
 
@@ -134,7 +134,7 @@ class PairedTracer:
 
     def __init__(self, scenes: int, options: TraceOptions, progress: ProgressCallback | None) -> None:
         self.scenes, self.options, self.progress = scenes, options, progress
-        self.shortfall: str | None = None
+        self.unmet_reason: str | None = None
         self._photons: int | None = None
         self._done, self._setup_s, self._start = 0, 0.0, time.perf_counter()
 
@@ -164,7 +164,7 @@ class PairedTracer:
             share = None if options.max_seconds is None else self.seconds_left / (self.scenes + 1)
             fields = replace(options, max_seconds=share).fields
             pilot, unmet = as_far_as_reached(trace, scene, with_faces=geometry.AROUND, progress=self.progress, **fields)
-            self.shortfall = str(unmet) if unmet else None
+            self.unmet_reason = str(unmet) if unmet else None
             if unmet and unmet.interrupted:
                 raise NotReachedError(str(unmet), interrupted=True)
             return max(led.photons for led in pilot.traces)
@@ -335,7 +335,7 @@ def _keys(trace: LedTrace) -> np.ndarray:
 
 
 def weighted_mean(estimates: Estimates, base: PairedReadings) -> tuple[float, float]:
-    """Mean over the readings and its error, weighed by the reference's errors; NaN and inf where one is unknown.
+    """Mean over the readings and its error, weighted by the reference's errors; NaN and inf where one is unknown.
 
     The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
     """

@@ -68,7 +68,7 @@ FORMULAS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 class Bias:
     """How far a level is from the reference, as a part of it.
 
-    value, stderr : mean over all photodiodes, weighed by the reference's errors.
+    value, stderr : mean over all photodiodes, weighted by the reference's errors.
     bound : what no photodiode's exceeds, with 95 % confidence each.
     """
 
@@ -165,7 +165,7 @@ class Tradeoff:
     squares.
 
     levels : the cheapest for the tolerance first, then those that never reach it.
-    chosen : the fastest within the tolerance; the full model where too few photons came to judge any.
+    chosen : the fastest within the tolerance; the full model where too few photons came to evaluate any.
     """
 
     levels: tuple[Level, ...]

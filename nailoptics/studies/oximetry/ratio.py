@@ -26,7 +26,7 @@ TEXTBOOK = (110.0, -25.0)
 MEASURED = (110.9, -33.2)
 # Saturations over which lines are fitted, those at which oximeters are tested.
 FIT_SO2 = np.linspace(0.70, 1.00, 31)
-# Photons of the first round, whose error tells how many more are needed; rounds have seeds of their own.
+# Photons of the first round, whose error decides how many more are needed; rounds have seeds of their own.
 FIRST_PHOTONS = 1 << 19
 _ROUND = 41
 
@@ -76,8 +76,8 @@ def trace_for_ratio(
 class Pulsation:
     """Pulsating and steady light of the red and the infrared LED, by all photons and without each group of them.
 
-    ac, dc : (1 + groups, 2, photodiodes, states) float. Parts of the LED's power, weighed by the photodiode's response;
-        ac is from the most blood in a beat to the least, dc at its mean.
+    ac, dc : (1 + groups, 2, photodiodes, states) float. Fractions of the LED's power, weighted by the photodiode's
+        response; ac is from the most blood in a beat to the least, dc at its mean.
     """
 
     ac: Array

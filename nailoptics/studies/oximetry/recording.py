@@ -164,7 +164,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
 
 
 def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array, list[dict[str, Array]]]:
-    """Times of the windows, and what each photodiode tells in them without any calibration.
+    """Times of the windows, and the estimates of each photodiode in them without any calibration.
 
     Raises: InputError as `spo2_over_time`.
     """
@@ -175,7 +175,7 @@ def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array,
 
 
 def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, Array]]:
-    """Times of the windows and what one photodiode tells in each."""
+    """Times of the windows and the estimates of one photodiode in each."""
     name = f"{recording.name}, photodiode {recording.photodiodes[j]}"
     light = recording.volts[:, j] - recording.dark_v[j]
     if np.nanmedian(light, axis=1).min() <= 0:
@@ -206,7 +206,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
 def _window(
     pulse: Array, moved: Marks, noise: Array, beats: Beats, even_s: Array, centre_s: float, independent: float
 ) -> dict[str, float]:
-    """What one window tells: the slope of red over infrared where both have noise, and its standard error.
+    """Estimates from one window: the slope of red over infrared where both have noise, and its standard error.
 
     independent : how many independent values a sample has.
     """

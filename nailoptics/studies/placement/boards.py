@@ -105,7 +105,7 @@ def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point
         size = f"{highs[0] - lows[0]:.3g} x {highs[1] - lows[1]:.3g} mm"
         raise InputError(
             f"placement.outline: it is {size} around ({middle[0]:g}, {middle[1]:g}), "
-            f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; tell which point lies on the nail's centre "
+            f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; state which point lies on the nail's centre "
             '(outline_origin = "middle" or [x, y]), or the unit of a DXF that names none (outline_unit = "inch").'
         )
     (a, b), (c, d) = ends

@@ -21,7 +21,7 @@ Places = Sequence[Point]
 
 @dataclass(frozen=True)
 class CandidateLayout:
-    """A layout to judge: the whole scene, the bare board whose light it reads, and where it came from."""
+    """A layout to evaluate: the whole scene, the bare board whose light it reads, and where it came from."""
 
     name: str
     scene: Scene

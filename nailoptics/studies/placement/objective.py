@@ -32,9 +32,9 @@ from .photon_maps import PhotonMapCache
 
 Array = NDArray[np.float64]
 
-# Photons per LED and finger of the first round of judging.
+# Photons per LED and finger of the first round of the evaluation.
 JUDGE_PHOTONS = 1 << 18
-# Part of the time by whose end the judging ends; the rest is for the last check.
+# Part of the time by whose end the evaluation ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
@@ -42,7 +42,7 @@ STEP = 0.005
 
 @dataclass(frozen=True)
 class Spo2Objective:
-    """What a layout's SpO2 is judged by, finger by finger.
+    """What a layout's SpO2 is evaluated by, finger by finger.
 
     leds : numbers of the red and the infrared LED.
     pulse : (fingers, led, zones) float. What a beat adds to the blood of each zone, as blood of the resting kind.
@@ -58,7 +58,7 @@ class Spo2Objective:
     frames: float
 
     def relative_variance(self, finger: int, led: int, read: Response) -> Array:
-        """Variance of the height of an LED's pulse in one reading over its square; of LEDs that tell no oxygen 0.
+        """Variance of the height of an LED's pulse in one reading over its square; 0 of LEDs that measure no oxygen.
 
         It is infinite where the converter is at its limit.
         """
@@ -70,12 +70,12 @@ class Spo2Objective:
             return np.asarray(read.noise_v2 / pulsating)
 
     def information_per_percent2(self, finger: int, variance: Array) -> Array:
-        """What a photodiode tells of SpO2 by the sum of both LEDs' relative variances: one over its variance."""
+        """Information of a photodiode on SpO2 by the sum of both LEDs' relative variances: one over its variance."""
         return np.asarray((self.log_ratio_per_percent * self.shape_rms[finger]) ** 2 * self.frames / variance)
 
 
 def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> Spo2Objective:
-    """The rule for a scene's fingers, under the force at which layouts are judged.
+    """The rule for a scene's fingers, under the force at which layouts are evaluated.
 
     Raises: InputError for a scene without a pulse or without two LEDs of different wavelengths.
     """
@@ -101,11 +101,11 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> 
 
 @dataclass(frozen=True)
 class Objective:
-    """What less is better of, from what single photodiodes tell.
+    """The quantity to minimise, from the information of single photodiodes.
 
     rules : with the weights of worst, mean, share and oxygen.
     points : the touch on each finger.
-    oxygen : what SpO2 is judged by, if it counts.
+    oxygen : what SpO2 is evaluated by, if it counts.
     """
 
     rules: Placement
@@ -121,7 +121,7 @@ class Objective:
         return np.concatenate([information, variance[..., None]], -1)
 
     def together(self, by_led: Sequence[Array]) -> Array:
-        """What photodiodes tell by all LEDs' columns, each (fingers, ..., c): adds up over photodiodes."""
+        """Information of photodiodes by all LEDs' columns, each (fingers, ..., c): adds up over photodiodes."""
         total = np.sum(by_led, axis=0)
         if self.oxygen is not None:
             for finger, sums in enumerate(total):
@@ -129,7 +129,7 @@ class Objective:
         return np.asarray(total)
 
     def total(self, responses: Sequence[Sequence[Response]]) -> Array:
-        """What all photodiodes tell under all LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
+        """Information of all photodiodes and LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
         by_led = [
             np.stack([self.columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
             for led in range(len(responses[0]))
@@ -309,7 +309,7 @@ def score_layouts(
             if score.ranked_interval[0] <= highest
         ]
         worst = max(error for _, error in tied)
-        report_progress("judge", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
+        report_progress("evaluate", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
         left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
         if report_progress.interrupted:
             return layouts, scores, f"interrupted: {len(layouts)} of {count} layouts traced, {left}."

@@ -30,7 +30,7 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class FingerCondition:
-    """A finger on which layouts are judged, and the touch there."""
+    """A finger on which layouts are evaluated, and the touch there."""
 
     case: FingerCase
     point: OperatingPoint

@@ -43,14 +43,14 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.
 
     photons : per layout, LED and finger, in place of a tolerance.
-    relative_error : judging ends when the best is distinguished from all others or every score is known so
+    relative_error : the evaluation ends when the best is distinguished from all others or every score is known so
         well; 0.02 if nothing is requested.
     max_seconds : wall time after which it ends in any case; 480 if nothing is requested. [s]
 
     Returns: Dataset over layout (best first), finger, photodiode and, for the best, the plane of the board.
 
     Raises: InputError; NotReachedError, with the Dataset as result, where time ran out or the user interrupted before
-    the best was distinguished from the others or the tolerance was met; interrupted, the layouts so far are judged
+    the best was distinguished from the others or the tolerance was met; interrupted, the layouts so far are evaluated
     roughly.
     """
     boards.check_two_zones(scene, "place")
@@ -68,35 +68,35 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
-    judging = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
+    ranking = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, objective, searching, report_progress)
-    # A search leaves little time to the user's layouts: these and its best are judged in any case.
+    # A search leaves little time to the user's layouts: these and its best are evaluated in any case.
     listed = sum(layout.origin == "given" for layout in layouts)
     least = len({digest(layout.board) for layout in layouts[: listed + 1]}) if searched else 0
-    judging.stop = partial(_judged_enough, judging, least, report_progress)
+    ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     for layout in layouts:
-        judging.record(layout.board, layout.scene.layout.photodiode_areas)
-    layouts, scores, unmet = score_layouts(layouts, judging, photons=photons, **how)
+        ranking.record(layout.board, layout.scene.layout.photodiode_areas)
+    layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     layouts = [replace(layout, scene=judging.with_resistors(layout.scene, layout.board)) for layout in layouts]
     closer = light | {"stop": partial(report_progress.is_over, 1.0)}
     verified, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:
-        limits: dict[str, Any] = {"photons": judging.photons_of(layouts[0].board), "max_seconds": VERIFY_SHARE * left_s}
+        limits: dict[str, Any] = {"photons": ranking.photons_of(layouts[0].board), "max_seconds": VERIFY_SHARE * left_s}
         verified = verify_layout(layouts[0].scene, conditions[0], **limits, **closer)
     report_progress("check", 1.0, scores[0].relative_error)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
-        over = resolution_over_priors(layouts, rules, judging, stop=closer["stop"])
+        over = resolution_over_priors(layouts, rules, ranking, stop=closer["stop"])
     if store is not None:
         store.close()
-    made |= {"photons": judging.photons + searching.photons, "rank_by": rules.rank_words}
+    made |= {"photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(scene, layouts, scores, judging, searched, verified, made).merge(over)
+    result = as_dataset(scene, layouts, scores, ranking, searched, verified, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
-    for known, what in ((verified, "verified"), (spread, "judged on other fingers")):
+    for known, what in ((verified, "verified"), (spread, "evaluated on other fingers")):
         unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
     return unless_cut_off(result, unmet)
 
@@ -104,10 +104,10 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
 def _candidates(
     base: Scene, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
 ) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
-    """All layouts to judge, given, searched and the paper's, and every site of the LEDs that the search tried."""
+    """All layouts to evaluate, given, searched and the paper's, and every site of the LEDs that the search tried."""
     rules = objective.rules
     boards.check_search(base, rules)
-    # The paper's layout has one LED, which tells no oxygen.
+    # The paper's layout has one LED, which cannot measure oxygen.
     layouts = given(base, rules)
     paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
     straight = boards.searchable_board(base, rules)
@@ -117,7 +117,7 @@ def _candidates(
         log.warning(
             "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
         )
-    # The user's layouts and the search's best are judged even where time is over.
+    # The user's layouts and the search's best are evaluated even where time is over.
     layouts = layouts + search.shortlist(straight, rules, searched) + ([paper] if paper else [])
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
@@ -129,13 +129,13 @@ def _candidates(
     return layouts, searched
 
 
-def _judged_enough(cache: PhotonMapCache, least: int, report_progress: StageProgress) -> bool:
-    """Whether judging ends: time is over, or the user has interrupted, and `least` boards have been traced."""
+def _evaluated_enough(cache: PhotonMapCache, least: int, report_progress: StageProgress) -> bool:
+    """Whether the evaluation ends: time is over, or the user has interrupted, and `least` boards have been traced."""
     return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= (1 if report_progress.interrupted else least)
 
 
 def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:
-    """A finger of the placement with the touch at which it judges."""
+    """A finger of the placement with the touch at which layouts are evaluated."""
     scene = boards.worn_on(base, case)
     return FingerCondition(case, operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s))
 

@@ -35,17 +35,17 @@ def as_dataset(
     scene: Scene,
     layouts: Sequence[CandidateLayout],
     scores: Sequence[LayoutScore],
-    judged: PhotonMapCache,
+    cache: PhotonMapCache,
     searched: Sequence[SearchedSite],
     verified: xr.Dataset,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Everything of a placement; layouts come best first.
 
-    judged : light that the layouts were judged by.
+    cache : light by which the layouts were evaluated.
     verified : what `verify_layout` says of the best layout on the first finger.
     """
-    best, conditions, maps = layouts[0].scene, judged.conditions, judged.maps(layouts[0].board)[0]
+    best, conditions, maps = layouts[0].scene, cache.conditions, cache.maps(layouts[0].board)[0]
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
     coordinates = {
         "layout": [layout.name for layout in layouts],
@@ -209,13 +209,13 @@ def chosen(result: xr.Dataset) -> Scene:
 
 
 def rough_words(ranking: Sequence[dict[str, Any]]) -> str:
-    """Of which layouts, as `rows` tells them, the photons were too few to know what they resolve; empty if of none."""
+    """A warning with the layouts, of `rows`, that were evaluated with too few photons; empty if there is none."""
     rough = [row["layout"] for row in ranking if row["roughly_known"]]
     if not rough:
         return ""
     return (
-        f"Roughly known, to no more than {100 * ROUGH:.0f} %: {', '.join(rough)}. Layouts of which so few photons tell "
-        "come out finer than they are; ask for more photons."
+        f"Resolution with a relative error of {100 * ROUGH:.0f} % or more: {', '.join(rough)}. With so few photons it "
+        "is biased low (too optimistic); trace more photons."
     )
 
 
@@ -239,7 +239,7 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     table = {"rank": np.where(tied, 1, 1 + np.arange(len(tied))), "layout": result.layout.values}
     table |= {"origin": result.origin.values} | of(*(f"force_resolution_{end}" for end in ends))
     table |= of("least_volts", "most_volts", "adc_headroom", "least_snr", "shunted_fraction")
-    # The body's own part is known and would hide how little the photons tell.
+    # The body's own part is known and would hide the error of the photons.
     by_light = next(name for name in ("electronics_resolution_n", "force_resolution_n") if name in result)
     if by_light != "force_resolution_n":
         table["electronics_rank"] = 1 + (result[by_light].values < result[by_light].values[:, None]).sum(1)

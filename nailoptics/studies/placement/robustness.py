@@ -34,12 +34,12 @@ OWN_BATCHES = 2
 
 
 def resolution_over_priors(
-    layouts: Sequence[CandidateLayout], rules: Placement, judged: PhotonMapCache, *, stop: Callable[[], bool]
+    layouts: Sequence[CandidateLayout], rules: Placement, cache: PhotonMapCache, *, stop: Callable[[], bool]
 ) -> xr.Dataset:
     """Uncertainty of the force resolution of the top-ranked layouts over the priors, and which is the best where.
 
     layouts : best first, of one scene's priors; the paper's counts as one of them, too.
-    judged : has recorded the light of every layout, by which all changes are read that only absorb.
+    cache : has recorded the light of every layout, by which all changes are read that only absorb.
     stop : whether there is no time for one layout, or one batch, more.
 
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
@@ -51,7 +51,7 @@ def resolution_over_priors(
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, layout in enumerate(layouts) if i < TOP_RANKED or layout.name == "paper"]
     results: list[tuple[np.ndarray, np.ndarray]] = []
-    resolution = _Resolution(rules, judged, stop)
+    resolution = _Resolution(rules, cache, stop)
     try:
         for i in chosen:
             if stop():
@@ -78,7 +78,7 @@ class _Resolution:
     """
 
     rules: Placement
-    judged: PhotonMapCache
+    cache: PhotonMapCache
     stop: Callable[[], bool]
     points: dict[Any, OperatingPoint] = field(default_factory=dict)
     light: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class _Resolution:
         self.light.clear()
         by_case = [
             over_priors(boards.worn_on(layout.board, case), priors, partial(self._resolution_n, layout, case))
-            for case in self.judged.cases
+            for case in self.cache.cases
         ]
         over = self.rules.over_fingers
         nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
@@ -110,20 +110,20 @@ class _Resolution:
         return force_resolution_n(total_information(read), point)
 
     def _arrivals(self, layout: CandidateLayout, scene: Scene, case: FingerCase, led: int) -> Arrivals:
-        """Light of an LED on the layout's photodiodes: what judged it, or where it goes otherwise, light of its own by
-        the same random numbers."""
-        key, judged = (light_digest(scene), led), self.judged
+        """Light of an LED on the layout's photodiodes: that of the evaluation, or, where its paths differ, newly
+        traced with the same random numbers."""
+        key, cache = (light_digest(scene), led), self.cache
         if key not in self.light:
             most = OWN_BATCHES if layout.board.priors.own_traces else None
-            batches = judged.recorded(layout.board, case.digit, led)[:most]
+            batches = cache.recorded(layout.board, case.digit, led)[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
-                how: dict[str, Any] = {"backend": judged.backend, "store": judged.store, "seed": judged.seed}
-                tracer = BoardTracer(shaped, spacing_mm=judged.distance_mm, **how)
+                how: dict[str, Any] = {"backend": cache.backend, "store": cache.store, "seed": cache.seed}
+                tracer = BoardTracer(shaped, spacing_mm=cache.distance_mm, **how)
                 for i, batch in enumerate(batches):
                     if self.stop():
                         raise Stopped
-                    seed = batch_seed(judged.seed, judged.stream, usual, led, i)
+                    seed = batch_seed(cache.seed, cache.stream, usual, led, i)
                     batches[i] = tracer.arrivals(led, photons=batch.photons, seed=seed)
             self.light[key] = Arrivals.joined(batches)
         return self.light[key]

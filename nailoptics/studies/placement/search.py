@@ -28,9 +28,9 @@ from .sites import LedRow, PhotodiodePlaces, Sites
 log = logging.getLogger(__name__)
 
 # Photons per LED and finger for every place of the LED, in one batch, and for those of the best sites, whose
-# photodiodes are chosen once more: the photons' noise adds to what places tell, most where little light comes. Twice as
-# many at first found no better best on the shipped scene: 29.20(15) and 29.00(7) mN by two seeds, 29.03(13) and
-# 29.03(8) with these, in an eighth less time.
+# photodiodes are chosen once more: the photons' noise adds to the information of positions, most where little light
+# comes. Twice as many at first found no better layout on the shipped scene: 29.20(15) and 29.00(7) mN by two seeds,
+# 29.03(13) and 29.03(8) with these, in an eighth less time.
 FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 15, 1 << 18
 # Cells of the distances that the walk asks for: few photons for each of many boards pay for no finer ones. Such cells
 # take half the time of those of 0.2 mm to make, a place of the LED with its first photons four fifths. [mm]
@@ -39,7 +39,7 @@ DISTANCE_MM = 0.4
 LAST_STARTS = 8
 # Part of the time for the search.
 SEARCH_SHARE = 0.55
-# Searched layouts that are judged with photons of their own beside those that were given.
+# Searched layouts that are evaluated with photons of their own beside those that were given.
 SHORTLIST = 5
 # Sites around which LED places are searched more finely, and into how many parts a step is halved.
 REFINED, FINEST = 2, 4
@@ -410,8 +410,8 @@ class Search:
 
 
 def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) -> list[CandidateLayout]:
-    """The best layouts of a search, to be judged with photons of their own: those of few photons look better than they
-    are, and come after the others."""
+    """The best layouts of a search, to be evaluated with independent photons; those of few photons, whose resolution is
+    biased low, come last."""
     layouts = []
     for result in sorted(results, key=lambda a: (-a.photons, a.score))[:SHORTLIST]:
         scene = candidates.searched(

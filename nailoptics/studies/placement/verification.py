@@ -33,7 +33,7 @@ LEAST_PART = 1 / 8
 SHORT_S = 10.0
 # Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
 BACK_PHOTONS = 1 << 16
-# So much light comes through a board without a cover that few photons tell it, with an error that goes with the others.
+# So much light comes through a board without a cover that few photons suffice, with an error that goes with the others.
 OPEN_PHOTONS = 1 << 13
 BATCHES_PER_ROUND = 4
 OPEN_DISTANCE_MM = 0.2
@@ -164,7 +164,7 @@ def verify_layout(
     stop: Callable[[], bool] = lambda: False,
     store: LightStore | None = None,
 ) -> xr.Dataset:
-    """Everything about a layout on one finger that the map of its bare board does not tell.
+    """Everything about a layout on one finger that the map of its bare board does not contain.
 
     photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
     max_seconds : half of it for the fresh trace, the rest for light from outside. [s]
@@ -178,7 +178,7 @@ def verify_layout(
     blood = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
     verification = _Verification(scene, point, tracer, blood, seed, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
-    # As many photons as judged the layout; where time is short, the batches that must be are small ones.
+    # As many photons as the layout's evaluation had; where time is short, the batches that must be are small ones.
     least = round(LEAST_PART * tracer.batch_photons)
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:

@@ -325,7 +325,7 @@ def test_parts_that_are_not_needed_are_left_out_together():
 
 @pytest.mark.parametrize(
     ("change", "stderr", "bound", "matters"),
-    [(0.10, 0.01, 0.12, "yes"), (0.01, 0.003, 0.016, "no"), (0.04, 0.01, 0.06, "cannot tell"), (0.0, 0.0, 0.0, "no")],
+    [(0.10, 0.01, 0.12, "yes"), (0.01, 0.003, 0.016, "no"), (0.04, 0.01, 0.06, "undecided"), (0.0, 0.0, 0.0, "no")],
 )
 def test_an_effect_matters_only_if_that_is_sure(change, stderr, bound, matters):
     values = {"change": change, "stderr": stderr, "bound": bound, "typical": change, "typical_stderr": stderr}
@@ -347,7 +347,7 @@ def test_the_command_prints_one_json_object_and_writes_the_required_scene(jit_ba
     assert cli.run(["explain", "prototype", "--json", "--photons", "20000", "-o", str(written)]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert {"effects", "tolerance", "photons", "together"} <= printed.keys() and len(printed["effects"]) >= 10
-    assert all(row["matters"] in ("yes", "no", "cannot tell") for row in printed["effects"])
+    assert all(row["matters"] in ("yes", "no", "undecided") for row in printed["effects"])
     assert printed["scene"] == str(written) and load_scene(written).finger is not None
 
 
@@ -397,7 +397,7 @@ def test_undetected_light_has_no_estimate(jit_backend):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
     found = explain(prototype(), photons=100)
     retraced = [e for e in found.effects if e.how == "retraced"]
-    assert retraced and all(e.matters == "cannot tell" for e in retraced)
+    assert retraced and all(e.matters == "undecided" for e in retraced)
     assert (
         "not known" in "\n".join(explanation_lines(found))
         and found.needless == []

@@ -268,7 +268,7 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
     assert fresh == pytest.approx(foretold, rel=0.05)
     assert "Electronics alone [mN]" in placement.lines(placement.summary(found))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
-    assert any("Roughly known" in line for line in placement.lines(placement.summary(found)))
+    assert any("too optimistic" in line for line in placement.lines(placement.summary(found)))
 
 
 @pytest.mark.long

@@ -23,7 +23,7 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
     """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
 
     def interrupting(progress):
-        if progress.led == "judge":
+        if progress.led == "evaluate":
             raise KeyboardInterrupt
 
     with pytest.raises(NotReachedError, match="^interrupted: 3 of 3 layouts traced") as caught:
