@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ENVIRONMENT = {"PYTHONPATH": str(Path(__file__).parents[1])}
-# At the call it waits on stdin, until the signal has come; every call is told.
+# At the call it waits on stdin, until the signal has come; every call is reported.
 CHILD = """
 import functools, importlib, sys
 module, names, number, *sys.argv[1:] = sys.argv[1:]

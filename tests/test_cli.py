@@ -216,7 +216,7 @@ def test_help_and_version_are_quick_and_on_stdout(folder):
 
 
 def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
-    """Rationale: imports were a third of what a short command costs. Expected: no Dask where no cluster is asked for,
+    """Rationale: imports were a third of what a short command costs. Expected: no Dask where no cluster is requested,
     no Mitsuba and no scipy.spatial where no light is traced; and whoever asks for a cluster gets Dask all the same."""
     code = """if True:
         import sys
@@ -359,7 +359,7 @@ def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
 
 @pytest.mark.jit
 def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
-    """No photon seen is no standard error known; it must not be told as 0, nor break the JSON."""
+    """No photon seen is no standard error known; it must not be reported as 0, nor break the JSON."""
     (folder / "quick.toml").write_text(QUICK)
     assert run(["simulate", "quick.toml", "--photons", "1000", "-o", "few", "--json"]) == 0
     out, err = capfd.readouterr()
@@ -379,9 +379,9 @@ def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
     for photons in ("1", "4"):
         assert run(["trace", "phantom.toml", "--photons", photons, "--json"]) == 0
         out, err = capfd.readouterr()
-        told = json.loads(out)
-        assert told["readings"][0]["stderr"] is None and "too few photons to estimate a standard error" in err
-        assert all((part["stderr"] is None) == (photons == "1") for part in told["energy"].values())
+        printed = json.loads(out)
+        assert printed["readings"][0]["stderr"] is None and "too few photons to estimate a standard error" in err
+        assert all((part["stderr"] is None) == (photons == "1") for part in printed["energy"].values())
         assert run(["trace", "phantom.toml", "--photons", photons]) == 0
         reading = capfd.readouterr().out.splitlines()[0]
         assert reading.endswith(("+- unknown", "(95 %)")) and "+- 0.0" not in reading
@@ -479,7 +479,7 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
     }
     done = spawn("trace", "phantom.toml", "--json", "--photons", "2000", env=environment)
     if json.loads(done.stdout or "{}").get("backend") == "cuda":
-        pytest.skip("CUDA works here, so no libLLVM is asked")
+        pytest.skip("CUDA works here, so no libLLVM is tried")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["backend"] == "scalar"
     advice, *progress = done.stderr.splitlines()
@@ -525,10 +525,10 @@ def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
     }
     found = json.loads(spawn("doctor", "--json", env=environment).stdout)
     if found["backend"] == "cuda":
-        pytest.skip("CUDA works here, so no libLLVM is asked")
+        pytest.skip("CUDA works here, so no libLLVM is tried")
     assert found["backend"] == "llvm" and found["engines"] == {"photons": "llvm", "volpath": "scalar"}
-    told = spawn("doctor", env=environment).stdout
-    assert "selected for volpath" in told and "libllvm19" in told.splitlines()[-1]
+    lines = spawn("doctor", env=environment).stdout
+    assert "selected for volpath" in lines and "libllvm19" in lines.splitlines()[-1]
     for name in ("auto", "llvm"):
         done = spawn("trace", "stock.toml", "--json", "--photons", "2000", "--backend", name, env=environment)
         assert done.returncode == 0, done.stderr

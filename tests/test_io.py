@@ -282,10 +282,10 @@ def test_commands_that_share_a_folder_leave_the_files_of_one(jit_backend, store,
     """The page and the result that lie there in the end carry the same seeds. Stored light lets them meet there: they
     take as long as it takes to write."""
     (tmp_path / "finger.toml").write_text(QUIET)
-    asked = ("simulate", "finger.toml", "--photons", "3000", "-o", "deep/out", "--seed")
+    arguments = ("simulate", "finger.toml", "--photons", "3000", "-o", "deep/out", "--seed")
     for seed in (1, 2, 3, 4):
         nailoptics.simulate(parse_scene(QUIET), photons=3000, seed=seed, picture=True)
-    commands = [start(*asked, str(seed), folder=tmp_path) for seed in (1, 2, 3, 4)]
+    commands = [start(*arguments, str(seed), folder=tmp_path) for seed in (1, 2, 3, 4)]
     errors = [command.communicate(timeout=300)[1] for command in commands]
     assert [command.returncode for command in commands] == [0] * 4, errors
     assert names(tmp_path / "deep" / "out") == ["report.html", "result.nc"]

@@ -111,7 +111,7 @@ def test_dir_and_the_type_checker_know_every_public_name():
 @pytest.mark.long
 def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
     """Rationale: what `import nailoptics` offers is found only when it is used, in a process that has nothing else.
-    Expected: studies answer with a Dataset, and each refuses what cannot be asked with an InputError."""
+    Expected: studies answer with a Dataset, and each refuses what cannot be computed with an InputError."""
     code = """if True:
         import sys
         import warnings

@@ -115,13 +115,13 @@ def test_unreadable_files_give_one_line(folder):
     for name in ("shut.toml", "shut.csv", "shut.npz"):
         (folder / name).touch(mode=0o000)
     (folder / "shut").mkdir(mode=0o000)
-    asked = [f"off {name} shut.toml" for name in ("simulate", "trace", "place", "check", "explain", "oximeter")]
-    asked += ["off batch shut.toml -o b", "off predict shut.toml shut.csv", "off calibrate prototype shut.csv"]
-    asked += ["off compare-with shut.npz", "off check shut/in.toml"]
-    for code, said in commands(folder, *asked):
+    lines = [f"off {name} shut.toml" for name in ("simulate", "trace", "place", "check", "explain", "oximeter")]
+    lines += ["off batch shut.toml -o b", "off predict shut.toml shut.csv", "off calibrate prototype shut.csv"]
+    lines += ["off compare-with shut.npz", "off check shut/in.toml"]
+    for code, said in commands(folder, *lines):
         assert code == 2 and "cannot be read: Permission denied; give" in said and said.count("nailoptics:") == 1
-    asked = ["off export prototype -o shut/x.glb", "off export prototype -o shut/x --format mcx"]
+    lines = ["off export prototype -o shut/x.glb", "off export prototype -o shut/x --format mcx"]
     for code, said in commands(
-        folder, *asked, "off simulate prototype -o shut/x", "off explore prototype -o shut/x.html"
+        folder, *lines, "off simulate prototype -o shut/x", "off explore prototype -o shut/x.html"
     ):
         assert code == 2 and "cannot be written: Permission denied; choose another place." in said

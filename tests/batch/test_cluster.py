@@ -80,7 +80,7 @@ def cluster_with_nannies(tmp_path: Path) -> Iterator[Cluster]:
 
 
 def once(at: int, act) -> tuple[list[str], object]:
-    """A progress callback that acts when so many scenes are done, and what it was told."""
+    """A progress callback that acts when so many scenes are done, and the news that it got."""
     said, left = [], [act]
 
     def progress(p: BatchProgress) -> None:

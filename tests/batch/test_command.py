@@ -15,8 +15,8 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
     phantoms(tmp_path, 3)
     sweep, folder = str(tmp_path / "slabs3.toml"), str(tmp_path / "b")
     assert cli.run(["batch", sweep, "-o", folder, "--workers", "1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["total"], len(told["done"]), told["failed"]) == (3, 3, {})
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["total"], len(printed["done"]), printed["failed"]) == (3, 3, {})
     lines = (tmp_path / "b" / "table.csv").read_text().splitlines()
     assert len(lines) == 4 and lines[0].startswith("thickness_mm,led,photodiode,")
     page = (tmp_path / "b" / "report.html").read_text()
@@ -53,5 +53,5 @@ def test_mistakes_end_with_2(jit_backend, tmp_path, monkeypatch, capsys, argumen
     phantoms(tmp_path, 2)
     monkeypatch.chdir(tmp_path)
     assert cli.run(["batch", *("slabs2.toml" if a == "SWEEP" else a for a in arguments)]) == 2
-    told = capsys.readouterr().err
-    assert words in told and told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert words in message and message.count("\n") == 1

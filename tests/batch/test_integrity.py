@@ -1,4 +1,4 @@
-"""Every file of a batch knows whose it is: what does not fit is refused or told, and never served for another."""
+"""Every file of a batch knows whose it is: what does not fit is refused or reported, and never served for another."""
 
 import json
 import shutil
@@ -99,7 +99,7 @@ def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, dam
         {"scenes": "abc"},
         {"made": {}},
         {"axes": [{"name": "x"}]},
-        {"asked": [{"photons": "many"}] * 30},
+        {"required": [{"photons": "many"}] * 30},
         {"made": {"seed": 0, "backend": "llvm", "versions": "all"}},
     ],
     ids=str,
@@ -212,8 +212,8 @@ def test_a_batch_of_another_version_opens_but_does_not_resume(calm, used, caplog
     (used / "plan.json").write_text(json.dumps(plan))
     for path in results_of(used):
         rewritten(path, made=plan["made"])
-    told = status(used)
-    assert (told.done, told.foreign) == (30, 0) and "begun with nailoptics 0.0.1" in str(told)
+    after = status(used)
+    assert (after.done, after.foreign) == (30, 0) and "begun with nailoptics 0.0.1" in str(after)
     assert (nail.open_results(used).state == "done").all() and "made with nailoptics 0.0.1" in caplog.text
     with pytest.raises(InputError, match=r"nailoptics 0\.0\.1 and is .* here"):
         again(calm, used)

@@ -174,10 +174,10 @@ def test_an_interrupted_run_ends_at_once_and_keeps_what_is_done(calm, tmp_path):
             time.sleep(0.001)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does, to the workers too
-        _, told = process.communicate(timeout=20)
+        _, printed = process.communicate(timeout=20)
         if process.returncode:  # on a busy machine the run may have ended before it was interrupted
             break
-    assert process.returncode == 3 and "interrupted; what is done is kept" in told
+    assert process.returncode == 3 and "interrupted; what is done is kept" in printed
     there = bits(folder)
     assert 4 <= len(there) < 30 and there.items() <= calm.bits.items()
 
@@ -189,8 +189,8 @@ def test_two_runs_in_one_folder_share_the_work(calm, tmp_path):
     while not bits(tmp_path / "b") and time.time() < deadline:
         time.sleep(0.01)
     mine = run_batch(calm.sweep, tmp_path / "b", workers=1)
-    told, error = rival.communicate(timeout=120)
-    assert rival.returncode == 0 and json.loads(told)["total"] == 30, error
+    printed, error = rival.communicate(timeout=120)
+    assert rival.returncode == 0 and json.loads(printed)["total"] == 30, error
     assert len(mine.kept) + len(mine.done) == 30 and bits(tmp_path / "b") == calm.bits
 
 
@@ -272,8 +272,8 @@ def test_a_scene_that_needs_too_much_memory_fails_alone(jit_backend, tmp_path):
         *("--workers", "1", "--backend", "llvm"),
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
     )
-    _, told = process.communicate(timeout=300)
-    assert process.returncode == 3 and "1 of 2 scenes are done; 1 failed" in told
+    _, printed = process.communicate(timeout=300)
+    assert process.returncode == 3 and "1 of 2 scenes are done; 1 failed" in printed
     assert all("memory" in why for why in status(tmp_path / "b").failed.values())
 
 
@@ -312,8 +312,8 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tm
         "1",
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
     )
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 1 and "make room and run again" in told
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == 1 and "make room and run again" in printed
     assert not list((tmp_path / "b").glob("*/.*.part"))
     assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
 

@@ -48,9 +48,9 @@ def radau_six_states(time_s: np.ndarray, pressure_pa: np.ndarray) -> np.ndarray:
     edges = np.unique(np.concatenate([[time_s[0]], corners, [time_s[-1]]]))
     columns = [state]
     for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        wanted = time_s[(time_s > begin) & (time_s <= end)]
+        times_s = time_s[(time_s > begin) & (time_s <= end)]
         scale = np.tile(listed, 2)
-        solution = solve_ivp(rates, (begin, end), state, "Radau", t_eval=wanted, rtol=1e-6, atol=1e-6 * scale)
+        solution = solve_ivp(rates, (begin, end), state, "Radau", t_eval=times_s, rtol=1e-6, atol=1e-6 * scale)
         state = solution.y[:, -1]
         columns.extend(solution.y.T)
     return np.array(columns)[:, :3].T + listed[:, None]

@@ -7,7 +7,7 @@ Each figure is measured in a process of its own, whose light is stored in a fold
 imports, those of child processes included, and the largest memory. A slope is the power with which processor time grows
 from one row to the next: 1 is in proportion. A figure of merit, 1 / (relative error^2 x CPU s) of the worst photodiode,
 stands where other rows have seconds [1/s]. REVISION, a commit of this repository, runs the same cases with its own
-code; what it refuses is told as such.
+code; what it refuses is reported as such.
 """
 
 import argparse
@@ -108,13 +108,13 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     from nailoptics.options import TraceOptions
     from nailoptics.studies.simulate import simulate_from
 
-    asked = shipped(name)
-    asked = asked.model_copy(update={"blood": asked.blood.model_copy(update={"zones": zones})})
-    touch = asked.touch.model_copy(update={"duration_s": 10.0, "sample_rate_hz": count / 10.0})
-    asked = asked.model_copy(update={"touch": touch})
-    start = asked.model_copy(update={"touch": touch.model_copy(update={"sample_rate_hz": 10.0})})
-    light = open_light(asked, states=blood_over_touch(start).blood_fraction.values.T, photons=FEW)
-    return lambda: simulate_from(asked, light, course=blood_over_touch(asked), options=TraceOptions(seed=1))
+    scene = shipped(name)
+    scene = scene.model_copy(update={"blood": scene.blood.model_copy(update={"zones": zones})})
+    touch = scene.touch.model_copy(update={"duration_s": 10.0, "sample_rate_hz": count / 10.0})
+    scene = scene.model_copy(update={"touch": touch})
+    start = scene.model_copy(update={"touch": touch.model_copy(update={"sample_rate_hz": 10.0})})
+    light = open_light(scene, states=blood_over_touch(start).blood_fraction.values.T, photons=FEW)
+    return lambda: simulate_from(scene, light, course=blood_over_touch(scene), options=TraceOptions(seed=1))
 
 
 def scenes(count: int, *, opening: bool = False) -> Callable[[], object]:
@@ -139,8 +139,8 @@ def main_job(_: int, *, first: str = "", then: str = "0.05", blood: str = "0.03"
     (folder / "other.toml").write_text(text.replace("blood_fraction = 0.03", f"blood_fraction = {blood}"))
 
     def command(scene: Path | str, tolerance: str) -> None:
-        asked = ["simulate", str(scene), "-o", str(folder / "out"), "--relative-error", tolerance]
-        subprocess.run([sys.executable, "-m", "nailoptics", *asked], check=True, capture_output=True)
+        arguments = ["simulate", str(scene), "-o", str(folder / "out"), "--relative-error", tolerance]
+        subprocess.run([sys.executable, "-m", "nailoptics", *arguments], check=True, capture_output=True)
 
     if first:
         command("prototype", first)
@@ -241,8 +241,8 @@ def apart(name: str, size: int, code: Path) -> dict[str, float] | None:
     """The same in a process of its own, with the package that lies in a folder; None where it refuses."""
     with tempfile.TemporaryDirectory() as store:
         environment = os.environ | {"PYTHONPATH": str(code), "NAILOPTICS_STORE": store}
-        asked = [sys.executable, __file__, "--case", name, str(size)]
-        done = subprocess.run(asked, env=environment, cwd=code, capture_output=True, text=True)
+        command = [sys.executable, __file__, "--case", name, str(size)]
+        done = subprocess.run(command, env=environment, cwd=code, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1]) if done.returncode == 0 else None
 
 
@@ -276,16 +276,16 @@ def main() -> None:
     parser.add_argument("--only", choices=CASES, action="append")
     parser.add_argument("--beside", metavar="REVISION")
     parser.add_argument("--case", nargs=2, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.case:
-        print(json.dumps(measure(asked.case[0], int(asked.case[1]))))
+    options = parser.parse_args()
+    if options.case:
+        print(json.dumps(measure(options.case[0], int(options.case[1]))))
         return
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        codes = [ROOT] + ([export(asked.beside, Path(folder))] if asked.beside else [])
+        codes = [ROOT] + ([export(options.beside, Path(folder))] if options.beside else [])
         head = ["case", "size"] + [f"{column}{mark}" for mark in ("", " there")[: len(codes)] for column in COLUMNS]
         print("".join(f"{cell:>{width}}" for cell, width in zip(head, WIDTHS, strict=False)))
-        for name in asked.only or CASES:
+        for name in options.only or CASES:
             for line in rows(name, codes):
                 print("".join(f"{cell:>{width}}" for cell, width in zip(line, WIDTHS, strict=False)), flush=True)
     print(f"measured in {time.perf_counter() - began:.0f} s")

@@ -78,13 +78,13 @@ class Found:
     pairs: int
 
 
-def misses(responses: Responses, *, margin: float = 0.0, wanted: Sequence[Rule] = RULES) -> np.ndarray:
+def misses(responses: Responses, *, margin: float = 0.0, rules: Sequence[Rule] = RULES) -> np.ndarray:
     """How far each rule is from being met, (rules, *B) float: 0 if met, else relative to its bound. [1]
 
     margin : How far inside its bounds a measure has to be, relative to them. [1]
     """
     rows = []
-    for rule in wanted:
+    for rule in rules:
         with np.errstate(all="ignore"):
             value = np.asarray(rule.measure(responses), dtype=float)
         miss = np.zeros(value.shape)
@@ -98,19 +98,19 @@ def misses(responses: Responses, *, margin: float = 0.0, wanted: Sequence[Rule] 
     return np.array(rows)
 
 
-def loss(responses: Responses, wanted: Sequence[Rule]) -> np.ndarray:
+def loss(responses: Responses, rules: Sequence[Rule]) -> np.ndarray:
     """What the search makes small, B float: nearly 1 for each rule missed by far, less for one missed by little.
 
     Vessels that do not come back from a touch are no model of a sensor, and add to it.
     """
     r = responses
-    miss = misses(r, margin=_MARGIN, wanted=wanted)
+    miss = misses(r, margin=_MARGIN, rules=rules)
     total = (miss / (miss + _HALF_MISS)).sum(axis=0)
-    steps = ((r.proximal_on, r.proximal_off), (r.both_on, r.both_off)) if wanted[0].applies_to == SIMULATION else ()
+    steps = ((r.proximal_on, r.proximal_off), (r.both_on, r.both_off)) if rules[0].applies_to == SIMULATION else ()
     for on, off in steps:
         left = np.abs(off[..., -1] - on[..., 0]) / np.maximum(np.abs(on[..., -1] - on[..., 0]), 1e-30)
         total = total + np.maximum(left[:2, ..., -1] - _LEFT, 0.0).sum(axis=0)
-    return np.where(np.isfinite(total), total, float(len(wanted)))
+    return np.where(np.isfinite(total), total, float(len(rules)))
 
 
 def largest_loop_gain(values: Mapping[str, Any]) -> np.ndarray:
@@ -194,7 +194,7 @@ def search(
         first = None
     rounded = np.log10([float(f"{10.0**x:.3g}") for x in at])[:, None]
     met = sum(
-        int((misses(simulate_responses_of_many(values), wanted=rules_of(name)) == 0.0).sum())
+        int((misses(simulate_responses_of_many(values), rules=rules_of(name)) == 0.0).sum())
         for name, values in zip((SIMULATION, SUBJECT), values_of(rounded), strict=True)
     )
     _LOG.info("search with seed %d: %d of %d rules met after %d pairs", seed, met, len(RULES), tried)
@@ -277,10 +277,10 @@ def logarithms_of(simulation: Parameters, subject: Parameters) -> np.ndarray:
     return np.log10(rows)
 
 
-def simulate_responses_of_many(values: dict[str, Any], wanted: Sequence[Rule] = RULES) -> Responses:
+def simulate_responses_of_many(values: dict[str, Any], rules: Sequence[Rule] = RULES) -> Responses:
     """The responses of many sets at once, coarsely: (B,) float values of every field of `Parameters` by name.
 
-    wanted : The rules that are to be measured; what only others need is left out.
+    rules : The rules that are to be measured; what only others need is left out.
     """
     # Each constant of the walls becomes a column of sets, beside which pressures are rows.
     columns = {
@@ -305,7 +305,7 @@ def simulate_responses_of_many(values: dict[str, Any], wanted: Sequence[Rule] = 
         return width, pressure / high
 
     def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
-        if not any(rule.applies_to == (SIMULATION if zones.count == 2 else SUBJECT) for rule in wanted):
+        if not any(rule.applies_to == (SIMULATION if zones.count == 2 else SUBJECT) for rule in rules):
             return np.ones((zones.count + 1, size, len(touch.proximal_pa), touch.time_s.size))
         none = np.zeros(touch.proximal_pa.shape[0])
         rest = steady(none[:1], none[:1], zones, (1.0, 1.0))[0].repeat(none.size, axis=-1)

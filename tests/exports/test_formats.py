@@ -17,7 +17,7 @@ def test_the_command_line_knows_every_format(capfd):
 
 
 @pytest.mark.parametrize(
-    ("path", "asked", "why"),
+    ("path", "format_", "why"),
     [
         ("finger.stl", None, "names no format"),
         ("finger", None, "names no format"),
@@ -28,11 +28,11 @@ def test_the_command_line_knows_every_format(capfd):
         ("finger", "obj", "is none; choose from"),
     ],
 )
-def test_bad_places_and_formats_are_refused_before_anything_is_written(tmp_path, path, asked, why):
+def test_bad_places_and_formats_are_refused_before_anything_is_written(tmp_path, path, format_, why):
     scene = nailoptics.load_scene(data_dir("scenes") / "prototype.toml")
     (tmp_path / "there.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(InputError, match=why):
-        nailoptics.export(scene, tmp_path / path, format=asked)
+        nailoptics.export(scene, tmp_path / path, format=format_)
     assert [one.name for one in tmp_path.iterdir()] == ["there.txt"]
 
 

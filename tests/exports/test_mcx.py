@@ -183,8 +183,8 @@ def test_pmcxcl_reads_an_exported_finger_as_we_do_but_for_the_staircase(tmp_path
     """
     # In processes of its own, as its libraries end one that Mitsuba is in; and its own for C++ breaks PoCL's compiler.
     own = {**os.environ, "LD_PRELOAD": "libstdc++.so.6"}
-    asked = [sys.executable, "-c", "import pmcxcl; assert pmcxcl.gpuinfo()"]
-    if subprocess.run(asked, capture_output=True, timeout=120, env=own).returncode:
+    probe = [sys.executable, "-c", "import pmcxcl; assert pmcxcl.gpuinfo()"]
+    if subprocess.run(probe, capture_output=True, timeout=120, env=own).returncode:
         pytest.skip("no pmcxcl with a device: pip install pmcxcl, apt install pocl-opencl-icd")
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     paths = nailoptics.export(scene, tmp_path, format="mcx", voxel_mm=0.05)

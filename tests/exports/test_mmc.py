@@ -147,7 +147,7 @@ def test_a_phantom_is_refused(tmp_path):
 def pmmc() -> None:
     """pmmc with a device that it takes; without one the test is skipped, with the reason.
 
-    It is asked in another process: once it is loaded, Dr.Jit's first kernel crashes.
+    It is tried in another process: once it is loaded, Dr.Jit's first kernel crashes.
     """
     if importlib.util.find_spec("pmmc") is None:
         pytest.skip("pmmc is missing: pip install pmmc")

@@ -164,7 +164,7 @@ def test_distinct_rows_are_those_that_numpy_finds(kind):
 
 
 def test_points_around_the_finger_are_in_the_air_alone_as_among_others(geometry):
-    """Rationale: where all lie beyond the grid, its cells are not asked."""
+    """Rationale: where all lie beyond the grid, its cells are not searched."""
     low, high = geometry.bounds_mm
     inside, around = np.array([[0.0, 0.0, -4.0]]), np.concatenate([np.diag(high + 1), np.diag(low - 1)])
     together = geometry.region_at(np.concatenate([inside, around]))

@@ -61,7 +61,7 @@ def test_the_distal_pulp_recovers_with_its_time_constant_after_a_step():
     left = run.distal_pressure_pa.sel(time=[0.3, 2.24, 2.25, 2.45, 2.65, 3.25], method="nearest").values
     assert left == pytest.approx(1e4 * np.exp([0.0, 0.0, 0.0, -1.0, -2.0, -5.0]), rel=2e-3)
     assert run.proximal_pressure_pa.max() == 0.0
-    # It is off unless asked for, and on the proximal side there is none.
+    # It is off unless requested, and on the proximal side there is none.
     assert not blood_over_touch(scene_with('[touch]\nsite = "distal"\n')).distal_pressure_pa.values[-150:].any()
     proximal = scene_with('[touch]\nsite = "proximal"\ndistal_relaxation_s = 0.2\n')
     assert not blood_over_touch(proximal).proximal_pressure_pa.values[-150:].any()

@@ -65,7 +65,7 @@ def test_libraries_on_this_machine_that_abort_are_survived(fresh, monkeypatch):
 
 def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fresh, monkeypatch):
     """Rationale: libLLVM 15 and 16 abort at Mitsuba's own kernels. Expected: who asks for volpath gets the scalar
-    backend and one line of advice, whichever backend was asked for; who insists, one line of error."""
+    backend and one line of advice, whichever backend was requested; who insists, one line of error."""
     monkeypatch.setattr(backend, "PROBE", "import os; print('photons', flush=True); os.abort()")
     chosen = backend.choose()
     assert (chosen.name, chosen.jit, chosen.engines, chosen.advice) == ("llvm", True, ("photons",), None)
@@ -85,10 +85,10 @@ def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fr
 
 
 def test_the_answer_is_remembered_until_the_library_changes(library, fresh, monkeypatch):
-    asked = []
+    probed = []
 
     def probe(name, path):
-        asked.append(path)
+        probed.append(path)
         return backend.ENGINES, "works", True
 
     monkeypatch.setattr(backend, "_probe", probe)
@@ -97,15 +97,15 @@ def test_the_answer_is_remembered_until_the_library_changes(library, fresh, monk
     with monkeypatch.context() as patched:
         patched.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
         assert backend.choose("auto").name == "llvm"
-    assert len(asked) == 1
+    assert len(probed) == 1
     library.write_bytes(b"another library, longer")
     backend._answers.clear()
     backend.choose()
-    assert len(asked) == 2
+    assert len(probed) == 2
     fresh.write_text("damaged {")
     backend._answers.clear()
     backend.choose()
-    assert len(asked) == 3
+    assert len(probed) == 3
 
 
 def test_a_probe_that_hangs_is_given_up_and_not_remembered(library, fresh, monkeypatch):

@@ -40,22 +40,22 @@ def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
 def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:
     """A trace of which nothing is known but its statistics: long-tailed paths in all zones, two photodiodes."""
     rng = np.random.default_rng(1)
-    asked = scene(blood=blood)
-    names = optics.absorbers(asked)
+    varied = scene(blood=blood)
+    names = optics.absorbers(varied)
     path = np.zeros((records, len(names)), np.float32)
-    beds = [names[column] for column in optics.bed_columns(asked)]
+    beds = [names[column] for column in optics.bed_columns(varied)]
     for name, mean in (*((bed, 2 * path_mm / len(beds)) for bed in beds), ("plate", 2.0), ("epoxy", 1.0)):
         path[:, names.index(name)] = rng.exponential(mean, records)
     trace = LedTrace(
         photons=10**6,
-        mu_a=optics.absorption(asked, 800.0)[0],
+        mu_a=optics.absorption(varied, 800.0)[0],
         photodiode=rng.integers(0, 2, records).astype(np.uint16),
         weight=rng.uniform(0.2, 1.0, records),
         path_mm=path,
         energy={"absorbed": (0.0, 0.0)},
         seeds=(1,),
     )
-    return Transfer(asked, (trace,), "none")
+    return Transfer(varied, (trace,), "none")
 
 
 @pytest.fixture(scope="module")

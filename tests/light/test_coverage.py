@@ -67,10 +67,10 @@ def covers(runs: list[Estimates], truth: Estimates) -> None:
         z = np.array([(run[name][0] - value) / run[name][1] for run in runs])
         assert np.isfinite(z).all(), name
         count = len(runs)
-        for limit, wanted in ((1.0, 0.683), (1.96, 0.95)):
+        for limit, nominal in ((1.0, 0.683), (1.96, 0.95)):
             # Values of one run may err together: chance is that of the runs.
-            found, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(wanted * (1 - wanted) / count)
-            assert abs(found - wanted) < 3.5 * chance, (name, limit, found)
+            found, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(nominal * (1 - nominal) / count)
+            assert abs(found - nominal) < 3.5 * chance, (name, limit, found)
         assert np.abs(z.mean(0)).max() < 4.5 / math.sqrt(count), (name, z.mean(0))
 
 
@@ -244,8 +244,8 @@ def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, targ
     off, error = np.array([rule(seed, target) for seed in range(runs)]).T
     z = np.abs(off / error)
     inside = all(
-        abs(np.mean(z < limit) - wanted) < 3.5 * math.sqrt(wanted * (1 - wanted) / runs)
-        for limit, wanted in ((1.0, 0.683), (1.96, 0.95))
+        abs(np.mean(z < limit) - nominal) < 3.5 * math.sqrt(nominal * (1 - nominal) / runs)
+        for limit, nominal in ((1.0, 0.683), (1.96, 0.95))
     )
     return inside and bool((error <= target).all()) and abs(off.mean()) < (0.1 + 3.5 / math.sqrt(runs)) * target
 

@@ -1,4 +1,4 @@
-"""Either engine behind one face: which one is taken, what is read between volpath's states, and what is told."""
+"""Either engine behind one face: which one is taken, what is read between volpath's states, and what is reported."""
 
 import time
 

@@ -16,7 +16,7 @@ from nailoptics.statistics import seed_of
 
 
 def prototype(*, index_steps: bool = True, elements: tuple[tuple[int, ...], tuple[int, ...]] | None = None) -> Scene:
-    """The shipped prototype, with as many of its photodiodes as are asked for."""
+    """The shipped prototype, with as many of its photodiodes as are requested."""
     scene = load_scene(data_dir("scenes") / "prototype.toml")
     update: dict = {"light": scene.light.model_copy(update={"index_steps": index_steps})}
     if elements is not None:

@@ -78,22 +78,22 @@ def test_the_error_that_stops_a_trace_is_the_one_that_is_read(jit_backend, monke
     """With a broad line, too, over which the state at rest is not the traced one."""
     scene, target = (slab(), 0.01) if which == "phantom" else (parse_scene(FINGER), 0.016)
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
-    told = []
-    traced = nail.trace(scene, relative_error=target, seed=2, progress=told.append)
+    reports = []
+    traced = nail.trace(scene, relative_error=target, seed=2, progress=reports.append)
     seen = traced.at().squeeze()
     error = float(seen.detected_fraction_stderr / seen.detected_fraction)
-    assert error == pytest.approx(told[-1].relative_error, rel=1e-9) and 0.5 * target < error <= target
+    assert error == pytest.approx(reports[-1].relative_error, rel=1e-9) and 0.5 * target < error <= target
 
 
 @pytest.mark.jit
 def test_a_trace_out_of_time_tells_the_error_that_is_read(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
-    told = []
+    reports = []
     with pytest.raises(NotReachedError, match="max_seconds") as caught:
-        nail.trace(slab(), relative_error=1e-5, max_seconds=0.5, progress=told.append)
+        nail.trace(slab(), relative_error=1e-5, max_seconds=0.5, progress=reports.append)
     seen = caught.value.result.at().squeeze()
     error = float(seen.detected_fraction_stderr / seen.detected_fraction)
-    assert error == pytest.approx(told[-1].relative_error, rel=1e-9)
+    assert error == pytest.approx(reports[-1].relative_error, rel=1e-9)
 
 
 def plate(mu_a: float) -> float:

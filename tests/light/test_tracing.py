@@ -126,10 +126,10 @@ def test_an_interrupt_keeps_what_was_traced(jit_backend, monkeypatch):
 
 def test_progress_is_reported_after_every_batch(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 13)
-    told: list[TraceProgress] = []
-    nail.trace(slab(leds=2), photons=5 << 13, progress=told.append)
-    assert [p.led for p in told] == 5 * ["beam0"] + 5 * ["beam1"]
-    first = told[:5]
+    reports: list[TraceProgress] = []
+    nail.trace(slab(leds=2), photons=5 << 13, progress=reports.append)
+    assert [p.led for p in reports] == 5 * ["beam0"] + 5 * ["beam1"]
+    first = reports[:5]
     assert [p.photons for p in first] == [i << 13 for i in range(1, 6)]
     assert [p.fraction_done for p in first] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     errors = [p.relative_error for p in first]
@@ -139,10 +139,10 @@ def test_progress_is_reported_after_every_batch(jit_backend, monkeypatch):
 
 def test_progress_towards_a_tolerance_ends_at_one(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
-    told: list[TraceProgress] = []
-    nail.trace(slab(), relative_error=0.01, progress=told.append)
-    assert told[-1].fraction_done == 1 and told[-1].relative_error <= 0.01 == told[-1].target
-    assert all(0 < p.fraction_done <= 1 for p in told)
+    reports: list[TraceProgress] = []
+    nail.trace(slab(), relative_error=0.01, progress=reports.append)
+    assert reports[-1].fraction_done == 1 and reports[-1].relative_error <= 0.01 == reports[-1].target
+    assert all(0 < p.fraction_done <= 1 for p in reports)
 
 
 def test_the_library_prints_nothing(jit_backend, capfd, caplog):
@@ -152,7 +152,7 @@ def test_the_library_prints_nothing(jit_backend, capfd, caplog):
 
 
 @pytest.mark.parametrize(
-    ("asked", "expected"),
+    ("options", "expected"),
     [
         ({}, {"relative_error": 0.1, "max_seconds": 5.0}),
         ({"photons": 10}, {"photons": 10}),
@@ -161,9 +161,9 @@ def test_the_library_prints_nothing(jit_backend, capfd, caplog):
         ({"relative_error": 0.2, "max_seconds": 1.0}, {"relative_error": 0.2, "max_seconds": 1.0}),
     ],
 )
-def test_options_of_the_call_come_before_the_scene(asked, expected):
+def test_options_of_the_call_come_before_the_scene(options, expected):
     scene = slab(accuracy="relative_error = 0.1\nmax_seconds = 5.0")
-    assert accuracy(scene, TraceOptions(**asked)).model_dump(exclude_none=True) == expected
+    assert accuracy(scene, TraceOptions(**options)).model_dump(exclude_none=True) == expected
 
 
 def test_a_million_photons_are_the_default():
@@ -171,7 +171,7 @@ def test_a_million_photons_are_the_default():
 
 
 @pytest.mark.parametrize(
-    ("asked", "field"),
+    ("options", "field"),
     [
         ({"photons": 0}, "photons = 0"),
         ({"relative_error": -0.1}, "relative_error = -0.1"),
@@ -181,9 +181,9 @@ def test_a_million_photons_are_the_default():
         ({"backend": "scalar"}, "JIT"),
     ],
 )
-def test_impossible_demands_are_refused_in_one_line(jit_backend, asked, field):
+def test_impossible_demands_are_refused_in_one_line(jit_backend, options, field):
     with pytest.raises(InputError, match=field) as caught:
-        nail.trace(slab(), **asked)
+        nail.trace(slab(), **options)
     assert len(str(caught.value).splitlines()) == 1 and caught.value.exit_code == 2
 
 

@@ -197,8 +197,8 @@ def test_search_measures_what_the_table_shows(name, evaluated, coarse):
     for claim in evaluated[name]:
         value = float(claim.rule.measure(coarse)[NAMES.index(name)])
         assert value == pytest.approx(claim.value, rel=0.02, abs=3e-3), claim.rule.text
-    wanted = [claim.rule for claim in evaluated[name]]
-    coarsely = misses(coarse, wanted=wanted)[:, NAMES.index(name)] > 0
+    rules = [claim.rule for claim in evaluated[name]]
+    coarsely = misses(coarse, rules=rules)[:, NAMES.index(name)] > 0
     assert np.array_equal(coarsely, [not claim.met for claim in evaluated[name]])
 
 

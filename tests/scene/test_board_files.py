@@ -164,9 +164,9 @@ def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, caps
     more = '[placement]\nphotodiodes = 1\n[[placement.candidates]]\nname = "drawn"\npositions = "pos.csv"\n'
     path.write_text(path.read_text() + more)
     assert run(["check", str(path), "--json"]) == 0
-    told = capsys.readouterr()
-    (line,) = [one for one in json.loads(told.out)["warnings"] if "add negate_x_on_bottom" in one]
-    assert line.startswith("pos.csv: X on the bottom looks negated") and not told.err
+    captured = capsys.readouterr()
+    (line,) = [one for one in json.loads(captured.out)["warnings"] if "add negate_x_on_bottom" in one]
+    assert line.startswith("pos.csv: X on the bottom looks negated") and not captured.err
     # Where an error follows, it may be what was warned of.
     path.write_text(path.read_text().replace("barrier = false", "barrier = false\ncenter_mm = [90.0, 0.0]"))
     assert run(["check", str(path), "--json"]) == 2

@@ -1,4 +1,4 @@
-"""What moves the arterial pressure, as a scene says it: off unless asked, or recorded."""
+"""What moves the arterial pressure, as a scene says it: off unless requested, or recorded."""
 
 import pytest
 from pydantic import ValidationError

@@ -1,4 +1,4 @@
-"""Parts by name: shipped ones cited, the user's own first, and every rule that they break told in one line."""
+"""Parts by name: shipped ones cited, the user's own first, and every rule that they break reported in one line."""
 
 import numpy as np
 import pytest

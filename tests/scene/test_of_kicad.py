@@ -13,7 +13,7 @@ from nailoptics.scene.rectangles import area_mm2
 
 FILES = Path(__file__).parent / "of_kicad"
 ORIGIN = (105.5, -104.25)
-# What KiCad was told, with y up: reference, place, angle, side.
+# What KiCad was given, with y up: reference, place, angle, side.
 PARTS = {
     "D1": ((103.0, -102.0), 30.0, "bottom"),
     "PD1": ((106.0, -102.0), -17.3, "bottom"),

@@ -1,4 +1,4 @@
-"""Outlines: lines joined in any order, holes found, room told exactly, and refused in one line where they are wrong."""
+"""Outlines: lines joined in any order, holes found, room computed exactly, and wrong ones refused in one line."""
 
 import math
 import random

@@ -87,8 +87,8 @@ def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys
     write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
     (tmp_path / "scene.toml").write_text(ON_PAGE)
     assert run(["check", str(tmp_path / "scene.toml")]) == 2
-    told = capsys.readouterr().err
-    assert "placement.outline: it is 8 x 10 mm around (100, -90)" in told and len(told.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert "placement.outline: it is 8 x 10 mm around (100, -90)" in message and len(message.splitlines()) == 1
     # One that reaches beyond the nail ends there.
     write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)))
     assert run(["check", str(tmp_path / "scene.toml"), "--json"]) == 0

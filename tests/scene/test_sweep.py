@@ -1,4 +1,4 @@
-"""Sweep files become scenes in order, every mistake in one is told in one line, and editors have their schema."""
+"""Sweep files become scenes in order, every mistake in one is reported in one line, and editors have their schema."""
 
 import itertools
 import json
@@ -28,9 +28,9 @@ def test_a_product_has_every_pair_and_its_last_axis_varies_fastest(tmp_path):
         + '[[axes]]\npath = "leds.ir.position_mm"\nvalues = [[-1.2, -1.0], [-1.2, 1.0]]\n',
     )
     assert found.dims == {"so2": 3, "position_mm": 2}
-    asked = list(itertools.product([0.8, 0.85, 0.9], [(-1.2, -1.0), (-1.2, 1.0)]))
+    expected = list(itertools.product([0.8, 0.85, 0.9], [(-1.2, -1.0), (-1.2, 1.0)]))
     assert [(s.blood.so2, s.leds[0].position_mm) for s in found.scenes] == [
-        (pytest.approx(so2), place) for so2, place in asked
+        (pytest.approx(so2), place) for so2, place in expected
     ]
 
 
@@ -143,5 +143,5 @@ def test_shipped_sweeps_name_and_meet_the_schema(path):
 def test_a_mistake_is_one_line_that_names_file_and_field(tmp_path, text, words):
     with pytest.raises(InputError) as caught:
         sweep(tmp_path, text)
-    told = str(caught.value)
-    assert words in told and "\n" not in told and ".toml" in told
+    message = str(caught.value)
+    assert words in message and "\n" not in message and ".toml" in message

@@ -68,8 +68,8 @@ def test_the_error_of_a_ratio_is_that_of_slopes_of_noisy_pulses():
         red = index[0] * shape + noise[0] / level[0] * rng.standard_normal(800)
         infrared = index[1] * shape + noise[1] / level[1] * rng.standard_normal(800)
         slopes.append(red @ shape / (infrared @ shape))
-    told = ratio_stderr(np.array(ratio), index, level, noise**2, shape_rms=shape.std(), frames=800)
-    assert np.std(slopes) == pytest.approx(float(told), rel=0.1)
+    stderr = ratio_stderr(np.array(ratio), index, level, noise**2, shape_rms=shape.std(), frames=800)
+    assert np.std(slopes) == pytest.approx(float(stderr), rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -256,7 +256,7 @@ def test_shipped_correlations_are_possible_and_left_out_for_own_ranges():
 def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
     """Rationale: a scene need not lie at the mean of its priors; the spread is then about another finger's answer.
     Expected: for an answer linear in the field, mean and standard deviation are those of the prior; a scene at 1 of a
-    prior around 2 is told the shift of 1, and a sign that holds at the scene alone does not hold."""
+    prior around 2 is reported with the shift of 1, and a sign that holds at the scene alone does not hold."""
     prior = Prior(field="finger.plate_scattering", low=1.0, high=3.0, name="x", scale="linear", source="none")
     scene = prototype()
 

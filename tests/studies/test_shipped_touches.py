@@ -98,8 +98,8 @@ def test_the_white_band_reaches_the_light(chosen_jit):
     unshielded = {"blood": shielded.blood.model_copy(update={"decay_length": 0.15})}
     unshielded["touch"] = shielded.touch.model_copy(update={"distal_onset_n": None})
     unshielded["priors"] = shielded.priors.model_copy(update={"spread": False})
-    asked = shielded.model_copy(update=unshielded)
-    result = nail.simulate(asked, photons=20_000, seed=1)
+    varied = shielded.model_copy(update=unshielded)
+    result = nail.simulate(varied, photons=20_000, seed=1)
     change = result.volts_change.isel(led=0, photodiode=-1)
     at = [float(change.sel(time=t, method="nearest")) for t in (1.9, 3.4, 4.9, 6.4)]
     assert at[-1] > 0 and np.all(np.diff(at) > 0)

@@ -110,7 +110,7 @@ def test_changes_are_sharper_than_readings(pressed):
 
 
 def assert_well_described(result: xr.Dataset) -> None:
-    """CF's demands: units and a long name on every variable, errors named, and the making told."""
+    """CF's demands: units and a long name on every variable, errors named, and the provenance stated."""
     for name, variable in result.variables.items():
         assert variable.attrs.get("long_name"), name
         if variable.dtype.kind in "fiu" and name != "section_region":
@@ -220,13 +220,13 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
 @pytest.mark.jit
 def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkeypatch, own_store, tmp_path):
     """Rationale: a million samples of eight readings, each with its errors, noise and fits, are 0.7 GB in double
-    precision. Expected: all that is told of few samples, to the 6e-8 of single precision, times in double, and the same
-    from the file."""
+    precision. Expected: all that is stored of few samples, to the 6e-8 of single precision, times in double, and the
+    same from the file."""
     monkeypatch.setenv("NAILOPTICS_STORE", str(own_store))
-    scene, asked = prototype(), {"photons": 1 << 14, "seed": 5}
-    few = simulate(scene, **asked)
+    scene, options = prototype(), {"photons": 1 << 14, "seed": 5}
+    few = simulate(scene, **options)
     monkeypatch.setattr(variables, "MANY_SAMPLES", 400)
-    many = simulate(scene, **asked)
+    many = simulate(scene, **options)
     assert many.time.dtype == few.volts.dtype == float and many.volts.dtype == many.blood_fraction.dtype == np.float32
     write_dataset(many, tmp_path / "result.nc")
     # A change is known to the precision of the reading that it is a change of; zones' ends are means of many samples.
@@ -383,7 +383,7 @@ def test_without_a_touch_nothing_changes(chosen_jit):
 @pytest.mark.long
 def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
     """Rationale: where no LLVM is usable, volpath in the scalar variant answers. Expected: the same dataset, errors no
-    larger than asked, and the signs of the largest changes, of which the states share their noise."""
+    larger than requested, and the signs of the largest changes, of which the states share their noise."""
     monkeypatch.setattr(detect, "VOLPATH_RELATIVE_ERROR", 0.3)
     scene = prototype()
     scene = scene.model_copy(
@@ -394,12 +394,12 @@ def test_the_main_job_runs_without_a_jit_backend(monkeypatch, caplog):
             )
         }
     )
-    told = []
-    result = simulate(scene, backend="scalar", relative_error=0.3, seed=1, progress=told.append)
+    reports = []
+    result = simulate(scene, backend="scalar", relative_error=0.3, seed=1, progress=reports.append)
     assert_well_described(result)
     assert (result.attrs["engine"], result.attrs["backend"]) == ("volpath", "scalar")
     assert "three blood states" in result.attrs["accuracy_reached"] and "relative error of 0.3" in caplog.text
-    assert "path_density" not in result and told and told[-1].fraction_done > 0
+    assert "path_density" not in result and reports and reports[-1].fraction_done > 0
     start = result.isel(time=0)
     assert np.all(start.detected_fraction_stderr <= 0.3 * start.detected_fraction) and np.all(start.volts > 0)
     change, stderr = largest_change(result)

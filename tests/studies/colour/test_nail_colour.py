@@ -31,7 +31,7 @@ SCENE = parse_scene(SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scatt
 
 
 def without_spread(scene):
-    """The scene whose spread over what is unknown is not asked for, which takes rays of its own."""
+    """The scene whose spread over what is unknown is not requested, which takes rays of its own."""
     return scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
 
 
@@ -113,8 +113,8 @@ def test_a_colours_standard_error_is_true(jit_backend):
     errors = np.array([nail.statistics.jackknife(one) for one in change])
     assert abs(np.log(change[:, 0].std(0, ddof=1) / np.sqrt((errors**2).mean(0))).mean()) < 0.35
     moved = np.array([delta_e_2000(viewer.lab(one)[:, :, 1], viewer.lab(one)[:, :, 0]) for one in found])
-    told = np.array([nail.statistics.jackknife(one) for one in moved])
-    assert 0.8 < (np.abs(moved[:, 0] - moved[:, 0].mean(0)) < 1.96 * told).mean()
+    stderr = np.array([nail.statistics.jackknife(one) for one in moved])
+    assert 0.8 < (np.abs(moved[:, 0] - moved[:, 0].mean(0)) < 1.96 * stderr).mean()
 
 
 @pytest.mark.long
@@ -177,9 +177,9 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
     errors = found.delta_e_2000_stderr.values
     # Changes come from the same rays, so they are far sharper than the colours themselves.
     assert errors[1:-1, 2].max() < 0.5 * found.colour_stderr.values.max()
-    told = json.loads(json.dumps(colour_summary(found)))
-    assert told["illuminant"] == "D65" and len(told["states"]) == 5 and len(told["lab_stderr"]) == 3
-    place = told["states"][0]["places"][5]
+    printed = json.loads(json.dumps(colour_summary(found)))
+    assert printed["illuminant"] == "D65" and len(printed["states"]) == 5 and len(printed["lab_stderr"]) == 3
+    place = printed["states"][0]["places"][5]
     assert {"v_mm", "lab", "srgb", "delta_e_2000"} <= set(place) and place["delta_e_2000"] == 0
 
 
@@ -199,8 +199,8 @@ def test_the_command_writes_its_files_and_json(jit_backend, tmp_path, capsys):
     path.write_text(SMALL_FINGER_BEST + "[priors]\nspread = false\n")
     arguments = ["colour", str(path), "-o", str(tmp_path / "out"), "--photons", "8000", "--no-photograph", "--json"]
     assert run([*arguments, "--force", "0", "--force", "1"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [state["force_n"] for state in told["states"]] == [0, 1]
+    printed = json.loads(capsys.readouterr().out)
+    assert [state["force_n"] for state in printed["states"]] == [0, 1]
     written = {one.name for one in (tmp_path / "out").iterdir()}
     assert written == {"colour.nc", "colour.html", "strip.png"}
     assert xr.load_dataset(tmp_path / "out" / "colour.nc").attrs["illuminant"] == "D65"

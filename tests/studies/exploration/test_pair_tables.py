@@ -147,9 +147,9 @@ def test_what_it_cannot_show_is_refused_in_a_line(change, what):
 def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(["explore", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert what in told
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert what in message
+    assert message.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 

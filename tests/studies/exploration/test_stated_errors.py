@@ -18,7 +18,7 @@ EDGE_MM, NEAR_MM, FAR_MM = 1.0, 1.2, 3.6
 
 
 def read(explored: Exploration, die_mm: Any, size_mm: Any, places_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What square photodiodes read of a die by the table, and its told standard error, (n,) float each."""
+    """What square photodiodes read of a die by the table, and its stated standard error, (n,) float each."""
     t, weight = np.polynomial.legendre.leggauss(4)
     table, weight = explored.colours[0], np.outer(weight, weight).ravel() / 4
     square = np.stack(np.meshgrid(t / 2, t / 2), -1).reshape(-1, 2)
@@ -66,9 +66,9 @@ def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndar
         places = die + rng.uniform(-FAR_MM, FAR_MM, (60, 2))
         apart = np.hypot(*(places - die).T)
         places = places[(apart > NEAR_MM) & (apart < FAR_MM) & np.all(abs(places) < reach, axis=1)][:20]
-        told, error = read(explored, die, explored.scene.leds[0].size_mm, places)
+        estimate, error = read(explored, die, explored.scene.leds[0].size_mm, places)
         truth, spread = traced(explored.scene, die, places, seed=100 * seed + k)
-        found.append((told - truth) / np.hypot(error, spread))
+        found.append((estimate - truth) / np.hypot(error, spread))
     return np.concatenate(found)
 
 

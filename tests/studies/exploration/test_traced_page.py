@@ -33,16 +33,16 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     shown = browser.new_page()
     shown.goto(path.as_uri())
     shown.evaluate("change((layout) => { layout.leds[0].u -= 0.2; layout.leds[0].v += 0.6; layout.force = 0.8; })")
-    told = shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows))")
+    rows = shown.evaluate("JSON.parse(JSON.stringify(workbench.result.rows))")
     exported = parse_scene(shown.evaluate("smolToml.stringify(toScene(workbench.layout))"), name="exported")
     quiet = exported.model_copy(update={"priors": exported.priors.model_copy(update={"spread": False})})
     result = nail.simulate(quiet, photons=SIMULATED, seed=7)
     held = int(np.flatnonzero(result.force_n.values >= 0.8 - 1e-9)[-1])
     rest, rest_error = (result[name].values[0, :, 0] for name in ("detected_fraction", "detected_fraction_stderr"))
     change, change_error = (1e3 * result[name].values[0, :, held] for name in ("volts_change", "volts_change_stderr"))
-    assert [row["element"]["name"] for row in told] == list(result.photodiode.values)
+    assert [row["element"]["name"] for row in rows] == list(result.photodiode.values)
     pulls = []
-    for i, row in enumerate(told):
+    for i, row in enumerate(rows):
         assert not row["few"]
         assert row["restError"] < FEW_TERMS**-0.5 * row["fractionRest"]
         pulls.append((row["fractionRest"] - rest[i]) / np.hypot(row["restError"], rest_error[i]))

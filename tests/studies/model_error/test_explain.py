@@ -72,7 +72,7 @@ def test_the_barrier_matters_and_the_lines_width_does_not(found):
     assert width.matters == "no" and width.how == "reweighted" and 0 < width.bound < 0.01
     assert by_name["melanin"].matters == "no"
     assert by_name["ambient light"].modelled is False and by_name["ambient light"].bound > 0
-    # Bone is met by few photons: what these alone make up is told far better than two traces apart could.
+    # Bone is met by few photons: what these alone make up is estimated far better than by two separate traces.
     assert by_name["bone"].typical_stderr < 0.5 * by_name["index steps"].typical_stderr
 
 
@@ -201,9 +201,9 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
             effects.ambient(0.02, TraceOptions(seed=seed, store=False), base),
         )
         derived.append([(effect.typical, effect.typical_stderr) for effect in made])
-        told = [(base, one) for one in differences[-2:]]
+        retraced = [(base, one) for one in differences[-2:]]
         every = [difference(base, other) for other in others_traced]
-        printed.append([*((base, d) for d in every), *told])
+        printed.append([*((base, d) for d in every), *retraced])
         for d in every:
             means = [weighted_mean(one, base) for one in d]
             each = [[d.reading.value[0], d.signal.value[0]], [d.reading.stderr[0], d.signal.stderr[0]]]
@@ -299,8 +299,8 @@ def test_changes_are_reported_as_lines_that_make_them():
     assert other.light.left_out == ("epidermis", "kapton") and all(led.fwhm_nm == 0 for led in other.leds)
     assert changes_between(scene, other) == changes and changes_between(other, other) == {}
     assert revised(other, changes_between(other, scene)).model_dump() == scene.model_dump()
-    told = ['[light] left_out = ["epidermis", "kapton"]', "[light] index_steps = false", "[[leds]] fwhm_nm = 0.0"]
-    assert sorted(lines_of(changes)) == sorted(told)
+    expected = ['[light] left_out = ["epidermis", "kapton"]', "[light] index_steps = false", "[[leds]] fwhm_nm = 0.0"]
+    assert sorted(lines_of(changes)) == sorted(expected)
 
 
 def needless_effect(name: str) -> Effect:

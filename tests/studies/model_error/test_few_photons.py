@@ -56,7 +56,7 @@ def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
     assert (np.abs(z) < Z95).mean() > 0.915 and held.mean() > 0.95, ((np.abs(z) < Z95).mean(), held.mean())
     scatter = ratio.std() / np.sqrt(np.mean(stderr**2))
     assert (0.75 if arrive * carry > 7 else 0.45) < scatter < 1.05, scatter
-    # What photons lose is no part of their modulation here: that stays, within what is told.
+    # What photons lose is no part of their modulation here: that stays, within the reported error.
     swing = np.concatenate([one.signal.value[0] for one in found])
     errors = np.concatenate([one.signal.stderr[0] for one in found])
     assert (np.abs(swing) < Z95 * errors).mean() > 0.92

@@ -1,4 +1,4 @@
-"""Standard errors of what levels are told to be off by are the spread that other seeds show."""
+"""Standard errors of the reported errors of levels are the scatter over other seeds."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -42,8 +42,8 @@ def assert_pull_of_one(found: list[dict[str, Level]], name: str, which: str) -> 
 
 
 def test_a_bias_and_its_bound_hold_the_truth_as_often_as_they_say():
-    """Rationale: what is told of a level is a mean over photodiodes and what none of them exceeds. Expected: of 400
-    draws of readings with known errors, 95 % of the means' intervals hold the mean, and of the bounds the largest."""
+    """Rationale: the reported error of a level is a mean over photodiodes and what none of them exceeds. Expected: of
+    400 draws of readings with known errors, 95 % of the intervals cover the mean, and of the bounds the largest."""
     draw, errors = np.random.default_rng(4), np.array([[0.01, 0.02, 0.02, 0.05]])
     truth, held = np.array([[0.03, -0.05, 0.0, 0.02]]), []
     for shared in (0.0, 0.3):
@@ -69,7 +69,7 @@ def test_errors_of_readings_and_modulations(traced):
 @pytest.mark.slow
 @pytest.mark.jit
 def test_errors_of_what_formulas_and_diffusion_are_off_by(traced, scene):
-    """Expected: the told errors are what other seeds scatter by, of every level without photons of its own."""
+    """Expected: the reported errors are what other seeds scatter by, of every level without photons of its own."""
     found = []
     for seed, base in zip(SEEDS, traced, strict=True):
         narrow = measured(scene, "one wavelength", base, reweighted(base, revised(scene, ONE_WAVELENGTH)))

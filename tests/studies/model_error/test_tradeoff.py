@@ -229,8 +229,10 @@ def test_a_photodiode_that_saw_nothing_is_one_line(jit_backend):
 def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("nailoptics.studies.model_error.tradeoff.tradeoff", lambda scene, **_: found)
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["chosen"] == found.chosen.level.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
+    printed = json.loads(capsys.readouterr().out)
+    assert (
+        printed["chosen"] == found.chosen.level.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
+    )
     assert {path.name for path in tmp_path.iterdir()} == set(tradeoff_page.TRADEOFF.files)
 
 

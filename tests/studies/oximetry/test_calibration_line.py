@@ -53,14 +53,14 @@ def along_the_nail(scene: Scene) -> Scene:
 
 def test_dies_along_the_nail_are_warned_of_with_what_would_mend_it():
     scene = along_the_nail(load_scene(data_dir("scenes") / "pulse_oximeter.toml"))
-    told = path_warnings(scene, np.array([0.30, 0.45]), np.array([0.9, 1.3]))
-    assert len(told) == 1 and "axis" in told[0] and "photodiode" in told[0] and "\n" not in told[0]
+    lines = path_warnings(scene, np.array([0.30, 0.45]), np.array([0.9, 1.3]))
+    assert len(lines) == 1 and "axis" in lines[0] and "photodiode" in lines[0] and "\n" not in lines[0]
 
 
 def test_a_photodiode_as_far_from_both_leds_gets_its_own_advice():
     scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
-    told = path_warnings(scene, np.array([0.30, 0.45, 0.50]), np.array([0.9, 1.3, 1.45]))
-    assert len(told) == 1 and '"axis.1"' in told[0] and "fit of this scene" in told[0]
+    lines = path_warnings(scene, np.array([0.30, 0.45, 0.50]), np.array([0.9, 1.3, 1.45]))
+    assert len(lines) == 1 and '"axis.1"' in lines[0] and "fit of this scene" in lines[0]
 
 
 def test_leds_that_were_changed_to_one_colour_are_refused_in_one_line():

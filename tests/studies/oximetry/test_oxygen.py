@@ -55,20 +55,20 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
     """Rationale: measured on fingers, a slope lies at -28 to -40, an intercept at 108 to 114 and R(0.97) at 0.36 to
     0.52. Expected: these on the best photodiode within three standard errors of so few photons, R that falls with
     saturation on all of them, and all that the JSON promises."""
-    told = summary(found)
-    best = told["readings"][told["best"]]
+    printed = summary(found)
+    best = printed["readings"][printed["best"]]
     fit, rest = best["fit"], best["ratio_at_rest"]
     assert -40 - 3 * fit["slope_stderr"] < fit["slope"] < -28 + 3 * fit["slope_stderr"]
     assert 108 < fit["intercept"] < 114
     assert 0.36 - 3 * rest["stderr"] < rest["value"] < 0.52 + 3 * rest["stderr"]
     assert rest["stderr"] < 0.08 * rest["value"]
-    for one in told["readings"].values():
+    for one in printed["readings"].values():
         assert np.all(np.diff(one["ratio"]) < 0) and np.all(np.array(one["ratio_stderr"]) > 0)
         assert set(one["perfusion_index"]) == {"red", "infrared"} and one["so2"][0] == 0.5
         assert 0.9 < one["path_ratio"] < 1.8 and one["spo2_stderr_beat"] >= one["spo2_stderr"] > 0
         assert not one["saturated"]
         assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
-    assert told.pop("cut_off") is None and "null" not in to_json(told)
+    assert printed.pop("cut_off") is None and "null" not in to_json(printed)
     write_dataset(found, tmp_path / "oximeter.nc")
     page = oximeter_page(found)
     assert page.count("<figure") == 4 and "textbook" in page
@@ -136,9 +136,9 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
     ours, beat = trace(middle, photons=1 << 20, seed=1), BloodBeat(np.arange(2.0), np.array([[low, high]] * 2))
     both = np.stack([read_states(ours, led, [(so2, beat.resting, beat.pulse)], seed=1) for led in (0, 1)], 1)
     logs = np.log(both[..., 0] / both[..., 1])
-    told, told_error = estimate(logs[:, 0] / logs[:, 1])
-    error = np.hypot(told_error, fresh_error)
-    assert np.all(abs(told - fresh) < 3 * error) and np.all(error < 0.07 * fresh)
+    estimated, estimated_error = estimate(logs[:, 0] / logs[:, 1])
+    error = np.hypot(estimated_error, fresh_error)
+    assert np.all(abs(estimated - fresh) < 3 * error) and np.all(error < 0.07 * fresh)
 
 
 @pytest.mark.long
@@ -148,11 +148,13 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
     for so2 in (0.80, 0.93):
         scene = with_saturation(shipped(), so2)
         other = oximeter_from(replace(light, scene=scene), options=TraceOptions(seed=SEED))
-        told = spo2_over_time(simulated(scene, other, seed=4), found, shipped()).sel(photodiode=found.attrs["best"])
-        still = told.sel(time=slice(0.0, 15.0))
+        estimates = spo2_over_time(simulated(scene, other, seed=4), found, shipped()).sel(
+            photodiode=found.attrs["best"]
+        )
+        still = estimates.sel(time=slice(0.0, 15.0))
         assert np.all(abs(still.spo2 - 100 * so2) < 4 * still.spo2_stderr)
         assert np.all(abs(still.rate_per_min - 70.0) < 6.0)
-        assert float(still.motion.max()) < 0.03 and float(told.sel(time=slice(18.0, 25.0)).motion.max()) > 0.05
+        assert float(still.motion.max()) < 0.03 and float(estimates.sel(time=slice(18.0, 25.0)).motion.max()) > 0.05
 
 
 @pytest.mark.long
@@ -175,8 +177,8 @@ def test_two_dies_along_the_nail_are_warned_of(light):
     diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
     along = scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
     result = oximeter_from(trace(along, photons=1 << 17, seed=1), options=TraceOptions(seed=1))
-    told = " ".join(result.attrs["warnings"])
-    assert '"axis.6"' in told and "on the axis between two dies side by side" in told
+    message = " ".join(result.attrs["warnings"])
+    assert '"axis.6"' in message and "on the axis between two dies side by side" in message
     assert float(result.path_ratio.min()) < 0.8
 
 

@@ -53,21 +53,21 @@ def test_the_interval_covers_the_truth_in_90_to_98_of_100_recordings(noise):
     inside = []
     for seed in range(150):
         so2 = 0.72 + 0.26 * seed / 149
-        told = spo2_over_time(recorded(so2, seed=seed, seconds=12.0, noise=noise), KNOWN, SCENE).isel(time=2)
-        inside.append(((told.spo2_low <= 100 * so2) & (100 * so2 <= told.spo2_high)).values)
+        estimates = spo2_over_time(recorded(so2, seed=seed, seconds=12.0, noise=noise), KNOWN, SCENE).isel(time=2)
+        inside.append(((estimates.spo2_low <= 100 * so2) & (100 * so2 <= estimates.spo2_high)).values)
     assert 0.90 <= np.mean(inside) <= 0.98
 
 
 def test_rate_perfusion_and_saturation_are_estimated_in_every_window():
-    told = spo2_over_time(recorded(0.9, seed=3), KNOWN, SCENE)
-    assert told.attrs["versions"].startswith("nailoptics=")
-    assert np.all(abs(told.rate_per_min - 72.0) < 4.0)
-    assert np.all(abs(told.perfusion_index_infrared - 2e-3) < 3e-4)
-    assert np.all(abs(told.spo2 - 90.0) < 3.0) and float(told.motion.max()) < 0.05
-    summary = recording_summary(told)
+    estimates = spo2_over_time(recorded(0.9, seed=3), KNOWN, SCENE)
+    assert estimates.attrs["versions"].startswith("nailoptics=")
+    assert np.all(abs(estimates.rate_per_min - 72.0) < 4.0)
+    assert np.all(abs(estimates.perfusion_index_infrared - 2e-3) < 3e-4)
+    assert np.all(abs(estimates.spo2 - 90.0) < 3.0) and float(estimates.motion.max()) < 0.05
+    summary = recording_summary(estimates)
     assert summary["best"] in NAMES and abs(summary["rate_per_min"] - 72.0) < 2.0
-    lines = spo2_rows(told)
-    assert len(lines) == 1 + 2 * told.sizes["time"] and lines[0].startswith("time_s,photodiode,ratio,spo2")
+    lines = spo2_rows(estimates)
+    assert len(lines) == 1 + 2 * estimates.sizes["time"] and lines[0].startswith("time_s,photodiode,ratio,spo2")
 
 
 def test_times_of_a_clock_keep_all_their_digits():
@@ -75,8 +75,8 @@ def test_times_of_a_clock_keep_all_their_digits():
     by_clock = replace(here, time_s=here.time_s + 1763900000.0)
     rows = oximeter_csv(by_clock, ("red", "infrared")).splitlines()[1:]
     assert [float(row.split(",")[0]) for row in rows] == by_clock.time_s.tolist()
-    told = spo2_over_time(by_clock, KNOWN, SCENE)
-    assert [float(row.split(",")[0]) for row in spo2_rows(told)[1:]] == 2 * told.time.values.tolist()
+    estimates = spo2_over_time(by_clock, KNOWN, SCENE)
+    assert [float(row.split(",")[0]) for row in spo2_rows(estimates)[1:]] == 2 * estimates.time.values.tolist()
 
 
 def test_motion_is_marked_where_it_was_and_nowhere_else():
@@ -85,7 +85,7 @@ def test_motion_is_marked_where_it_was_and_nowhere_else():
     assert np.all(moved.motion.where(with_it, drop=True) > 0.1)
     assert np.all(moved.motion.where(abs(moved.time - 18.5) > 6.5, drop=True) < 0.05)
     assert float(still.motion.max()) < 0.05
-    # What is told of the still part of a window is as true.
+    # What is estimated from the still part of a window is as true.
     assert np.nanmax(abs(moved.spo2 - still.spo2)) < 2.0
 
 
@@ -115,10 +115,10 @@ def test_files_of_oximeter_modules_give_ratio_and_beats(tmp_path):
     scene = SCENE.model_copy(update={"oximeter": SCENE.oximeter.model_copy(update={"frame_hz": 64.0, "slots": None})})
     for so2 in (0.75, 0.97):
         for file in module_files(tmp_path, so2):
-            told = spo2_over_time(read_for(scene, file), KNOWN, scene)
-            assert abs(float(told.rate_per_min[0, 0]) - 75.0) < 1.5
-            assert float(told.ratio[0, 0]) == pytest.approx((110.9 - 100 * so2) / 33.2, abs=0.03), file
-            assert list(told.photodiode.values) == ["axis.1"]
+            estimates = spo2_over_time(read_for(scene, file), KNOWN, scene)
+            assert abs(float(estimates.rate_per_min[0, 0]) - 75.0) < 1.5
+            assert float(estimates.ratio[0, 0]) == pytest.approx((110.9 - 100 * so2) / 33.2, abs=0.03), file
+            assert list(estimates.photodiode.values) == ["axis.1"]
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_ends_of_intervals(found, name):
 
 
 def test_what_so_few_photons_tell_is_said_to_be_roughly_known(found):
-    """Expected: said with nearly every seed of what is known to a half, whatever luck does to the told error."""
+    """Expected: said with nearly every seed of what is known to a half, whatever luck does to the estimated error."""
     assert sum("near" in rough_words(rows(one)) for one in found) >= 17
 
 

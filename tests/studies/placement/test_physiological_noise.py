@@ -110,20 +110,20 @@ def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
     noise_v = np.sqrt(read.noise_v2[0])
     touch, pulse = (read.zone_v @ BLOOD_PER_PA) @ point.pressure_per_n / noise_v, read.body_v[:, 0] / noise_v
     apart = touch - pulse * (touch @ pulse) / (pulse @ pulse)
-    told = information.fixed_ratio_resolution_n(information.total_information([read]), point)
-    assert told == pytest.approx(1 / np.linalg.norm(apart), rel=1e-3)
+    resolution_n = information.fixed_ratio_resolution_n(information.total_information([read]), point)
+    assert resolution_n == pytest.approx(1 / np.linalg.norm(apart), rel=1e-3)
 
 
 def test_a_gain_that_all_readings_share_leaves_their_ratios():
-    """However much an LED drifts, three readings tell two pressures by two ratios; by two readings nothing is told."""
+    """However much an LED drifts, three readings resolve two pressures by two ratios; two readings resolve none."""
     point = _point(np.zeros((2, 2)), gain=1e3)
     read = _read(point)
     noise_v = np.sqrt(read.noise_v2[0])
     light, slopes = read.volts / noise_v, read.slope_v_per_pa / noise_v
     ratios = slopes - np.outer(light, light @ slopes) / (light @ light)
     spread_pa = np.linalg.inv(ratios.T @ ratios)
-    told = information.force_resolution_n(information.total_information([read]), point)
-    assert told == pytest.approx(np.sqrt(FORCE_PER_PA @ spread_pa @ FORCE_PER_PA), rel=1e-3)
+    resolution_n = information.force_resolution_n(information.total_information([read]), point)
+    assert resolution_n == pytest.approx(np.sqrt(FORCE_PER_PA @ spread_pa @ FORCE_PER_PA), rel=1e-3)
     two = information.total_information([_read(point, count=2)])
     assert information.force_resolution_n(two, point) > 0.5 * 1e5 * FORCE_PER_PA[0]
 
@@ -264,8 +264,8 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
         error = share * row["electronics_resolution_n_stderr"]
         assert row["force_resolution_n_stderr"] == pytest.approx(error, rel=0.1, abs=1e-4 * floor_n)
     assert sorted(row["electronics_rank"] for row in rows) == list(range(1, len(rows) + 1))
-    fresh, foretold = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
-    assert fresh == pytest.approx(foretold, rel=0.05)
+    fresh, predicted = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
+    assert fresh == pytest.approx(predicted, rel=0.05)
     assert "Electronics alone [mN]" in placement.lines(placement.summary(found))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
     assert any("too optimistic" in line for line in placement.lines(placement.summary(found)))

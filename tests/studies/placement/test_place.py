@@ -86,11 +86,11 @@ def test_a_saturated_reading_tells_nothing(scene):
 def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene):
     """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could tell.
     Expected: over noisy readings of known error the information's mean is that of one far below times the probability
-    to be below, and the jackknife tells its scatter, where that of a jump is mostly told as nothing.
+    to be below, and the jackknife tells its scatter, where that of a jump is mostly estimated as 0.
     """
     led, photodiode, rng = scene.leds[0], scene.photodiodes[0], np.random.default_rng(5)
     limit = electronics.limit_v(scene.electronics) / electronics.volts_per_fraction(led, photodiode, scene.electronics)
-    told, errors = [], []
+    resolutions_n, errors = [], []
     for _ in range(400):
         # 32 blocks; their mean has an error of 2 % of the limit, and lies one of these below it.
         blocks = np.zeros((32, 1, 4))
@@ -102,11 +102,11 @@ def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene)
             information.response(blocks[0] * 0.1, *how),
         )
         each = (read.slope_v_per_pa[:, 0, 0] / below.slope_v_per_pa[0, 0] / 10) ** 2
-        told.append(each[0])
+        resolutions_n.append(each[0])
         errors.append(float(jackknife(each)))
     # A reading one error below has, read with that error once more, a probability of 0.76 to be below.
-    assert np.mean(told) == pytest.approx(0.76, abs=0.04)
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(told), rel=0.2)
+    assert np.mean(resolutions_n) == pytest.approx(0.76, abs=0.04)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(resolutions_n), rel=0.2)
 
 
 def test_blood_changes_with_pressure_as_steady_states_do(scene):
@@ -170,13 +170,13 @@ def test_places_keep_their_distances(scene):
 
 
 def test_the_best_is_first_and_its_fresh_trace_agrees(found):
-    """The map's foretold resolution and readings, and those of a trace of the real board, share no photon."""
+    """The map's predicted resolution and readings, and those of a trace of the real board, share no photon."""
     assert [str(name) for name in found.layout.values][-1] == "far" and not bool(found.tied.sel(layout="far"))
     assert np.all(np.diff(found.force_resolution_n) > 0)
-    foretold, error = float(found.finger_resolution_n[0, 0]), float(found.finger_resolution_n_stderr[0, 0])
+    predicted, error = float(found.finger_resolution_n[0, 0]), float(found.finger_resolution_n_stderr[0, 0])
     fresh, spread = found.attrs["checked_resolution_n"], found.attrs["checked_resolution_n_stderr"]
-    assert abs(foretold - fresh) < 4 * np.hypot(error, spread)
-    assert np.hypot(error, spread) < 0.3 * foretold
+    assert abs(predicted - fresh) < 4 * np.hypot(error, spread)
+    assert np.hypot(error, spread) < 0.3 * predicted
     assert "paper" in found.layout.values and result.gain(found)[0] > 0
 
 
@@ -189,9 +189,9 @@ def test_each_photodiode_looks_where_the_blood_tells_it(found):
     share = by_zone / by_zone.sum(1, keepdims=True)
     slope = found.predicted_zone_v[0].values
     error = found.predicted_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
-    foretold = slope / slope.sum(1, keepdims=True)
+    predicted = slope / slope.sum(1, keepdims=True)
     known = np.isfinite(error)
-    assert known.mean() > 0.8 and np.all((np.abs(share - foretold) < 4 * np.sqrt(2) * error + 0.02)[known])
+    assert known.mean() > 0.8 and np.all((np.abs(share - predicted) < 4 * np.sqrt(2) * error + 0.02)[known])
     assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
 
 
@@ -212,10 +212,10 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
         "Ref,Val,Package,PosX,PosY,Rot,Side\nD1,ir,die,-3,0,0,bottom\nPD1,e,pd,1,-1,90,bottom\nPD2,e,pd,1,1,180,top\n"
     )
     (tmp_path / "pos.csv").write_text(text)
-    asked = SCENE[: SCENE.index("[placement]")] + (
+    toml = SCENE[: SCENE.index("[placement]")] + (
         '[placement]\nsearch = false\n[[placement.candidates]]\nname = "mine"\npositions = "pos.csv"\n'
     )
-    (tmp_path / "mine.toml").write_text(asked)
+    (tmp_path / "mine.toml").write_text(toml)
     mine = load_scene(tmp_path / "mine.toml")
     layout = place.given(boards.base_board(mine), boards.rules(mine))[0].scene
     assert [area.size_mm for area in layout.layout.photodiode_areas] == [(0.25, 1.0), (1.0, 0.25)]
@@ -230,11 +230,11 @@ def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
 
 def test_the_papers_layout_has_the_unknowns_of_the_scene(scene):
     known = tuple(one.field for one in scene.priors.of_finger())[1:]
-    asked = scene.model_copy(update={"priors": scene.priors.model_copy(update={"known": known})})
-    base, rules = boards.base_board(asked), boards.rules(asked)
+    requested = scene.model_copy(update={"priors": scene.priors.model_copy(update={"known": known})})
+    base, rules = boards.base_board(requested), boards.rules(requested)
     conditions = [place.finger_condition(base, FingerCase(name="one"), rules)]
     paper = place._paper_layout(base, conditions)
-    assert paper.scene.priors == paper.board.priors == asked.priors
+    assert paper.scene.priors == paper.board.priors == requested.priors
 
 
 def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
@@ -242,8 +242,8 @@ def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
     (tmp_path / "mine.toml").write_text(SCENE.replace('part = "led_800"', 'part = "own"'))
     own = 'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 20.0\nflux_mw = 7.0\ndie_size_mm = [0.3, 0.2]\n'
     (tmp_path / "own.toml").write_text(own + 'pattern = "lambertian"\n')
-    asked = load_scene(tmp_path / "mine.toml")
-    layout = place.given(boards.base_board(asked), boards.rules(asked))[0].scene
+    requested = load_scene(tmp_path / "mine.toml")
+    layout = place.given(boards.base_board(requested), boards.rules(requested))[0].scene
     elsewhere = parse_scene(to_toml(layout))
     assert (elsewhere.leds[0].flux_mw, elsewhere.leds[0].wavelength_nm, elsewhere.leds[0].size_mm) == (
         7,
@@ -260,8 +260,8 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     """
     text = SCENE.replace('parameters = "best"', 'parameters = "best"\nzone_edges_mm = [3.0]\nzone_width_mm = 1.0')
     text = text[: text.index("[placement]")] + "[placement]\nphotodiodes = 2\nled_step_mm = 3.0\n"
-    asked = parse_scene(text)
-    base, rules = boards.base_board(asked), boards.rules(asked)
+    requested = parse_scene(text)
+    base, rules = boards.base_board(requested), boards.rules(requested)
     planted = information.OperatingPoint(
         blood_fraction=np.array([0.03, 0.03]),
         blood_per_pa=np.array([[0.0, 0.0], [0.0, -1e-6]]),
@@ -286,16 +286,16 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
     other = one.model_copy(update={"responsivity": ((700.0, 0.2), (900.0, 0.3)), "dark_current_na": 5.0})
     kinds, rng = [one, other, one, other, other], np.random.default_rng(0)
     values = rng.uniform(1e-5, 1e-4, (9, 5, 4)) * [1.0, 0.3, -2.0, -1.0]
-    asked = parse_scene(SCENE + ("[body.drift]\n[body.breathing]\n" if body else ""))
-    point = information.operating_point(asked, 0.5)
+    requested = parse_scene(SCENE + ("[body.drift]\n[body.breathing]\n" if body else ""))
+    point = information.operating_point(requested, 0.5)
     assert (point.body is not None) == body
     how = {"ambient_a": rng.uniform(0, 1e-8, 5), "replicates": True}
     together = information.response(values, scene, 0, kinds, point, **how)
     for i, kind in enumerate(kinds):
         alone = how | {"ambient_a": how["ambient_a"][[i]]}
         single = information.response(values[:, [i]], scene, 0, kind, point, **alone)
-        told = information.fisher_information(together)[:, [i]]
-        assert told == pytest.approx(information.fisher_information(single), rel=1e-9)
+        of_all = information.fisher_information(together)[:, [i]]
+        assert of_all == pytest.approx(information.fisher_information(single), rel=1e-9)
         assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
     assert together.volts[0, 1] != information.response(values, scene, 0, [one] * 5, point, **how).volts[0, 1]
 
@@ -310,7 +310,7 @@ def test_intervals_allow_for_errors_that_few_blocks_tell():
 @pytest.mark.slow
 def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, scene):
     """Rationale: intervals claim 95 %. Expected: over 20 seeds the scores spread as their standard errors say,
-    intervals hold the mean of the other seeds, and no pair of layouts is told apart one way by one seed and the other
+    intervals hold the mean of the other seeds, and no pair of layouts is ranked one way by one seed and the other
     way by another. With a quarter of the photons, errors of 6 %, 63, 62 and 60 of 70 seeds held it: docs/trust.md says
     so.
     """
@@ -331,7 +331,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     # 19 degrees of freedom know a variance to 32 %; the layouts share photons, so that they count as one.
     ratio = score.var(0, ddof=1) / (error**2).mean(0)
     assert np.all(ratio < 3.0), ratio
-    # Where an error is so large that the score bends within it, as of the layout far away, it is told too large.
+    # Where an error is so large that the score bends within it, as of the layout far away, it is estimated too large.
     small = error.mean(0) < 0.2
     assert small[0] and small[2] and np.all(ratio[small] > 0.25), ratio
     others = (score.sum(0) - score) / 19
@@ -339,13 +339,13 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     # Of 20 at 95 %, fewer than 16 would come once in four hundred times; and once more for each of three layouts.
     assert np.all(held.sum(0) >= 16), held.sum(0)
     for a, b in ((0, 1), (0, 2), (1, 2)):
-        told = [
+        signs = [
             np.sign(score[i, a] - score[i, b])
             for i, row in enumerate(judged)
             if row[a].force.interval_n[0] > row[b].force.interval_n[1]
             or row[b].force.interval_n[0] > row[a].force.interval_n[1]
         ]
-        assert len(set(told)) <= 1
+        assert len(set(signs)) <= 1
     assert np.all(score[:, 1] > score[:, 0]) and np.abs(score[:, 0] - score[:, 2]).mean() < 0.2
 
 
@@ -468,10 +468,10 @@ def test_the_command_writes_what_other_programs_read(chosen_jit, tmp_path, capsy
     )
     (tmp_path / "mine.toml").write_text(text)
     out = tmp_path / "out"
-    asked = ["place", str(tmp_path / "mine.toml"), "-o", str(out), "--photons", str(1 << 18), "--json"]
-    assert run([*asked, "--negate-x-on-bottom"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert {row["layout"] for row in told["ranking"]} == {"mine", "paper"}
+    command = ["place", str(tmp_path / "mine.toml"), "-o", str(out), "--photons", str(1 << 18), "--json"]
+    assert run([*command, "--negate-x-on-bottom"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {row["layout"] for row in printed["ranking"]} == {"mine", "paper"}
     assert {path.name for path in out.iterdir()} == set(PLACEMENT.files)
     best = load_scene(out / "best.toml")
     areas = list(best.layout.photodiode_areas)

@@ -1,4 +1,4 @@
-"""A placement that is interrupted or out of time: it ends within a batch, and what it has by then is told."""
+"""A placement that is interrupted or out of time: it ends within a batch, and what it has by then is reported."""
 
 import itertools
 
@@ -20,7 +20,7 @@ def scene() -> Scene:
 
 @pytest.mark.slow
 def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
-    """Ctrl-C comes out of the progress callback; what is traced by then is judged, looked at and told."""
+    """Ctrl-C comes out of the progress callback; what is traced by then is evaluated, verified and reported."""
 
     def interrupting(progress):
         if progress.led == "evaluate":
@@ -34,7 +34,7 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
 @pytest.mark.slow
 def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit):
     """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
-    asked = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
+    requested = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
     reports = []
 
     def interrupting(progress):
@@ -42,7 +42,7 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
         raise KeyboardInterrupt
 
     with pytest.raises(NotReachedError, match="^interrupted: 1 of .* layouts traced") as caught:
-        place.place(asked, progress=interrupting)
+        place.place(requested, progress=interrupting)
     found = caught.value.result
     assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
     assert str(found.origin.values[0]) == "searched"
@@ -52,7 +52,7 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", ["fresh", "back"])
 def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkeypatch, stage):
-    """Expected: no batch begins once there is no time, and the half that was traced is not told."""
+    """Expected: no batch begins once there is no time, and the half that was traced is not reported."""
     layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
     condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
     looks, batches = itertools.count(), []

@@ -73,9 +73,9 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     )
     cache.extend(layout.board, 1 << 19)
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
-    told = float(found.resolution_at_node_n[0, 0, 0])
+    resolution_n = float(found.resolution_at_node_n[0, 0, 0])
     # Of half a million photons behind a node its score is known about as well as this one's.
-    assert abs(np.log(told / score.force.all_n[0])) < 4 * np.sqrt(2) * score.relative_error
+    assert abs(np.log(resolution_n / score.force.all_n[0])) < 4 * np.sqrt(2) * score.relative_error
     assert score.relative_error < 0.1
 
 
@@ -94,13 +94,13 @@ def test_without_time_only_complete_readings_are_reported(ranked):
     looks = itertools.count()
     found = resolution_over_priors(layouts, rules, judged, stop=lambda: next(looks) >= 1)
     assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
-    asked = next(looks)
-    assert asked == 2
+    calls = next(looks)
+    assert calls == 2
     assert not resolution_over_priors(layouts, rules, judged, stop=lambda: True)
 
 
 def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
-    """Expected: a bed that scatters hardly otherwise is told by photons of its own, and as the usual one."""
+    """Expected: a bed that scatters hardly otherwise is estimated by photons of its own, and as the usual one."""
     _, rules, layouts, judged, _ = ranked
     scatters = next(one for one in layouts[0].board.priors.of_finger() if one.field == FIELDS[2])
     middle = float(np.sqrt(scatters.low * scatters.high))
@@ -110,10 +110,10 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     judged.record(layout.board, layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
     found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
-    told = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
+    retraced = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
     score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
-    assert str(told.prior_how.values) == "retraced"
-    nodes = told.resolution_at_node_n.values
+    assert str(retraced.prior_how.values) == "retraced"
+    nodes = retraced.resolution_at_node_n.values
     assert len(set(nodes)) > 1 and score.relative_error < 0.1
     assert np.abs(np.log(nodes / score.force.all_n[0])).max() < 4 * np.sqrt(2) * score.relative_error
 

@@ -90,7 +90,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
     places = np.column_stack([np.zeros(10), np.linspace(-3.0, 3.0, 10)])
     zones, reach_mm = BloodZones((float(rng.uniform(-1.0, 1.0)),), 2.0), rng.uniform(0.8, 1.8, 3)
 
-    def told(led: int, at: int) -> np.ndarray:
+    def information_of(led: int, at: int) -> np.ndarray:
         place = np.array([-2.0, -3.0 + 1.5 * at])
         away = np.linalg.norm(places - place, axis=-1)
         light = np.exp(-away / reach_mm[led])
@@ -99,7 +99,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         read = information.Response(one, (1e-4 + 1e-3 * light) ** 2, slope, slope, 0 * one)
         return information.fisher_information(read)[None]
 
-    columns = [{at: told(led, at) for at in range(5)} for led in range(3)]
+    columns = [{at: information_of(led, at) for at in range(5)} for led in range(3)]
     rules = Placement(photodiodes=3, rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
     objective = Objective(rules, [AT])
     board = SimpleNamespace(rules=rules, go_together=lambda leds: len(set(leds)) == 3)
@@ -145,10 +145,10 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
                 own = one.sites.board_at(i, place, row)
                 one.cache.extend(own, 1)
                 design.columns[i][place] = one._columns(i, own, design)
-            told = design.information(leds)[0]
+            information = design.information(leds)[0]
             for a, b in combinations(range(places.free), 2):
                 if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.spacing_mm) - 1e-9):
-                    every.append(float(one.objective.score((told[a] + told[b])[None])))
+                    every.append(float(one.objective.score((information[a] + information[b])[None])))
     assert len(every) > 100
     assert best.score <= min(every) * (1 + 1e-9)
     for layout in search.shortlist(one.base, one.rules, found):
@@ -200,8 +200,8 @@ def test_wiring_chooses_elements_where_they_are():
     layout = search.shortlist(one.base, one.rules, found)[0].scene
     assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
     assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
-    told = one._designs[best.row].information(best.places_mm)
-    every = {c: float(one.objective.score(told[:, list(c)].sum(1))) for c in combinations(range(8), 3)}
+    information = one._designs[best.row].information(best.places_mm)
+    every = {c: float(one.objective.score(information[:, list(c)].sum(1))) for c in combinations(range(8), 3)}
     assert layout.photodiodes[0].wired == min(every, key=lambda c: every[c])
 
 

@@ -40,17 +40,17 @@ def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
 
     volts, noise, zone = (1.0, 2.0), 1e-8, np.array([[[-0.5, 0.0]], [[-3.0, 0.0]]])
     by_led = [response([v], noise, z) for v, z in zip(volts, zone, strict=True)]
-    told = error_percent(by_led)
+    stderr_percent = error_percent(by_led)
     index = np.array([abs(zone[k, 0] @ rule.pulse[0, k]) / volts[k] for k in (0, 1)])
     ratio = index[0] / index[1]
     error = ratio_stderr(
         np.array(ratio), index, np.array(volts), np.full(2, noise), shape_rms=rule.shape_rms[0], frames=rule.frames
     )
-    assert told == pytest.approx(float(error) / ratio / rule.log_ratio_per_percent, rel=1e-9)
+    assert stderr_percent == pytest.approx(float(error) / ratio / rule.log_ratio_per_percent, rel=1e-9)
     twice = [response([v, v], noise, np.vstack([z, z])) for v, z in zip(volts, zone, strict=True)]
-    assert error_percent(twice) == pytest.approx(told / np.sqrt(2))
+    assert error_percent(twice) == pytest.approx(stderr_percent / np.sqrt(2))
     blind = [response([v, 0.0], noise, np.vstack([z, 0 * z])) for v, z in zip(volts, zone, strict=True)]
-    assert error_percent(blind) == pytest.approx(told)
+    assert error_percent(blind) == pytest.approx(stderr_percent)
     # By hand from 0.171 and 1.728, 0.650 and 0.371 per mm of blood with and without oxygen, at 97 %.
     assert rule.log_ratio_per_percent == pytest.approx(0.01557 / 0.2177 + 0.0028 / 0.6416, rel=0.05)
 
@@ -77,10 +77,10 @@ def test_a_placement_ranks_given_layouts_by_oxygen(chosen_jit, monkeypatch):
     diode = scene.photodiodes[0].model_copy(
         update={"part": None, "elements": 1, "wired": None, "pitch_mm": None, "position_mm": (0.0, 0.0)}
     )
-    asked = scene.model_copy(update={"placement": rules, "photodiodes": (diode,), "priors": Priors(spread=False)})
+    requested = scene.model_copy(update={"placement": rules, "photodiodes": (diode,), "priors": Priors(spread=False)})
     # The closer look at the best, which is of force, takes minutes.
     monkeypatch.setattr("nailoptics.studies.placement.place.verify_layout", lambda *_, **__: xr.Dataset())
-    result, _ = as_far_as_reached(place, asked, photons=1 << 16, seed=3)
+    result, _ = as_far_as_reached(place, requested, photons=1 << 16, seed=3)
     error, stderr = result.spo2_error_percent.values, result.spo2_error_percent_stderr.values
     assert list(result.layout.values) == ["near", "far"] and error[0] < error[1]
     assert np.all(stderr > 0) and np.all(stderr < 0.5 * error)

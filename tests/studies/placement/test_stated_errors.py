@@ -30,9 +30,9 @@ KNOWN = 0.25
 
 def scene() -> Scene:
     """A layout near its LED, two unknowns."""
-    asked = parse_scene(SCENE)
-    known = tuple(one.field for one in asked.priors.of_finger() if one.field not in FIELDS)
-    return asked.model_copy(update={"priors": Priors(known=known)})
+    scene = parse_scene(SCENE)
+    known = tuple(one.field for one in scene.priors.of_finger() if one.field not in FIELDS)
+    return scene.model_copy(update={"priors": Priors(known=known)})
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +54,10 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
 
     Expected: a root mean square of 1 within the 50 % that three times the chance of twenty seeds is.
     """
-    told = (np.isfinite(values) & np.isfinite(errors) & (errors > 0)).all(0)
-    values, errors = values[:, told], errors[:, told]
+    estimated = (np.isfinite(values) & np.isfinite(errors) & (errors > 0)).all(0)
+    values, errors = values[:, estimated], errors[:, estimated]
     sure = errors.mean(0) < KNOWN * np.abs(values.mean(0))
-    assert sure.any(), (name, told.sum())
+    assert sure.any(), (name, estimated.sum())
     away = ((values - values.mean(0)) / errors)[:, sure] * np.sqrt(len(values) / (len(values) - 1))
     assert 0.5 < np.sqrt(np.mean(away**2)) < 1.5, (name, np.sqrt(np.mean(away**2)))
 
