@@ -66,6 +66,27 @@ photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
 )
 
 
+def finger(*photodiodes: dict[str, Any], leds: Sequence[dict[str, Any]] = ({},), **tables: dict[str, Any]) -> str:
+    """TOML of a finger with its photodiodes, and LEDs that are the usual one but for the values given.
+
+    tables : such as finger, board and blood. The usual LED is of part led_800, or of no part where its wavelength is given.
+    """
+    led = {"name": "ir", "position_mm": [-1.2, 0.0]}
+    lines = [("[finger]", tables.pop("finger", {})), *((f"[{name}]", values) for name, values in tables.items())]
+    lines += [
+        ("[[leds]]", led | ({} if "wavelength_nm" in values else {"part": "led_800"}) | values) for values in leds
+    ]
+    return _toml([*lines, *(("[[photodiodes]]", values) for values in photodiodes)])
+
+
+def columns_of_photodiodes(elements: int, size_mm: float, pitch_mm: float) -> str:
+    """TOML of a finger with 32 photodiodes, each a column of so many elements along the nail."""
+    column = {"elements": elements, "size_mm": [0.15, size_mm], "pitch_mm": pitch_mm}
+    places = [{"name": f"p{i}", "position_mm": [round(-3.4 + 0.2 * i, 2), 0.0]} for i in range(32)]
+    far = {"position_mm": [-4.0, 0.0]}
+    return finger(*(place | column for place in places), leds=(far,), board={"barrier": False})
+
+
 def phantom(
     *layers: dict[str, Any], leds: Sequence[dict[str, Any]] = ({},), photodiodes: Sequence[dict[str, Any]] = (), **faces
 ) -> str:
@@ -80,6 +101,10 @@ def phantom(
     tables = [("[phantom]", faces), *(("[[phantom.layers]]", layer | values) for values in layers)]
     tables += [("[[leds]]", led | values) for values in leds]
     tables += [("[[photodiodes]]", photodiode | values) for values in photodiodes]
+    return _toml(tables)
+
+
+def _toml(tables: Sequence[tuple[str, dict[str, Any]]]) -> str:
     lines = ["schema_version = 1"]
     for header, values in tables:
         # JSON writes numbers, texts and lists as TOML does, but for those that are not finite.

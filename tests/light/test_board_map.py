@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_scenes import finger
 
 import nailoptics as nail
 from nailoptics.errors import InputError
@@ -10,25 +11,12 @@ from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import parse_scene, to_toml
 from nailoptics.scene.rectangles import Rectangle
 
-BOARD = """
-schema_version = 1
-[finger]
-[board]
-barrier_gap_mm = 0.4
-size_mm = [8.0, 9.0]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-2.0, 0.5]
-[[photodiodes]]
-name = "near"
-position_mm = [-0.2, -0.5]
-size_mm = [1.0, 1.0]
-[[photodiodes]]
-name = "far"
-position_mm = [1.4, 2.0]
-size_mm = [1.5, 1.5]
-"""
+BOARD = finger(
+    {"name": "near", "position_mm": [-0.2, -0.5], "size_mm": [1.0, 1.0]},
+    {"name": "far", "position_mm": [1.4, 2.0], "size_mm": [1.5, 1.5]},
+    leds=({"position_mm": [-2.0, 0.5]},),
+    board={"barrier_gap_mm": 0.4, "size_mm": [8.0, 9.0]},
+)
 BATCHES = 3
 
 

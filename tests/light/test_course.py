@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from small_scenes import finger
 
 import nailoptics as nail
 from nailoptics.errors import InputError
@@ -14,27 +15,11 @@ from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import Scene, parse_scene
 
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-wavelength_nm = {wavelength_nm}
-fwhm_nm = 30.0
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "near"
-position_mm = [0.0, -1.6]
-size_mm = [1.0, 1.0]
-[[photodiodes]]
-name = "far"
-position_mm = [0.0, 2.0]
-size_mm = [1.0, 1.0]
-"""
-
 
 def scene(*, wavelength_nm: float = 800.0, blood: str = "") -> Scene:
-    return parse_scene(FINGER.format(wavelength_nm=wavelength_nm) + blood)
+    near = {"name": "near", "position_mm": [0.0, -1.6], "size_mm": [1.0, 1.0]}
+    far = {"name": "far", "position_mm": [0.0, 2.0], "size_mm": [1.0, 1.0]}
+    return parse_scene(finger(near, far, leds=({"wavelength_nm": wavelength_nm, "fwhm_nm": 30.0},)) + blood)
 
 
 def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> Transfer:

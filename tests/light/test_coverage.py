@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import phantom
+from small_scenes import finger, phantom
 
 import nailoptics as nail
 from nailoptics import tissue
@@ -24,29 +24,14 @@ from nailoptics.scene import Accuracy, Scene, parse_scene
 from nailoptics.sensor import information
 from nailoptics.statistics import jackknife, left_out, stderr_of_mean
 
-FINGER = """
-schema_version = 1
-[finger]
-[touch]
-force_n = 1.0
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-fwhm_nm = 30.0
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "proximal"
-position_mm = [0.6, -1.2]
-size_mm = [2.0, 2.0]
-[[photodiodes]]
-name = "distal"
-position_mm = [0.6, 1.2]
-size_mm = [2.0, 2.0]
-[board]
-barrier = false
-[electronics]
-feedback_ohm = 1e4
-"""
+FINGER = finger(
+    {"name": "proximal", "position_mm": [0.6, -1.2], "size_mm": [2.0, 2.0]},
+    {"name": "distal", "position_mm": [0.6, 1.2], "size_mm": [2.0, 2.0]},
+    leds=({"wavelength_nm": 800.0, "fwhm_nm": 30.0},),
+    touch={"force_n": 1.0},
+    board={"barrier": False},
+    electronics={"feedback_ohm": 1e4},
+)
 # A value and its standard error, each of any shape, by the estimator's name.
 Estimates = dict[str, tuple[np.ndarray, np.ndarray]]
 RUNS = [

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_scenes import finger
 
 import nailoptics as nail
 from nailoptics.light import optics
@@ -10,27 +11,13 @@ from nailoptics.scene import parse_scene
 
 pytestmark = pytest.mark.long
 
-SCENE = """
-schema_version = 1
-[finger]
-[blood]
-zone_edges_mm = [0.5]
-zone_width_mm = 1.0
-[board]
-size_mm = [8.0, 9.0]
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-position_mm = [-2.0, 0.5]
-[[photodiodes]]
-name = "near"
-position_mm = [0.3, -0.5]
-size_mm = [1.5, 1.5]
-[[photodiodes]]
-name = "far"
-position_mm = [1.4, 2.5]
-size_mm = [2.0, 2.0]
-"""
+SCENE = finger(
+    {"name": "near", "position_mm": [0.3, -0.5], "size_mm": [1.5, 1.5]},
+    {"name": "far", "position_mm": [1.4, 2.5], "size_mm": [2.0, 2.0]},
+    leds=({"wavelength_nm": 800.0, "position_mm": [-2.0, 0.5]},),
+    blood={"zone_edges_mm": [0.5], "zone_width_mm": 1.0},
+    board={"size_mm": [8.0, 9.0]},
+)
 BATCHES = 3
 
 

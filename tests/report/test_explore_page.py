@@ -12,6 +12,7 @@ import pytest
 from made_exploration import made_exploration
 from PIL import Image
 from scipy.interpolate import RegularGridInterpolator
+from small_scenes import finger
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
@@ -474,20 +475,12 @@ def test_a_link_that_breaks_a_rule_is_refused(shown: Any, file: Path, edit: str,
     assert rule in shown.inner_text("#message") and shown.evaluate("workbench.layout") == layout
 
 
-SCENE = """
-schema_version = 1
-[finger]
-digit = "index"
-[blood]
-so2 = 0.97
-[[leds]]
-name = "ir"
-part = "led_660"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.5, 0.0]
-"""
+SCENE = finger(
+    {"name": "pd", "position_mm": [1.5, 0.0]},
+    leds=({"part": "led_660"},),
+    finger={"digit": "index"},
+    blood={"so2": 0.97},
+)
 
 
 @on_one_page

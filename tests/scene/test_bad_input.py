@@ -5,7 +5,7 @@ import traceback
 from pathlib import Path
 
 import pytest
-from small_scenes import phantom
+from small_scenes import finger, phantom
 
 from nailoptics.assets import WAVELENGTH_RANGE_NM
 from nailoptics.errors import InputError
@@ -13,17 +13,7 @@ from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.catalogue import LedPart
 from nailoptics.tissue import WAVELENGTH_RANGE_NM as TISSUE_RANGE_NM
 
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-array = "pd_array_4x1"
-position_mm = [0.0, 0.0]
-"""
+FINGER = finger({"array": "pd_array_4x1", "position_mm": [0.0, 0.0]})
 PHANTOM = phantom({"thickness_mm": math.inf, "mu_a_per_mm": 0.1, "mu_s_per_mm": 1.0})
 FINGERLESS = FINGER.replace("[finger]", "")
 LAYERS = PHANTOM.split("[phantom]")[1].split("[[leds]]")[0]

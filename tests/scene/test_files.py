@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 from pydantic import ValidationError
+from small_scenes import finger
 
 import nailoptics
 from nailoptics.assets import data_dir
@@ -21,21 +22,8 @@ from nailoptics.scene import Scene, digest, json_schema, load_scene, parse_scene
 SHIPPED = sorted(data_dir("scenes").rglob("*.toml"))
 # A sweep holds scenes in place of being one.
 SCENES = [path for path in SHIPPED if "sweeps" not in path.parts]
-FINGER = """
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "mine"
-position_mm = [-1.2, 0.0]
-[[photodiodes]]
-array = "row"
-position_mm = [0.0, 0.0]
-wired = [0, 2]
-[touch]
-profile = "recorded"
-file = "touch.csv"
-"""
+ROW = {"array": "row", "position_mm": [0.0, 0.0], "wired": [0, 2]}
+FINGER = finger(ROW, leds=({"part": "mine"},), touch={"profile": "recorded", "file": "touch.csv"})
 PHANTOM = """
 schema_version = 1
 [phantom]

@@ -3,6 +3,7 @@
 import pickle
 
 import pytest
+from small_scenes import columns_of_photodiodes
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -51,19 +52,7 @@ def test_a_die_as_high_as_the_epoxy_is_refused(scene):
         _ = scene.model_copy(update={"leds": high}).layout
 
 
-MANY = """schema_version = 1
-[finger]
-[board]
-barrier = false
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-4.0, 0.0]
-""" + "".join(
-    f'[[photodiodes]]\nname = "p{i}"\nposition_mm = [{-3.4 + 0.2 * i:.2f}, 0.0]\nelements = 32\nsize_mm = [0.15, 0.2]\n'
-    "pitch_mm = 0.25\n"
-    for i in range(32)
-)
+MANY = columns_of_photodiodes(32, 0.2, 0.25)
 
 
 def test_a_thousand_photodiodes_and_no_more():
@@ -73,6 +62,6 @@ def test_a_thousand_photodiodes_and_no_more():
     with pytest.raises(InputError, match="have 1025 elements; at most 1024"):
         parse_scene(one_more)
     # Of so many, the first two that overlap are named.
-    moved = MANY.replace("position_mm = [2.60, 0.0]", "position_mm = [2.50, 0.1]")
+    moved = MANY.replace("position_mm = [2.6, 0.0]", "position_mm = [2.50, 0.1]")
     with pytest.raises(InputError, match=r'photodiode "p29\.0": position_mm lies .* mm inside photodiode "p30\.0"'):
         parse_scene(moved)

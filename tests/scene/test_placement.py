@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from small_scenes import finger
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -22,15 +23,7 @@ SQUARE = [(-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0)]
 def test_a_scene_takes_candidates_and_outline_from_the_files_beside_it(tmp_path):
     (tmp_path / "pos.csv").write_text(POSITIONS.replace('"LED2"', '"PD2"'))
     write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple(SQUARE)))
-    (tmp_path / "scene.toml").write_text("""
-schema_version = 1
-[finger]
-[[leds]]
-name = "ir"
-part = "led_800"
-[[photodiodes]]
-name = "pd"
-position_mm = [2.0, 0.0]
+    (tmp_path / "scene.toml").write_text(f"""{THUMB}
 [placement]
 outline = "board.kicad_pcb"
 [[placement.candidates]]
@@ -46,20 +39,10 @@ negate_x_on_bottom = true
 
 # A board of 8 x 10 mm on the page of a layout program, with a hole of 1 mm.
 PAGE = Outline(tuple((x + 100, y - 90) for x, y in SQUARE), (((100, -90), (101, -90), (101, -89), (100, -89)),))
-ON_PAGE = """
-schema_version = 1
-[finger]
-digit = "thumb"
-[[leds]]
-name = "ir"
-part = "led_800"
-position_mm = [-2.0, 0.0]
-[[photodiodes]]
-name = "pd"
-position_mm = [2.0, 0.0]
-[placement]
-outline = "board.kicad_pcb"
-"""
+THUMB = finger(
+    {"name": "pd", "position_mm": [2.0, 0.0]}, leds=({"position_mm": [-2.0, 0.0]},), finger={"digit": "thumb"}
+)
+ON_PAGE = THUMB + '[placement]\noutline = "board.kicad_pcb"\n'
 
 
 @pytest.mark.parametrize("origin", ['"middle"', "[100.0, -90.0]"])

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import finger
 from watertight import check_watertight
 
 from nailoptics.light import backend, optics
@@ -22,22 +23,14 @@ from nailoptics.sensor.ambient import (
     trace_ambient,
 )
 
-SCENE = """
-schema_version = 1
-[finger]
-[board]
-size_mm = [7.0, 7.0]
-barrier = false
-cover_um = {cover}
-[[leds]]
-name = "ir"
-wavelength_nm = 800.0
-position_mm = [-2.5, 0.5]
-[[photodiodes]]
-name = "pd"
-position_mm = [1.0, -0.5]
-size_mm = [1.5, 1.5]
-"""
+
+def covered(cover_um: int) -> str:
+    """A finger whose board has a cover of some thickness."""
+    return finger(
+        {"name": "pd", "position_mm": [1.0, -0.5], "size_mm": [1.5, 1.5]},
+        leds=({"wavelength_nm": 800.0, "position_mm": [-2.5, 0.5]},),
+        board={"size_mm": [7.0, 7.0], "barrier": False, "cover_um": cover_um},
+    )
 
 
 @pytest.mark.parametrize(("kelvin", "lumens_per_watt"), [(5800.0, 93.0), (2800.0, 15.0), (7000.0, 95.0)])
@@ -60,7 +53,7 @@ def test_an_irradiance_and_its_illuminance_are_the_same_light(kind):
 def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, monkeypatch):
     """Four seeds: chi squared of 3 degrees of freedom below its 99.9 % quantile, at an error of less than 3 %."""
     monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
-    scene = parse_scene(SCENE.format(cover=0))
+    scene = parse_scene(covered(0))
     found = [trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=seed) for seed in range(4)]
     current, error, bare = np.moveaxis(np.array(found)[..., 0], 1, 0)
     chi2 = (((current - current.mean(0)) / error) ** 2).sum(0)
@@ -74,7 +67,7 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     A silicon cell of perfect efficiency gives 44 mA/cm^2 in the standard sun of 1000 W/m^2, 110 klux, and air takes
     parts out of the sun's infrared that a black body has: 0.40 mA/mm^2 at 100 klux, within 15 %.
     """
-    scene = parse_scene(SCENE.format(cover=500)).model_copy()
+    scene = parse_scene(covered(500)).model_copy()
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"index_steps": False})})
     absorbers = len(optics.absorbers(scene))
     all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
@@ -91,7 +84,7 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     volpath's sky has radiance 1 from all sides, irradiance pi; its irradiance meter in the epoxy counts the n^2.
     Expected: agreement within 4 combined standard errors, of at most 5 %, with and without the cover.
     """
-    scene = parse_scene(SCENE.format(cover=cover))
+    scene = parse_scene(covered(cover))
     tracer = BoardTracer(scene)
     each = []
     for seed in range(4):
