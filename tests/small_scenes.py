@@ -69,7 +69,7 @@ photodiodes_mm = [[3.0, -2.0], [3.0, -1.0], [3.0, 1.0], [3.0, 2.0]]
 def finger(*photodiodes: dict[str, Any], leds: Sequence[dict[str, Any]] = ({},), **tables: dict[str, Any]) -> str:
     """TOML of a finger with its photodiodes, and LEDs that are the usual one but for the values given.
 
-    tables : such as finger, board and blood. The usual LED is of part led_800, or of none where its wavelength is given.
+    tables : such as finger, board and blood. The usual LED is of part led_800, or none where its wavelength is given.
     """
     led = {"name": "ir", "position_mm": [-1.2, 0.0]}
     lines = [("[finger]", tables.pop("finger", {})), *((f"[{name}]", values) for name, values in tables.items())]
