@@ -24,7 +24,10 @@ def t95(groups: int) -> float:
 
 
 def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
-    """Standard error of total / count, from the sum of squares over independent samples; NaN of one sample."""
+    """Standard error of total / count, from the sum of squares over independent samples; NaN of one sample.
+
+    total, square : of one shape, which is that of the result.
+    """
     mean = np.asarray(total) / count
     if count < 2:
         return np.full_like(mean, np.nan)
@@ -32,13 +35,16 @@ def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
 
 
 def effective_count(total: ArrayLike, square: ArrayLike) -> Array:
-    """Effective number of terms of a sum, (sum x)^2 / sum x^2; 0 of none (Kish 1965, Survey Sampling)."""
+    """Effective number of terms of a sum, (sum x)^2 / sum x^2; 0 of none (Kish 1965, Survey Sampling).
+
+    total, square : sums of x and of x^2, of one shape, which is that of the result.
+    """
     total, square = np.asarray(total, float), np.asarray(square, float)
     return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0)
 
 
 def known_from(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
-    """The standard error of a sum, and NaN, not known, where fewer than `FEW_TERMS` effective terms make it up."""
+    """The standard error of a sum; NaN where it has fewer than `FEW_TERMS` effective terms. All of one shape."""
     return np.where(effective_count(total, square) < FEW_TERMS, np.nan, stderr)
 
 

@@ -114,7 +114,7 @@ def run_batch(
         workers = workers or (1 if settings.options.backend == "cuda" else cores())
         threads = threads or max(1, cores() // workers)
         driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
-    return driver.judged()
+    return driver.checked_outcome()
 
 
 class LocalSlots:
@@ -353,7 +353,7 @@ class _Driver:
         done = outcome.total - len(self.left) - len(outcome.failed)
         self.progress(BatchProgress(done, outcome.total, len(outcome.failed), now - self.begin, seconds_left, news))
 
-    def judged(self) -> Outcome:
+    def checked_outcome(self) -> Outcome:
         """The outcome, or NotReachedError with it as result where anything is missing."""
         outcome, trouble = self.outcome, self.trouble
         if trouble:

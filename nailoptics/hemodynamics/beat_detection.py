@@ -74,7 +74,10 @@ def _periodic(time_s: ArrayLike, signal: ArrayLike, name: str) -> tuple[Array, A
 
 
 def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, float]:
-    """Evenly spaced times and values over a recording, and their rate [Hz]; gaps are bridged."""
+    """Evenly spaced times [s] and values, (n,) float each, over a recording, and their rate [Hz]; gaps are bridged.
+
+    time_s, signal, raises : as `find_beats`.
+    """
     there = np.isfinite(signal)
     length_s, least_s = float(time_s[-1] - time_s[0]), LEAST_BEATS * 60.0 / FASTEST
     if there.sum() < 8 or length_s < least_s:
@@ -87,7 +90,7 @@ def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, fl
 
 
 def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: float = BAND_HZ[1]) -> Array:
-    """The part of evenly sampled values, along the last axis, that lies in a band, without delay."""
+    """Evenly sampled values, (..., T) float, after a zero-phase Butterworth band-pass along the last axis."""
     from scipy import signal
 
     high = min(high_hz, 0.45 * rate_hz)

@@ -58,7 +58,11 @@ def blood_fraction(
 def relative_blood(
     width: ArrayLike, venular_share: ArrayLike, *, touch_pa: ArrayLike, closing_pa: ArrayLike
 ) -> np.ndarray:
-    """Blood over that at rest, from the diameter of capillaries over that at rest and the touch on them. [1]"""
+    """Blood of a capillary bed over that at rest, of the arguments' broadcast shape. [1]
+
+    width : diameter of the capillaries over that at rest. venular_share : of the blood at rest, 0-1. [1]
+    touch_pa : touch pressure on the bed. closing_pa : touch pressure that closes its venules. [Pa]
+    """
     venules = np.clip(1.0 - np.asarray(touch_pa) / closing_pa, 0.0, 1.0)
     share = np.asarray(venular_share)
     return np.asarray((1.0 - share) * np.square(width) + share * venules)

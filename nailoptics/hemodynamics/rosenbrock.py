@@ -95,7 +95,7 @@ def stages(
     solve: Callable[[np.ndarray], np.ndarray],
     step_s: Any,
 ) -> list[np.ndarray]:
-    """The stages of one step; `combine` makes states of them.
+    """The stages of one step, each of the shape of the state, (n, ...) float; `combine` makes states of them.
 
     slope : d state/d time as a function of the part of the step and the state.
     slope_in_time : its partial derivative by time at the start; None for 0.

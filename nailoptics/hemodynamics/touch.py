@@ -76,7 +76,7 @@ def side_areas_mm2(
     proximal_area_mm2: float | None = None,
     distal_area_mm2: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The areas on which a touch presses the proximal and the distal pulp. [mm^2]
+    """Areas on which a touch presses the proximal and the distal pulp, of the arguments' broadcast shape. [mm^2]
 
     contact_area_mm2 : Area of the whole touch. [mm^2]
     proximal_share : Part of the force that the proximal side carries, 0 to 1. [1]

@@ -116,7 +116,7 @@ class MasslessNetwork:
         return np.concatenate([parts + self.ratio * node, node]), self._speeds(load, high, low, flow_in, node)
 
     def speeds(self, load: np.ndarray, high: Any, low: Any) -> np.ndarray:
-        """Wall speeds alone. [m/s]"""
+        """Wall speeds alone, (N+1, ...) float; arguments as of `rates`. [m/s]"""
         return self._speeds(load, high, low, *self._node(load, high, low)[:2])
 
     def _node(self, load: np.ndarray, high: Any, low: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -150,7 +150,11 @@ class MasslessNetwork:
 
 
 def inertial_pressures(walls: Walls, width: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
-    """The (N+1, ...) pressures [Pa] of the network whose walls move at given speeds [m/s], as walls with mass do."""
+    """The pressures in the network at given wall speeds, as of walls with mass, (N+1, ...) float. [Pa]
+
+    width : (N+1, ...) float. D + x. [m] speed : the same shape. [m/s]
+    high, low : P_H and P_L. [Pa]
+    """
     walls = walls.with_axes(width.ndim)
     conductance, displaced = walls.flow_factor * (width * width * (width * width)), walls.area * speed
     total = conductance[:-1] + walls.venule

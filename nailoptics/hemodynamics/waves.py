@@ -221,7 +221,7 @@ def fastest_hz(body: Body) -> float:
 def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float, pulse_ratio: float = 1.0) -> Array:
     """The arterial pressure by all waves of a body about a mean, (t,) float; a recorded one is not in it. [Pa]
 
-    pulse_ratio : The heartbeat's part of it over that in P_H.
+    time_s : (t,) float, from the start of the touch. pulse_ratio : amplitude of the heartbeat over that in P_H.
     """
     ratios = [pulse_ratio if wave is HEARTBEAT else 1.0 for wave, _ in waves_of(body)]
     parts = [

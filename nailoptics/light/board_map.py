@@ -56,7 +56,7 @@ class Arrivals:
         return {part + name: array for name, array in arrays.items()}
 
     def reweighted(self, by: np.ndarray) -> "Arrivals":
-        """The same with every weight times another, (n,) float."""
+        """The same with every weight times `by`, (n,) float. [1]"""
         return replace(self, weight=self.weight * by)
 
     def select(self, which: np.ndarray) -> "Arrivals":

@@ -59,7 +59,8 @@ def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
 
 
 def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Array, Array]:
-    """Wavelengths that silicon sees [nm], and the photocurrent of each for a square millimetre in the open. [A/mm^2]
+    """Wavelengths to which silicon responds [nm], and the photocurrent of each per area without a finger [A/mm^2], (q,)
+    float each.
 
     Steps are equal, so that the sum is the integral.
     """
@@ -69,14 +70,15 @@ def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Ar
 
 
 def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
-    """Area that would collect in the open what a photodiode gets of diffuse light from all sides.
+    """Area that, without a finger, would collect as much isotropic light as a photodiode. [mm^2]
 
     By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
     n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun in
     one place gives no part of the skin more than its irradiance, so that the same from all sides is no less, but for
     the few percent by which steep light enters more easily.
 
-    escaping : Part of that light, 0-1.
+    escaping : fraction of that light, 0-1, any shape, that of the result. area_mm2 : of the photodiode. [mm^2]
+    n : index around it. [1]
     """
     return n**2 * area_mm2 * np.asarray(escaping, float)
 

@@ -176,7 +176,10 @@ class SampledFrontEnd:
         return electronics.photocurrent_a(fraction, self.scene.leds[led], self.photodiode)
 
     def slot_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
-        """Variance of every slot's average by its cause, (slots,) float each. [V^2]"""
+        """Variance of every slot's average by its cause, (slots,) float each. [V^2]
+
+        fraction : (2,) float. Detected fraction of the red and the infrared LED's light. [1]
+        """
         amplifier, samples = self.scene.electronics, self.oximeter.samples
         lit = dict(zip(self.lights, np.append(np.asarray(fraction, float), 0.0), strict=True))
         led = dict(zip(self.lights, (*self.leds, self.leds[0]), strict=True))
@@ -196,7 +199,9 @@ class SampledFrontEnd:
         }
 
     def reading_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
-        """Variance of the red and the infrared reading of one frame by its cause, (2,) float each. [V^2]"""
+        """Variance of the red and the infrared reading of one frame by its cause, (2,) float each; as of
+        `slot_noise_v2`. [V^2]
+        """
         return {name: self.weights**2 @ values for name, values in self.slot_noise_v2(fraction).items()}
 
 

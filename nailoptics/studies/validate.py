@@ -487,7 +487,7 @@ def _effects(rgb: Array) -> dict[str, Array]:
 
 
 def lab_of(xyz: Array) -> Array:
-    """CIE 1976 L*a*b* of X, Y, Z by daylight, (..., 3) float."""
+    """CIE 1976 L*a*b* under D65, (..., 3) float, of X, Y, Z as `XYZ_OF_RGB` scales them, (..., 3) float."""
     x, y, z = np.moveaxis(np.cbrt(xyz / XYZ_OF_RGB.sum(1)), -1, 0)
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 

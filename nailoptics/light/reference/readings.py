@@ -275,7 +275,10 @@ def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) 
 
 
 def corner_states(states: np.ndarray) -> np.ndarray:
-    """The first state, and for each zone a state in which that zone alone is as far from it as it ever gets."""
+    """The first state, and for each zone a state in which that zone alone is as far from it as it ever gets.
+
+    states : (t, zones) float. Blood fractions. [1] Returns: (1 + zones, zones) float. [1]
+    """
     rest = states[0]
     far = states[np.abs(states - rest).argmax(0), np.arange(len(rest))]
     own = np.where(rest < 0.5, (1 + OWN_CHANGE) * rest + OWN_BLOOD, (1 - OWN_CHANGE) * rest)
@@ -292,6 +295,11 @@ def between(
     blood: np.ndarray,
 ) -> ReadingSeries:
     """Readings between the corner states: ln S is linear in the blood of each zone.
+
+    rest, relative : (leds, photodiodes) float. Reading at the first corner as a fraction of the emitted power, and its
+        relative error. [1]
+    ratio, ratio_stderr : (leds, photodiodes, 1 + zones) float. Reading at each corner over the first. [1]
+    corners : as `corner_states` makes them. blood : (t, zones) float. Blood fractions to read at. [1]
 
     The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
     """

@@ -101,7 +101,7 @@ def _quotient(a: Array, b: Array) -> Array:
 
 
 def estimate(replicates: Array) -> tuple[Array, Array]:
-    """A value by all photons and its standard error."""
+    """A value by all photons and its standard error, from (1 + groups, ...) float, the first by all photons."""
     return replicates[0], jackknife(replicates)
 
 

@@ -113,7 +113,9 @@ class Objective:
     oxygen: Spo2Objective | None = None
 
     def columns(self, finger: int, led: int, read: Response) -> Array:
-        """What photodiodes get of one LED, (..., c) float: the information, then the relative variance of its pulse."""
+        """Columns of photodiodes for one LED, (..., c) float: the `fisher_information` [Pa^-2] and, with an oxygen
+        objective, the relative variance of the LED's pulse [1].
+        """
         information = fisher_information(read)
         if self.oxygen is None:
             return information
@@ -121,7 +123,9 @@ class Objective:
         return np.concatenate([information, variance[..., None]], -1)
 
     def together(self, by_led: Sequence[Array]) -> Array:
-        """Information of photodiodes by all LEDs' columns, each (fingers, ..., c): adds up over photodiodes."""
+        """Sum over LEDs of `columns`, (fingers, ..., c) float each; it adds up over photodiodes. The last column, if of
+        oxygen, becomes the information on SpO2. [percent^-2]
+        """
         total = np.sum(by_led, axis=0)
         if self.oxygen is not None:
             for finger, sums in enumerate(total):
@@ -151,7 +155,9 @@ class Objective:
         return over_fingers(np.stack(resolutions), name)
 
     def score(self, total: Array) -> Array:
-        """What layouts are ranked by: the mean of the values by their weights, of logarithms, as their units differ."""
+        """What layouts are ranked by, (fingers, ..., n) -> (...): the weighted geometric mean of the values, or the
+        only value in its unit.
+        """
         weights = self.rules.weights
         if len(weights) == 1:
             return self.value(next(iter(weights)), total)

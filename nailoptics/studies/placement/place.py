@@ -81,7 +81,7 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
     order = np.argsort([score.ranked[0] for score in scores], kind="stable")
     layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
-    layouts = [replace(layout, scene=judging.with_resistors(layout.scene, layout.board)) for layout in layouts]
+    layouts = [replace(layout, scene=ranking.with_resistors(layout.scene, layout.board)) for layout in layouts]
     closer = light | {"stop": partial(report_progress.is_over, 1.0)}
     verified, over = xr.Dataset(), xr.Dataset()
     if (left_s := report_progress.seconds_left) > CHECK_S:

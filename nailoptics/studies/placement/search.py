@@ -347,7 +347,7 @@ class Search:
         columns, kinds, one = [], design.places.photodiodes, self.base.leds[led]
         conditions = self.cache.conditions
         by_finger = [light.over(design.places.areas).mean(0) for light, *_ in self.cache.maps(board)]
-        # A resistor is the same on all fingers; that other LEDs may be brighter is left to the judging.
+        # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
             brightest_current_a(values, one, kinds, condition.point)
             for values, condition in zip(by_finger, conditions, strict=True)
