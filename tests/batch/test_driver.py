@@ -65,7 +65,7 @@ def played(tmp_path, monkeypatch) -> Callable[..., Outcome]:
         driver = driver_of(tmp_path, lights, each)
         driver.run(Played(kills, done))
         try:
-            outcome = driver.judged()
+            outcome = driver.checked_outcome()
         except NotReachedError as error:
             outcome = error.result
         assert outcome.unfinished == 0 and len(outcome.done) + len(outcome.failed) == lights * each
