@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from .errors import InputError, NailopticsError, NotReachedError
+from .version import __version__ as __version__
 
 if TYPE_CHECKING:
     from . import hemodynamics as hemodynamics
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from .studies.oximetry.oxygen import oximeter as oximeter
     from .studies.placement.place import place as place
     from .studies.simulate import simulate as simulate
-
-__version__ = "0.3.0.dev0"
 
 # Imported when first used, so that `import nailoptics` takes no time.
 _ROOMS = ("hemodynamics", "scene", "tissue")

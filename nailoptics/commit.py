@@ -16,7 +16,7 @@ def code_versions(*packages: str) -> dict[str, str]:
     """Versions of nailoptics and of packages. That of nailoptics is this code's: an editable installation may state an
     older one.
     """
-    from . import __version__
+    from .version import __version__  # here, as the build runs this file alone
 
     return {"nailoptics": __version__} | {name: metadata.version(name) for name in packages}
 
