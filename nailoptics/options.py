@@ -48,7 +48,7 @@ class TraceOptions:
     def __post_init__(self) -> None:
         checks.seed(self.seed)
         if self.backend not in get_args(BackendName):
-            raise InputError(f'backend = "{self.backend}" is none; choose from {", ".join(get_args(BackendName))}.')
+            raise InputError(f'backend = "{self.backend}" is unknown; choose from {", ".join(get_args(BackendName))}.')
         for name, kind, most in (
             ("relative_error", "number", 1.0),
             ("max_seconds", "number", math.inf),

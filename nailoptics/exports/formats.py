@@ -46,7 +46,7 @@ def export(
             f"{path}: its ending names no format; end a file in .glb or .ply, or give format, one of {known}."
         )
     if name not in WRITERS:
-        raise InputError(f'format = "{name}" is none; choose from {known}.')
+        raise InputError(f'format = "{name}" is unknown; choose from {known}.')
     if voxel_mm is not None and name != "mcx":
         raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
     folder = name not in FILES

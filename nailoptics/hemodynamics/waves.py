@@ -274,7 +274,7 @@ def resolved_harmonics(rate_hz: float, count: int, nyquist_hz: float) -> NDArray
 @dataclass(frozen=True)
 class CardiacOscillator:
     """State-space model of the heartbeat for a filter: harmonics of one rate that keep their height while their phase
-    wanders.
+    drifts.
 
     rate_hz : beats in a second. rms_pa : of each harmonic. spread : relative standard deviation of their heights.
     """

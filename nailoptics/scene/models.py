@@ -352,7 +352,9 @@ class Scene(Table):
         for i, slot in enumerate(self.oximeter.slots or ()):
             known = [led.name for led in self.leds] + [DARK]
             if slot.light not in known:
-                raise ValueError(f'oximeter.slots[{i}].light = "{slot.light}" is none; choose from {", ".join(known)}')
+                raise ValueError(
+                    f'oximeter.slots[{i}].light = "{slot.light}" is unknown; choose from {", ".join(known)}'
+                )
         two_leds(self.leds, self.oximeter.slots)
         return self
 

@@ -45,7 +45,8 @@ class Priors(Table):
     """Prior uncertainty of the results; the ranges are shipped, with their sources."""
 
     spread: bool = True
-    """Report the prior uncertainty of every result in addition to its standard error."""
+    """Report the prior uncertainty of every result in addition to its standard error. The priors of [body] count in
+    place alone."""
     own_traces: bool | None = None
     """Include scattering and thickness, each of which takes two short traces; else absorption and blood only. If not
     given they are included but in place, where every layout would take as many."""

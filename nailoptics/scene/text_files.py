@@ -125,7 +125,7 @@ def number_columns(
             if title in words:
                 if text not in words[title]:
                     known = ", ".join(words[title])
-                    raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is none; choose from {known}.")
+                    raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is unknown; choose from {known}.")
                 numbers.append(words[title][text])
             elif not text and gaps and title != "time_s":
                 numbers.append(math.nan)

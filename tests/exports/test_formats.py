@@ -25,7 +25,7 @@ def test_the_command_line_knows_every_format(capfd):
         ("there.txt", "mmc", "is a file where format mmc makes a folder"),
         ("there.txt/below", "mmc", "cannot be written"),
         ("there.txt/finger.glb", "glb", "cannot be written"),
-        ("finger", "obj", "is none; choose from"),
+        ("finger", "obj", "is unknown; choose from"),
     ],
 )
 def test_bad_places_and_formats_are_refused_before_anything_is_written(tmp_path, path, format_, why):

@@ -67,11 +67,11 @@ class LedTrace:
             raise CorruptError("a weight or path is negative")
         sums = np.array([pair for name in SUMS for pair in getattr(self, name).values()], float).reshape(-1, 2)
         if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or self.energy.keys() != {*ENERGY}:
-            raise CorruptError("its sums are none of light")
+            raise CorruptError("its sums cannot be of light")
         if not (isinstance(self.photons, int) and self.photons > 0):
-            raise CorruptError("its counts are none of photons")
+            raise CorruptError("its counts cannot be of photons")
         if any(not isinstance(seed, int) for seed in self.seeds):
-            raise CorruptError("its seeds are none")
+            raise CorruptError("its seeds are invalid")
 
     def select(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""

@@ -50,8 +50,8 @@ class Effect(Change):
 
     of : "reading" where it may move the reading at rest by more than the tolerance, else "signal", the change by touch.
     change, stderr : change of that, of the reading at rest relative and of the signal as a part of the largest, of the
-        photodiode named, which it surely moves most; the error counts that it was picked: its 95 % interval holds with
-        Bonferroni's correction for all photodiodes.
+        photodiode named, which it changes most; the error allows for its selection: its 95 % interval holds
+        with Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
     typical, typical_stderr : change over all photodiodes, weighted by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
@@ -97,17 +97,17 @@ class Explanation:
 
     @property
     def needless(self) -> list[Effect]:
-        """What is modelled and surely moves no reading by more than the tolerance."""
+        """Modelled effects that are significantly below the tolerance at every reading."""
         return needless(self.effects)
 
     @property
     def missing(self) -> list[Effect]:
-        """What is left out and surely matters."""
+        """Omitted effects that are significantly above the tolerance."""
         return [e for e in self.effects if not e.modelled and e.matters == "yes"]
 
 
 def needless(effects: Iterable[Effect]) -> list[Effect]:
-    """The effects that are modelled and surely do not matter; what is unknown stays as it is."""
+    """The modelled effects that are significantly below the tolerance; undecided ones stay."""
     return [e for e in effects if e.modelled and e.matters == "no" and e.changes and not e.unknown]
 
 
@@ -194,7 +194,7 @@ def effect_of(
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
-    What surely changes no reading by more than the tolerance is evaluated by the signal, where that is known.
+    An effect significantly below the tolerance at every reading is evaluated by the signal, where that is known.
     """
     from scipy.special import ndtri
 

@@ -127,7 +127,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     known = [str(name) for name in result.photodiode.values]
     unknown = [name for name in recording.photodiodes if name not in known]
     if unknown:
-        raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is none of {', '.join(known)}.")
+        raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is not one of {', '.join(known)}.")
     times_s, rows = pulses_over_time(recording, scene)
     estimates = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     spo2, error = np.zeros((2, *estimates["ratio"].shape))

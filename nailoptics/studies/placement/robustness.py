@@ -142,6 +142,6 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
     behind, noise = change[:, 0], jackknife(np.moveaxis(change, 1, 0))
     ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
     data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
-    data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is surely better")
+    data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is better, 95 %")
     data |= variable("nodes", (), len(change), "nodes at which the top-ranked layouts were compared")
     return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))

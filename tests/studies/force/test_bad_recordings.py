@@ -101,7 +101,7 @@ EITHER = [
     (_column("time_s", lambda cell, k: str(20 * k)), "in steps of 20; give it in seconds"),
     (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
     (_column("force_n", lambda cell, k: "250" if k == 9 else cell), "line 11: force_n = 250 must lie in 0 to 100 N"),
-    (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is none; choose from"),
+    (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is unknown; choose from"),
 ]
 
 
