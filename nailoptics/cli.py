@@ -72,7 +72,16 @@ class Study(Traced):
     """Folder for the results; results/SCENE if not given."""
 
 
-TRACED, STUDY = Traced(), Study()
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ByPhotons(Traced):
+    """Options of a command that takes photons alone: the others it refuses."""
+
+    relative_error: Annotated[float | None, Parameter(show=False)] = None
+    max_seconds: Annotated[float | None, Parameter(show=False)] = None
+
+
+TRACED, STUDY, BY_PHOTONS = Traced(), Study(), ByPhotons()
 
 
 def main() -> None:
@@ -271,7 +280,7 @@ def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study 
 
 
 @app.command
-def validate(*, data: Path | None = None, output: File = None, options: Traced = TRACED) -> None:
+def validate(*, data: Path | None = None, output: File = None, options: ByPhotons = BY_PHOTONS) -> None:
     """Compare the model with what was measured on people: nails, skin, pulse and slow waves.
 
     Writes validation.html. Photons are those of each LED, and the rays of all colours.

@@ -1,13 +1,14 @@
 """The model beside measurements on people: nails, skin, pulse and slow waves, each with the spread of both.
 
 The tables are in assets/real, each with its source; tables of one's own with the same names and columns replace them.
+Each quantity states whether the model was fitted to these people.
 """
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,20 +19,20 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, blood_model, heart_rate_per_min, rest_beat
 from ..hemodynamics.waves import HEARTBEAT, Lines, waves_of, waves_pressure
 from ..light import ProgressCallback, backend, trace
+from ..light.identity import light_digest
 from ..light.optics import zones
 from ..light.tracing.store import LightStore
 from ..light.walk.nail_reflectance import NailReflectance, Patch
 from ..options import Requested, TraceOptions
-from ..scene import Body, Finger, Scene, load_scene
+from ..scene import Body, Finger, Prior, Scene, load_scene
 from ..scene.base import USUAL_PULP_BLOOD_FRACTION
 from ..scene.priors import shipped_priors
 from ..statistics import Z95, jackknife, seed_of
 from .colour.adaptive_sampling import ALONG, patches_of
 from .colour.colorimetry import WAVELENGTHS_NM, Viewer
-from .colour.nail_colour import spread_of_colours
 from .colour.reflectance import ColourRays, walk_colour
-from .oximetry.ratio import FIT_SO2, calibrate_curve, read_pulsations, saturation_curve
-from .prior_uncertainty import at_value
+from .oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
+from .prior_uncertainty import PriorSensitivity, at_value, only_absorbs, over_priors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 MMHG_PA = 133.322
 # Between these the coverage of a 95 % interval agrees with it; of few or one person only the lower end counts.
 COVERAGE, COVERAGE_OF_FEW = (0.85, 0.99), (0.85, 1.0)
-# Rays of all wavelengths and places, and photons of each LED, where none are requested.
-RAYS, PHOTONS = 400_000, 1_000_000
+# Rays of all wavelengths, those of the nail as a part of the skin's, and photons of each LED, where none are requested.
+RAYS, NAIL_SHARE, PHOTONS = 400_000, 0.25, 1_000_000
 # Step of haemoglobin, and the skin with which photographs are scaled. [g/l]
 HAEMOGLOBIN_STEP, SCALED_TO = 10.0, ("CA", "CN")
 # Of a ring finger's pulp, what a spectrophotometer measures: light from all sides (CIE 15, d:8), gloss included, falls
@@ -64,29 +65,51 @@ XYZ_OF_RGB = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.01
 SPECTRUM_NM = np.arange(400.0, 701.0, 10.0)
 _SPECTRUM = [f"{nm:.0f}_nm" for nm in SPECTRUM_NM]
 _RGB = [f"{part}_{channel}" for part in ("nail", "skin") for channel in "rgb"]
-# Columns that a table must have, and those that must be positive in every row.
-COLUMNS: dict[str, tuple[list[str], list[str]]] = {
-    "nail_photos": (["day"], ["hb_g_per_l", *_RGB]),
-    "skin_spectra": (["place", "group"], ["people", "percentile", *_SPECTRUM]),
-    "red_infrared_pulse": (
-        ["correlation"],
-        ["spo2_percent", "ratio_of_ratios", "red_ac_over_dc_percent", "infrared_ac_over_dc_percent"],
-    ),
-    "fingertip_waves": (
-        [],
-        [f"{wave}_g" for wave in ("vasomotion_0.05_0.15_hz", "breathing_0.15_0.4_hz", "heart_0.7_3_hz")],
-    ),
-    "pulse_against_contact_pressure": ([], ["pressure_mmhg", "red_660_nm", "infrared_850_nm"]),
+_PERCENT = (0.0, 100.0)
+# Columns of each table: None for text, else the numbers above the first and up to the second of which all must be.
+COLUMNS: dict[str, Mapping[str, tuple[float, float] | None]] = {
+    "nail_photos": {"day": None, "hb_g_per_l": (20.0, 300.0)} | dict.fromkeys(_RGB, (0.0, 1.0)),
+    # Reflectance as a part of 1 is refused: skin reflects more than 1 %.
+    "skin_spectra": {"place": None, "group": None, "people": (0.0, np.inf), "percentile": _PERCENT}
+    | dict.fromkeys(_SPECTRUM, (1.0, 100.0)),
+    "red_infrared_pulse": {"correlation": (-1.0, 1.0), "spo2_percent": (1.0, 100.0), "ratio_of_ratios": (0.0, 10.0)}
+    | dict.fromkeys(("red_ac_over_dc_percent", "infrared_ac_over_dc_percent"), _PERCENT),
+    "fingertip_waves": {
+        "vasomotion_0.05_0.15_hz_g": _PERCENT,
+        "breathing_0.15_0.4_hz_g": _PERCENT,
+        "heart_0.7_3_hz_g": _PERCENT,
+    },
+    "pulse_against_contact_pressure": {
+        "pressure_mmhg": (0.0, 300.0),
+        "red_660_nm": (0.0, np.inf),
+        "infrared_850_nm": (0.0, np.inf),
+    },
 }
+# Places of skin, and the percentiles that a table has of each; those of ring fingers are pooled over groups.
+PERCENTILES = {"ring finger": (5, 25, 50, 75, 95), "back of hand": (5, 50, 95)}
+# Every third person was left out when the nail plate was fitted (assets/spectra/fit_nail_plate.py).
+FOLDS = 3
+Basis = Literal["fitted", "held out", "prediction"]
+# What of a finger decides the colour of its pulp; of the nail, all of the finger and its blood at rest do.
+OF_SKIN = ("finger.pulp_absorption", "finger.pulp_scattering", "blood.so2")
+OF_FITTED_SKIN = ("finger.melanin_fraction", "blood.pulp_blood_fraction")
+BLOOD_OF_NAIL = ("blood.rest_blood_fraction", "blood.pulp_blood_fraction", "blood.so2")
+# Between two bands of oxyhaemoglobin lies the middle of the W. [nm]
+W_NM = (540.0, 560.0, 580.0)
+PRIORS_95 = "95 % over the priors"
+# Rays of all nodes for each optics whose light the priors need.
+OWN_RAYS = 24_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
     """One measured quantity beside the model's.
 
-    people, model : (3, n) float. Lower end, middle and upper end: 95 % of people, or of what is known of their mean;
-        and the 95 % interval of the model over the priors, or by its standard error.
-    statistic : z, the difference in its standard errors, or coverage, the part of people within the model's interval.
+    people, model : (3, n) float. Lower end, middle and upper end.
+    bands : what these intervals are, of people and of the model.
+    basis, fit : whether the model was fitted to these people, to others of the table, or to none; and how.
+    statistic : z, the difference in its standard errors, or coverage, the part that agrees.
+    counted : of what coverage is that part.
     accepted : between which the statistic agrees.
     x, x_label : (n,) float. What the quantity is measured over, where it is.
     """
@@ -96,9 +119,13 @@ class Comparison:
     source: str
     people: Array
     model: Array
+    bands: tuple[str, str]
+    basis: Basis
+    fit: str
     statistic: str
     value: float
     accepted: tuple[float, float]
+    counted: str = ""
     x: Array = field(default_factory=lambda: np.zeros(1))
     x_label: str = ""
     remark: str = ""
@@ -117,15 +144,27 @@ class Comparison:
         if self.x_label:
             out["over"] = {self.x_label: self.x.tolist()}
         out |= {self.statistic: self.value, "accepted": list(self.accepted), "agrees": self.agrees}
-        return out | {"source": self.source} | ({"remark": self.remark} if self.remark else {})
+        texts = {name: getattr(self, name) for name in ("basis", "fit", "counted", "source", "remark")}
+        return out | {"bands": list(self.bands)} | {name: text for name, text in texts.items() if text}
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Every table beside the model, by name; attributes say how it was made."""
+    """Every quantity beside the model, by name; attributes say how it was made.
+
+    no_data : quantities of which the tables have nothing.
+    """
 
     tables: dict[str, Comparison]
     attributes: Mapping[str, Any]
+    no_data: Sequence[str] = ()
+
+    def counts(self) -> dict[str, tuple[int, int]]:
+        """How many quantities agree, and of how many: of those that were not fitted, and of the fitted ones."""
+        sides: dict[str, list[bool]] = {"unfitted": [], "fitted": []}
+        for one in self.tables.values():
+            sides["fitted" if one.basis == "fitted" else "unfitted"].append(one.agrees)
+        return {words: (sum(agree), len(agree)) for words, agree in sides.items()}
 
 
 def validate(
@@ -136,7 +175,7 @@ def validate(
     data : folder of tables of one's own; those that it lacks are the shipped ones.
     requested : fields of `TraceOptions`; photons are those of each LED and the rays of all colours.
 
-    Raises: InputError for a table that lacks a column or whose light is not positive.
+    Raises: InputError for a table that lacks columns or rows, or has values that none can have.
     """
     cpu, begin, options = time.process_time(), time.perf_counter(), TraceOptions(**requested)
     if options.relative_error is not None or options.max_seconds is not None:
@@ -150,45 +189,88 @@ def validate(
     result["pulse_over_contact_pressure"] = _contact_pressure(tables["pulse_against_contact_pressure"])
     result |= _pulse(tables["red_infrared_pulse"], options, progress)
     surface, photos, spectra = _Surface(options), tables["nail_photos"], tables["skin_spectra"]
-    result |= surface.colours(photos, spectra) | surface.haemoglobin(photos) | surface.skin(spectra)
+    result |= surface.nails(photos) | surface.skin(spectra)
+    no_data = [place for place in PERCENTILES if not (spectra.place == place).any()]
     seconds = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
-    return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds)
+    return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds, no_data)
 
 
 def read_people(name: str, folder: Path | None = None) -> "pd.DataFrame":
     """A table of `COLUMNS`: from a folder where it has one, else the shipped one.
 
-    Raises: InputError for a missing column, or a value that is no positive number where it must be one.
+    Its attrs are the source, and whether it is the shipped one.
+
+    Raises: InputError for missing or unknown columns, values outside of their ranges, or too few rows.
     """
     import pandas as pd
 
-    path = folder / f"{name}.csv" if folder else asset_path(f"real/{name}.csv")
-    if not path.is_file():
-        path = asset_path(f"real/{name}.csv")
+    path, shipped = folder / f"{name}.csv" if folder else Path(), asset_path(f"real/{name}.csv")
+    own = path.is_file()
+    path = path if own else shipped
     try:
         table = pd.read_csv(path, comment="#")
     except (ValueError, OSError) as error:
         raise InputError(f"{path}: cannot be read as a table ({error}); give a CSV with named columns.") from None
-    others, positive = COLUMNS[name]
-    missing = [column for column in (*others, *positive) if column not in table]
+    columns = COLUMNS[name]
+    missing = [column for column in columns if column not in table]
     if missing:
-        raise InputError(f"{path}: lacks the column {missing[0]}; it needs {', '.join((*others, *positive))}.")
-    for column in positive:
-        values = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
-        wrong = np.flatnonzero(~(values > 0))
-        if wrong.size:
-            text = table[column].iloc[wrong[0]]
+        raise InputError(f"{path}: lacks the column {missing[0]}; it needs {', '.join(columns)}.")
+    unknown = [column for column in table if column.endswith("_nm") and column not in columns]
+    if unknown:
+        raise InputError(f"{path}: has an unknown column {unknown[0]}; its columns are {', '.join(columns)}.")
+    for column, ends in columns.items():
+        text = table[column]
+        values = text if ends is None else pd.to_numeric(text, errors="coerce").to_numpy(float)
+        wrong = text.isna() if ends is None else ~((values > ends[0]) & (values <= ends[1]) & np.isfinite(values))
+        if (rows := np.flatnonzero(wrong)).size:
+            kind = "a name" if ends is None else f"a finite number above {ends[0]:g}"
+            kind += f" and at most {ends[1]:g}" if ends and np.isfinite(ends[1]) else ""
             raise InputError(
-                f"{path}: {column} must be a number above 0, got {text} in row {wrong[0] + 1}; correct it."
+                f"{path}: {column} must be {kind}, got {text.iloc[rows[0]]} in row {rows[0] + 1}; correct it."
             )
         table[column] = values
+    lacking = _lacking(name, table)
+    if lacking:
+        raise InputError(f"{path}: needs {lacking}; add rows or leave the table out.")
+    table.attrs = {"source": str(path) if own else _source(name), "shipped": not own}
     return table
+
+
+def _lacking(name: str, table: "pd.DataFrame") -> str:
+    """What rows a table lacks for its comparison, in words; empty if none."""
+    if name == "nail_photos":
+        days = table.groupby("day")["hb_g_per_l"]
+        enough = len(table) > len(days) + 1 and (days.max() > days.min()).any()
+        return "" if enough else "two people more than days, of different haemoglobin within a day"
+    if name == "red_infrared_pulse":
+        still = table[table["correlation"] > LEAST_CORRELATION]
+        if still["ratio_of_ratios"].nunique() < 3:
+            return f"three recordings of different ratio with a correlation above {LEAST_CORRELATION:g}"
+        high = (still["spo2_percent"] >= NORMAL_SPO2).any()
+        return "" if high else f"one of these recordings at a saturation of {NORMAL_SPO2:g} % or more"
+    if name == "skin_spectra":
+        unknown = set(table["place"]) - set(PERCENTILES)
+        if unknown or not len(table):
+            return f"rows of place {' or '.join(PERCENTILES)}" + "".join(f" and none of {one}" for one in unknown)
+        for (place, group), rows in table.groupby(["place", "group"]):
+            for percent in PERCENTILES[place]:
+                if (rows["percentile"] == percent).sum() != 1:
+                    return f"one row of percentile {percent} for {place}, group {group}"
+        return ""
+    return "" if len(table) > 1 else "two rows"
 
 
 def _source(name: str) -> str:
     lines = asset_path(f"real/{name}.csv").read_text(encoding="utf-8").splitlines()
     text = " ".join(line[1:].strip() for line in lines if line.startswith("#"))
     return text[text.index("Source: ") + len("Source: ") :]
+
+
+def _of(table: "pd.DataFrame", basis: Basis, fit: str) -> dict[str, Any]:
+    """Source of a table, and what was fitted to it: nothing to a table of the user's own."""
+    if not table.attrs["shipped"]:
+        basis, fit = "prediction", "nothing was fitted to this table"
+    return {"source": table.attrs["source"], "basis": basis, "fit": fit}
 
 
 def _spread_of(values: ArrayLike) -> Array:
@@ -200,19 +282,21 @@ def _interval(value: float, stderr: float) -> Array:
     return np.array([[value - Z95 * stderr], [value], [value + Z95 * stderr]])
 
 
-def _z(people: tuple[float, float], model: tuple[float, float], **about: Any) -> Comparison:
-    """Two numbers, each with its standard error."""
+def _z(people: tuple[float, float], model: tuple[float, float], spread: float = 0.0, **about: Any) -> Comparison:
+    """Two numbers, each with its standard error; spread: standard deviation of the model over the priors, shown."""
     z = (model[0] - people[0]) / float(np.hypot(people[1], model[1]))
     how: dict[str, Any] = {"statistic": "z", "value": z, "accepted": (-2.0, 2.0)}
-    return Comparison(people=_interval(*people), model=_interval(*model), **how, **about)
+    shown = float(np.hypot(model[1], spread))
+    return Comparison(people=_interval(*people), model=_interval(model[0], shown), **how, **about)
 
 
 def _coverage(values: ArrayLike, model: Array, *, few: bool = False, **about: Any) -> Comparison:
     """People's values beside the model's interval, (3, 1) float."""
     inside = (np.asarray(values, float) >= model[0]) & (np.asarray(values, float) <= model[2])
     how: dict[str, Any] = {"statistic": "coverage", "value": float(inside.mean())}
+    how |= {"bands": ("95 % of people", PRIORS_95), "counted": "people within the model's interval"}
     accepted = COVERAGE_OF_FEW if few else COVERAGE
-    return Comparison(people=_spread_of(values), model=model, **how, accepted=accepted, **about)
+    return Comparison(people=_spread_of(values), model=model, accepted=accepted, **how | about)
 
 
 def _curve(inside: Array, people: Array, model: Array, **about: Any) -> Comparison:
@@ -242,7 +326,8 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
             few=True,
             quantity=f"{name} over heartbeat, rms",
             units="1",
-            source=_source("fingertip_waves"),
+            counted="hands within the model's interval",
+            **_of(people, "fitted", "the default amplitude and the range of its prior are from these recordings"),
             remark="People: green light through fingertips, with their arteries; model: blood of the nail bed.",
         )
     return result
@@ -281,7 +366,9 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
         model,
         quantity="amplitude of the pulse under a contact pressure, over its mean",
         units="1",
-        source=_source("pulse_against_contact_pressure"),
+        bands=("red and infrared", PRIORS_95),
+        counted="pressures at which people's mean is within the model's interval",
+        **_of(people, "fitted", "pressure of the maximum and width of the compliance curve are from these means"),
         x=pressure,
         x_label="contact pressure [mmHg]",
         remark="People: red and infrared; means of all, whose records were normalised before.",
@@ -290,189 +377,271 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
 
 def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCallback | None) -> dict[str, Comparison]:
     """Saturation over the ratio of ratios, and the pulse's amplitude in red and infrared light."""
-    scene, source, seed = _shipped_scene("pulse_oximeter"), _source("red_infrared_pulse"), seed_of(options.seed, 1)
+    scene, seed = _shipped_scene("pulse_oximeter"), seed_of(options.seed, 1)
     red, infrared = scene.leds
     leds = red, infrared.model_copy(update={"wavelength_nm": MODULE_INFRARED_NM})
     scene = scene.model_copy(update={"leds": leds, "accuracy": type(scene.accuracy)()})
     how = options.fields | {"photons": options.photons or PHOTONS, "relative_error": None}
     transfer = trace(scene, progress=progress, **how)
-    curve = saturation_curve(transfer, (0, 1), rest_beat(scene), low=FIT_SO2[0], high=FIT_SO2[-1], seed=seed)
-    lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
     still = people[people["correlation"] > LEAST_CORRELATION]
     measured, spo2 = still["ratio_of_ratios"].to_numpy(), still["spo2_percent"].to_numpy()
     line, covariance = np.polyfit(measured, spo2, 1, cov=True)
     at = float(measured.mean())
     scatter = float(np.std(spo2 - np.polyval(line, measured), ddof=2) / np.sqrt(len(spo2)))
+
+    def answers(varied: Scene) -> Array:
+        """Slope, level, logarithm of both perfusion indices, (1 + groups, 4, photodiodes) float."""
+        beat = rest_beat(varied)
+        light = replace(transfer, scene=varied)
+        curve = saturation_curve(light, (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1], seed=seed)
+        lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
+        # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
+        as_sine = np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1))
+        index = np.log(100 * as_sine * curve([varied.blood.so2]).perfusion_index[..., 0])
+        return np.stack([lines[..., 1], lines @ [1.0, at], index[:, 0], index[:, 1]], 1)
+
+    by_photodiode = answers(scene)
+    priors = [prior for prior in scene.finger_priors if only_absorbs(scene, prior)]
+    middle, spread, _ = _moments(over_priors(scene, priors, lambda varied: np.nanmean(answers(varied), -1)))
+    # One finger, so that the model's error is its spread over fingers, and over the photodiodes' distances.
+    error = np.hypot(spread, np.nanstd(by_photodiode[0], axis=-1, ddof=1))
     remark = (
         f"One finger on a reflectance module; the model is the shipped oximeter, at {MODULE_INFRARED_NM:g} nm "
-        "as the module, with an error as large as its photodiodes differ, whose distances are not the module's."
+        "as the module, over the priors that only absorb, and as its photodiodes differ, whose distances are not the "
+        "module's."
     )
-    about: dict[str, Any] = {"units": "percent", "source": source}
+    bands = ("95 % interval of the estimate", f"{PRIORS_95} and photodiodes")
+    about = {"units": "percent", "bands": bands} | _of(people, "prediction", "no optics were fitted to it")
     result = {
         "spo2_slope": _z(
             (float(line[0]), float(np.sqrt(covariance[0, 0]))),
-            _over_photodiodes(lines[..., 1]),
+            (float(middle[0]), float(error[0])),
             quantity="slope of SpO2 over the ratio of ratios, 70 to 100 %",
             remark=remark,
             **about,
         ),
         "spo2_level": _z(
             (float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))),
-            _over_photodiodes(lines @ [1.0, at]),
+            (float(middle[1]), float(error[1])),
             quantity=f"SpO2 at a ratio of ratios of {at:.3f}",
             remark=f"{remark} The reference, an oximeter on the same person, may be off by {REFERENCE_SPO2_ERROR:g} %.",
             **about,
         ),
     }
-    prior = {prior.field: prior for prior in shipped_priors()}["body.heartbeat.arteriolar_blood_fraction"]
-    scenes = [scene, *(at_value(scene, prior.field, value) for value in (prior.low, prior.high))]
-    beats = [rest_beat(one) for one in scenes]
-    index = read_pulsations(transfer, (0, 1), [(scene.blood.so2, beat) for beat in beats], seed=seed).perfusion_index
-    # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
-    as_sine = [np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1)) for beat in beats]
     normal = still[still["spo2_percent"] >= NORMAL_SPO2]
-    for k, name in enumerate(("red", "infrared")):
-        middle, low, high = 100 * np.nanmean(index[0, k], axis=0) * as_sine
+    for k, name in enumerate(("red", "infrared"), start=2):
         result[f"pulse_{name}"] = _coverage(
             normal[f"{name}_ac_over_dc_percent"],
-            np.array([[low], [middle], [high]]),
+            np.exp(_interval(float(middle[k]), float(error[k]))),
             few=True,
             quantity=f"amplitude of the pulse over the mean, {name}",
+            units="percent",
+            counted="recordings within the model's interval",
+            bands=("95 % of recordings", bands[1]),
             remark=f"{remark} Recordings at {NORMAL_SPO2:g} % saturation or more; rms times the root of 2.",
-            **about,
+            **_of(people, "fitted", "the arteriolar blood is fitted to the pulse of this finger at 95 to 98 %"),
         )
     return result
 
 
-def _over_photodiodes(replicates: Array) -> tuple[float, float]:
-    """Mean of (1 + groups, photodiodes) float, and its error for a photodiode of another distance."""
-    mean = np.nanmean(replicates, axis=1)
-    return float(mean[0]), float(np.hypot(np.nanstd(replicates[0], ddof=1), jackknife(mean)))
+def _moments(answers: PriorSensitivity) -> tuple[Array, Array, Array]:
+    """Mean over the priors, which the scene's own answer need not be; standard deviation with the noise of the
+    light, and that noise, (...) float each."""
+    shift, error = answers.shift
+    noise = np.hypot(error, jackknife(answers.base_answer))
+    return answers.base_answer[0] + shift, np.hypot(answers.total[0], noise), noise
+
+
+class _Reflectance:
+    """Reflectance of one place on a shipped finger, without its board, over its optics."""
+
+    def __init__(self, scene: Scene, patch: Patch, options: TraceOptions, share: float = 1.0) -> None:
+        self.scene, self.patch, self.options = scene, patch, options
+        count = round(share * (options.photons or RAYS))
+        self.backend = backend.activate_jit(options.backend, "validate")
+        self.rays, self._own = self._walked(scene, count), dict[str, ColourRays]()
+
+    def _walked(self, scene: Scene, photons: int) -> ColourRays:
+        nail = NailReflectance(scene, backend=self.backend.name, stores=LightStore.of_command(self.options))
+        return walk_colour(nail, (self.patch,), photons=photons, seed=self.options.seed)
+
+    def read(self, scene: Scene, rays: ColourRays | None = None, *, gloss: bool = False) -> Array:
+        """At the wavelengths of colours, by all rays and without each group of them, (1 + groups, q) float."""
+        viewing = scene.colour.model_copy(update={"gloss": gloss})
+        return (rays or self.rays).reflectance(_rest(scene), viewing, scene=scene)[:, 0, 0]
+
+    def over_priors(
+        self, scene: Scene, priors: Sequence[Prior], quantities: Callable[[Scene, ColourRays], Array]
+    ) -> PriorSensitivity:
+        """Quantities of a scene and its rays, (1 + groups, ...) float, over priors: what scatters is walked anew."""
+
+        def few(varied: Scene) -> Array:
+            # With the same random numbers, so that what all have in common cancels.
+            key = light_digest(varied)
+            if key not in self._own:
+                self._own[key] = self._walked(varied, min(OWN_RAYS, self.options.photons or RAYS))
+            return quantities(varied, self._own[key])
+
+        base, twin = quantities(scene, self.rays), few(scene)
+        return over_priors(scene, priors, lambda varied: base + few(varied) - twin)
 
 
 class _Surface:
-    """Reflectance of the shipped prototype's nail, without its board, and of a ring finger's pulp."""
+    """The shipped prototype's nail and a ring finger's pulp beside those of people."""
 
     def __init__(self, options: TraceOptions) -> None:
-        self.options, scene = options, _shipped_scene("prototype")
-        self.backend = backend.activate_jit(options.backend, "validate")
-        self.nail, self.rays = self._walked(scene, patches_of(scene))
-        self.finger, self.rays_of_pad = self._walked(scene.model_copy(update={"finger": Finger(digit="ring")}), (PAD,))
+        scene = _shipped_scene("prototype")
+        self.nail = _Reflectance(scene, patches_of(scene)[ALONG // 2], options, NAIL_SHARE)
+        self.finger = _Reflectance(scene.model_copy(update={"finger": Finger(digit="ring")}), PAD, options)
 
-    def _walked(self, scene: Scene, patches: tuple[Patch, ...]) -> tuple[NailReflectance, ColourRays]:
-        nail = NailReflectance(scene, backend=self.backend.name, stores=LightStore.of_command(self.options))
-        return nail, walk_colour(nail, patches, photons=self.options.photons or RAYS, seed=self.options.seed)
+    def nails(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
+        """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
+        scene, viewer, more = self.nail.scene, Viewer(), 1 + HAEMOGLOBIN_STEP / float(photos["hb_g_per_l"].mean())
 
-    def of_nail(self, scene: Scene) -> Array:
-        """Of the nail's middle, gloss excluded, by all rays and without each group of them, (1 + groups, q) float."""
-        return self.rays.reflectance(_rest(scene), scene.colour, scene=scene, patches=(ALONG // 2,))[:, 0, 0]
+        def quantities(varied: Scene, rays: ColourRays) -> Array:
+            bled = at_value(varied, "blood.rest_blood_fraction", more * varied.blood.rest_blood_fraction)
+            both = np.stack([self.nail.read(varied, rays), self.nail.read(bled, rays)])
+            effects = _effects(both @ viewer.weights @ np.linalg.inv(XYZ_OF_RGB).T)
+            return np.column_stack([viewer.lab(both[0]), *(after - before for before, after in effects.values())])
 
-    def of_skin(self, scene: Scene) -> Array:
-        """Of the pulp, gloss included, at the wavelengths of the tables, (q,) float. [percent]"""
-        viewing = scene.colour.model_copy(update={"gloss": True})
-        read = self.rays_of_pad.reflectance(_rest(scene), viewing, scene=scene)[0, 0, 0]
-        return 100 * np.interp(SPECTRUM_NM, WAVELENGTHS_NM, read)
+        priors = [p for p in scene.finger_priors if p.field.startswith("finger.") or p.field in BLOOD_OF_NAIL]
+        middle, spread, noise = _moments(self.nail.over_priors(scene, priors, quantities))
+        return self._colours(photos, middle, spread) | _slopes(photos, middle[3:], spread[3:], noise[3:])
 
-    def colours(self, photos: "pd.DataFrame", spectra: "pd.DataFrame") -> dict[str, Comparison]:
-        """L*, a*, b* of nails, one value for each person."""
-        people, scene, viewer = nails_lab(photos, spectra), self.nail.scene, Viewer()
-        own = viewer.lab(self.of_nail(scene))
-        spread = spread_of_colours(self.nail, self.rays, viewer, scene.colour, seed=self.options.seed).sel(site="nail")
-        # The mean over the priors, which the scene's own values need not be.
-        lab, sd = own[0] + spread.lab_shift.values, np.hypot(spread.lab_spread.values, jackknife(own))
-        remark = (
-            "Photographs, scaled to skin under a spectrophotometer: exposure and tone curve are unknown. Every third "
-            "person was left out when the nail plate was fitted."
-        )
+    @staticmethod
+    def _colours(photos: "pd.DataFrame", middle: Array, spread: Array) -> dict[str, Comparison]:
+        shipped = photos.attrs["shipped"]
+        held_out = photos[np.arange(len(photos)) % FOLDS == FOLDS - 1] if shipped else photos
+        people = nails_lab(held_out)
         return {
             f"nail_{band[0]}": _coverage(
                 people[:, k],
-                _interval(float(lab[k]), float(sd[k])),
-                quantity=f"{band} of nails, one value for each person",
+                _interval(float(middle[k]), float(spread[k])),
+                quantity=f"{band} of nails, {len(people)} people",
                 units="1",
-                source=_source("nail_photos"),
-                remark=remark,
+                remark="Photographs, scaled to skin under a spectrophotometer: exposure and tone curve are unknown.",
+                **_of(photos, "held out", f"these {len(people)} were left out when the plate was fitted to the others"),
             )
             for k, band in enumerate(("L*", "a*", "b*"))
         }
 
-    def haemoglobin(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
-        """Change of nails' colours with haemoglobin."""
-        scene, more = self.nail.scene, 1 + HAEMOGLOBIN_STEP / float(photos["hb_g_per_l"].mean())
-        bled = at_value(scene, "blood.rest_blood_fraction", more * scene.blood.rest_blood_fraction)
-        both = np.stack([self.of_nail(scene), self.of_nail(bled)]) @ Viewer().weights
-        people, model = _effects(photos[_RGB[:3]].to_numpy()), _effects(both @ np.linalg.inv(XYZ_OF_RGB).T)
-        result = {}
-        for name, words in EFFECTS.items():
-            change = model[name][1] - model[name][0]
-            result[f"haemoglobin_{name}"] = _z(
-                slope_within_days(photos, people[name]),
-                (float(change[0]), float(jackknife(change))),
-                quantity=f"{words} of nails per 10 g/l of haemoglobin",
-                units="1",
-                source=_source("nail_photos"),
-                remark="Within days of photographs. Exposure and what else goes with haemoglobin are not modelled.",
-            )
-        return result
-
     def skin(self, spectra: "pd.DataFrame") -> dict[str, Comparison]:
         """Ring fingers beside the shipped skin; hands of each group with the melanin and the blood that come nearest to
-        its median, all through the spectrophotometer's port."""
-        result = {}
-        fingers = spectra[spectra.place == "ring finger"]
-        everyone, quartiles = self._pooled(fingers, (5, 50, 95)), self._pooled(fingers, (25, 75))
-        what, count = "reflectance of skin: ring finger", int(fingers[fingers.percentile == 50].people.sum())
-        result["ring_finger"] = self._spectrum(
-            self.of_skin(self.finger.scene),
-            everyone,
-            quartiles,
-            quantity=f"{what}, {count} people",
-            remark="Coverage is the part of wavelengths within 25-75 % of people.",
-        )
-        blood, melanin, skins = self._skins()
-        for group, table in spectra[spectra.place == "back of hand"].groupby("group", sort=False):
-            low, middle, high = (self._percentile(table, percent) for percent in (5, 50, 95))
-            best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
-            result[f"back_of_hand_{group}"] = self._spectrum(
-                skins[best],
-                np.stack([low, middle, high]),
-                np.stack([low, high]),
-                quantity=f"reflectance of skin: back of hand, group {group}, {int(table.people.iloc[0])} people",
-                remark=f"Melanin of {100 * melanin[best]:.2g} % and blood of {100 * blood[best]:.2g} % are fitted to "
-                "its median; coverage is the part of wavelengths within 5-95 % of people.",
+        its median, all through the spectrophotometer's port; and the depth of the W of oxyhaemoglobin in both."""
+        result, fingers = {}, spectra[spectra.place == "ring finger"]
+        of_fingers = _of(spectra, "fitted", "scattering, bloodless absorption and blood of the pulp, to their median")
+        if len(fingers):
+            everyone, quartiles = self._pooled(fingers, (5, 50, 95)), self._pooled(fingers, (25, 75))
+            model = self._over_priors(self.finger.scene, (*OF_SKIN, *OF_FITTED_SKIN))
+            result["ring_finger"] = _spectrum(
+                model[:, :-1],
+                everyone,
+                quartiles,
+                quantity=f"reflectance of skin: ring finger, {_people(fingers)} people",
+                counted="wavelengths at which the model is within 25-75 % of people",
+                **of_fingers,
             )
-        return result
+            result |= _w_depth("ring finger", fingers, [model[:, -1]] * fingers.group.nunique(), **of_fingers)
+        blood, melanin, skins = self._skins()
+        hands, models = spectra[spectra.place == "back of hand"], []
+        for group, table in hands.groupby("group", sort=False):
+            low, middle, high = (_percentile(table, percent) for percent in PERCENTILES["back of hand"])
+            best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
+            models.append(self._over_priors(self._skin_of(blood[best], melanin[best]), OF_SKIN))
+            result[f"back_of_hand_{group}"] = _spectrum(
+                models[-1][:, :-1],
+                np.stack([low, middle, high]),
+                (low, high),
+                quantity=f"reflectance of skin: back of hand, group {group}, {_people(table)} people",
+                source=spectra.attrs["source"],
+                counted="wavelengths at which the model is within 5-95 % of people",
+                basis="fitted",
+                fit=f"melanin of {100 * melanin[best]:.2g} % and blood of {100 * blood[best]:.2g} %, to their median",
+            )
+        about: dict[str, Any] = {"source": spectra.attrs["source"], "basis": "fitted"}
+        depths = [model[:, -1] for model in models]
+        return result | _w_depth("back of hand", hands, depths, fit="melanin and blood, to the medians", **about)
 
-    @staticmethod
-    def _spectrum(model: Array, people: Array, ends: Array, **about: Any) -> Comparison:
-        over: dict[str, Any] = {"x": SPECTRUM_NM, "x_label": "wavelength [nm]", "units": "percent"}
-        inside = (model >= ends[0]) & (model <= ends[1])
-        return _curve(inside, people, np.stack([model] * 3), source=_source("skin_spectra"), **over, **about)
+    def _over_priors(self, scene: Scene, fields: Sequence[str]) -> Array:
+        """The pulp's reflectance at the tables' wavelengths [percent], and its W; low, scene's, high, (3, q + 1)."""
+
+        def quantities(varied: Scene, rays: ColourRays) -> Array:
+            spectrum = _at_tables(self.finger.read(varied, rays, gloss=True))
+            return np.log(np.column_stack([spectrum, _w(spectrum)]))
+
+        priors = [prior for prior in scene.finger_priors if prior.field in fields]
+        answers = self.finger.over_priors(scene, priors, quantities)
+        (middle, spread, _), own = _moments(answers), answers.base_answer[0]
+        return np.exp(np.stack([middle - Z95 * spread, own, middle + Z95 * spread]))
+
+    def _skin_of(self, blood: float, melanin: float) -> Scene:
+        bled = at_value(self.finger.scene, "blood.pulp_blood_fraction", float(blood))
+        return at_value(bled, "finger.melanin_fraction", float(melanin))
 
     def _pooled(self, table: "pd.DataFrame", percentiles: tuple[int, ...]) -> Array:
         """Percentiles of all groups' people together, from those of each, (n, q) float."""
-        known, samples = sorted(set(table.percentile)), []
+        known, samples = PERCENTILES["ring finger"], []
         for _, group in table.groupby("group"):
-            rows = np.stack([self._percentile(group, int(percent)) for percent in known])
-            at = 100 * (np.arange(count := int(group.people.iloc[0])) + 0.5) / count
+            rows = np.stack([_percentile(group, percent) for percent in known])
+            at = 100 * (np.arange(count := _people(group)) + 0.5) / count
             samples.append(np.stack([np.interp(at, known, column) for column in rows.T], -1))
         return np.asarray(np.percentile(np.concatenate(samples), percentiles, axis=0))
-
-    @staticmethod
-    def _percentile(table: "pd.DataFrame", percent: int) -> Array:
-        row = table[table.percentile == percent]
-        if len(row) != 1:
-            raise InputError(f"skin_spectra.csv: needs one row of percentile {percent} for each place and group.")
-        return np.asarray(row[_SPECTRUM].to_numpy(float)[0])
 
     def _skins(self) -> tuple[Array, Array, Array]:
         """Blood and melanin, (n,) float each [1], and the reflectance of such skin, (n, q) float. [percent]"""
         blood, melanin = (axis.ravel() for axis in np.meshgrid(SKIN_BLOOD, MELANIN))
-        scenes = [
-            at_value(at_value(self.finger.scene, "blood.pulp_blood_fraction", b), "finger.melanin_fraction", m)
-            for b, m in zip(blood.tolist(), melanin.tolist(), strict=True)
-        ]
-        return blood, melanin, np.stack([self.of_skin(scene) for scene in scenes])
+        scenes = [self._skin_of(b, m) for b, m in zip(blood, melanin, strict=True)]
+        return blood, melanin, np.stack([_at_tables(self.finger.read(scene, gloss=True))[0] for scene in scenes])
+
+
+def _at_tables(read: Array) -> Array:
+    """Reflectance at the wavelengths of the tables, (..., q) float. [percent]"""
+    return 100 * np.stack([np.interp(SPECTRUM_NM, WAVELENGTHS_NM, one) for one in read])
+
+
+def _percentile(table: "pd.DataFrame", percent: int) -> Array:
+    return np.asarray(table[table.percentile == percent][_SPECTRUM].to_numpy(float)[0])
+
+
+def _people(table: "pd.DataFrame") -> int:
+    """How many people a table of spectra has."""
+    return int(np.ceil(table[table.percentile == 50].people.sum()))
+
+
+def _spectrum(model: Array, people: Array, ends: ArrayLike, **about: Any) -> Comparison:
+    low, high = np.asarray(ends)
+    inside = (model[1] >= low) & (model[1] <= high)
+    over: dict[str, Any] = {"x": SPECTRUM_NM, "x_label": "wavelength [nm]", "units": "percent"}
+    return _curve(inside, people, model, bands=("5 to 95 % of people", PRIORS_95), **over, **about)
+
+
+def _w(spectrum: Array) -> Array:
+    """Reflectance in the middle of the W of oxyhaemoglobin over that of its sides, of (..., q), (...) float."""
+    left, middle, right = np.moveaxis(spectrum[..., np.searchsorted(SPECTRUM_NM, W_NM)], -1, 0)
+    return np.asarray(2 * middle / (left + right))
+
+
+def _w_depth(place: str, table: "pd.DataFrame", model: Sequence[Array], **about: Any) -> dict[str, Comparison]:
+    """The W of groups' medians beside the model's of each, low, middle and high; of one group alone nothing, as its
+    standard error is not known."""
+    people = np.array([_w(_percentile(group, 50)) for _, group in table.groupby("group", sort=False)])
+    if len(people) < 2:
+        return {}
+    low, middle, high = np.transpose(model)
+    stderr = float((middle - people).std(ddof=1) / np.sqrt(len(people)))
+    return {
+        f"w_of_{place.replace(' ', '_')}": _z(
+            (float(people.mean()), stderr),
+            (float(middle.mean()), 0.0),
+            float((high - low).mean() / (2 * Z95)),
+            quantity=f"W of oxyhaemoglobin, {place}",
+            units="1",
+            bands=("95 % interval of the mean of groups", PRIORS_95),
+            remark="Reflectance at 560 nm over the mean of that at 540 and 580 nm, of groups' medians. The "
+            "standard error is that of the difference to the model; z is without the spread over the priors.",
+            **about,
+        )
+    }
 
 
 def _rest(scene: Scene) -> Array:
@@ -492,17 +661,37 @@ def lab_of(xyz: Array) -> Array:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 
 
-def nails_lab(photos: "pd.DataFrame", spectra: "pd.DataFrame") -> Array:
+def nails_lab(photos: "pd.DataFrame") -> Array:
     """L*, a*, b* of people's nails, (p, 3) float.
 
-    The level of a nail is that of the skin beside it, times what a spectrophotometer measured on backs of hands.
+    The level of a nail is that of the skin beside it, times what a spectrophotometer measured on the shipped hands.
     """
-    viewer = Viewer()
+    viewer, spectra = Viewer(), read_people("skin_spectra")
     hands = spectra[(spectra.place == "back of hand") & spectra.group.isin(SCALED_TO) & (spectra.percentile == 50)]
     skin = np.interp(WAVELENGTHS_NM, SPECTRUM_NM, hands[_SPECTRUM].to_numpy(float).mean(0) / 100)
     skin_rgb = skin @ viewer.weights @ np.linalg.inv(XYZ_OF_RGB).T
     nail, beside = (photos[[f"{part}_{c}" for c in "rgb"]].to_numpy() for part in ("nail", "skin"))
     return lab_of(nail / beside * skin_rgb @ XYZ_OF_RGB.T)
+
+
+def _slopes(photos: "pd.DataFrame", middle: Array, spread: Array, noise: Array) -> dict[str, Comparison]:
+    """Changes of colours with haemoglobin, of people and of the model, (3,) float each in the order of `EFFECTS`."""
+    people, result = _effects(photos[_RGB[:3]].to_numpy()), {}
+    fitted = _of(photos, "fitted", "plate and bed are fitted to two thirds of these people, with this slope")
+    untouched = _of(photos, "prediction", "plate and bed are fitted to changes relative to red and of a*, not to this")
+    for k, (name, words) in enumerate(EFFECTS.items()):
+        result[f"haemoglobin_{name}"] = _z(
+            slope_within_days(photos, people[name]),
+            (float(middle[k]), float(noise[k])),
+            float(spread[k]),
+            quantity=f"{words} of nails per 10 g/l of haemoglobin",
+            units="1",
+            bands=("95 % interval of the mean", PRIORS_95),
+            remark="Within days of photographs. Exposure and what else goes with haemoglobin are not modelled; z is of "
+            "means, without the spread over the priors.",
+            **(untouched if name == "green" else fitted),
+        )
+    return result
 
 
 def slope_within_days(photos: "pd.DataFrame", values: Array) -> tuple[float, float]:

@@ -1,36 +1,107 @@
 """The model beside measurements on people: tables, statistics, and the shipped model with little light."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from nailoptics.assets import asset_path
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
 from nailoptics.studies import validate
 from nailoptics.studies.validate import COLUMNS, read_people
 
+PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
+
 
 def test_shipped_tables_hold_their_columns_and_sources():
-    for name, (others, positive) in COLUMNS.items():
+    for name, columns in COLUMNS.items():
         table = read_people(name)
-        assert {*others, *positive} <= {*table.columns} and len(table) >= 6
-        assert (table[positive] > 0).all(axis=None) and validate._source(name)
+        assert {*columns} <= {*table.columns} and len(table) >= 6
+        assert table.attrs["shipped"] and table.attrs["source"] in asset_path(f"real/{name}.csv").read_text()[
+            :2000
+        ].replace("\n# ", " ")
+
+
+def own(folder: Path, name: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> Path:
+    """A folder with a changed copy of a shipped table, all of whose columns hold anything."""
+    change(pd.read_csv(asset_path(f"real/{name}.csv"), comment="#").astype(object)).to_csv(folder / f"{name}.csv")
+    return folder
+
+
+def cell(column: str, value: object) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    return lambda table: table.assign(**{column: [value, *table[column][1:]]})
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("name", "change", "words"),
     [
-        (lambda text: text.replace("hb_g_per_l", "hb"), "lacks the column hb_g_per_l"),
-        (lambda text: text.replace("0.6918", "-0.6918"), "nail_r must be a number above 0, got -0.6918 in row 1"),
-        (lambda text: text.replace("0.6918", "light"), "nail_r must be a number above 0, got light in row 1"),
+        (PHOTOS, lambda t: t.rename(columns={"hb_g_per_l": "hb"}), "lacks the column hb_g_per_l"),
+        (PHOTOS, cell("nail_r", -0.6918), "nail_r must be a finite number above 0 and at most 1, got -0.6918 in row 1"),
+        (PHOTOS, cell("nail_r", "light"), "nail_r must be .* got light in row 1"),
+        (PHOTOS, cell("skin_g", 176), "skin_g must be a finite number above 0 and at most 1, got 176"),
+        (PHOTOS, cell("hb_g_per_l", 13.5), "hb_g_per_l must be a finite number above 20 and at most 300, got 13.5"),
+        (PHOTOS, cell("day", None), "day must be a name, got nan in row 1"),
+        (PHOTOS, lambda t: t[:0], "two people more than days"),
+        (PHOTOS, lambda t: t[:2], "two people more than days"),
+        (PHOTOS, lambda t: t.assign(hb_g_per_l=120), "of different haemoglobin within a day"),
+        (PULSE, cell("correlation", "good"), "correlation must be a finite number above -1 and at most 1, got good"),
+        (PULSE, cell("ratio_of_ratios", np.inf), "ratio_of_ratios must be a finite number above 0"),
+        (PULSE, lambda t: t[:2], "three recordings of different ratio"),
+        (PULSE, lambda t: t.assign(ratio_of_ratios=0.5), "three recordings of different ratio"),
+        (PULSE, lambda t: t.assign(correlation=0.5), "three recordings .* a correlation above 0.9"),
+        (PULSE, lambda t: t[t.spo2_percent < 90], "one of these recordings at a saturation of 94 % or more"),
+        (PULSE, lambda t: t.assign(spo2_percent=t.spo2_percent / 100), "spo2_percent must be"),
+        (SKIN, cell("600_nm", 1314), "600_nm must be a finite number above 1 and at most 100, got 1314"),
+        (SKIN, cell("600_nm", 0.31), "600_nm must be a finite number above 1 and at most 100, got 0.31"),
+        (SKIN, cell("600_nm", None), "600_nm must be .* got nan in row 1"),
+        (SKIN, lambda t: t.assign(**{"380_nm": 10.0}), "has an unknown column 380_nm"),
+        (SKIN, lambda t: t[:0], "rows of place ring finger or back of hand"),
+        (SKIN, cell("place", "forehead"), "none of forehead"),
+        (SKIN, lambda t: t[t.percentile != 50], "one row of percentile 50 for back of hand, group AB"),
+        (WAVES, lambda t: t[:1], "needs two rows"),
+        (WAVES, lambda t: t[:0], "needs two rows"),
     ],
 )
-def test_a_wrong_table_is_refused_in_one_line(tmp_path, change, words):
-    text = asset_path("real/nail_photos.csv").read_text(encoding="utf-8")
-    (tmp_path / "nail_photos.csv").write_text(change(text), encoding="utf-8")
+def test_a_wrong_table_is_refused_in_one_line(tmp_path, name, change, words):
+    folder = own(tmp_path, name, change)
     with pytest.raises(InputError, match=words) as caught:
-        read_people("nail_photos", tmp_path)
-    assert "\n" not in str(caught.value)
+        read_people(name, folder)
+    assert "\n" not in str(caught.value) and f"{name}.csv" in str(caught.value)
+
+
+def test_wrong_tables_are_refused_before_light_and_with_code_2(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(validate, "trace", lambda *a, **k: pytest.fail("traced"))
+    assert run(["validate", "--data", str(own(tmp_path, WAVES, lambda t: t[:1])), "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_help_offers_no_option_that_validate_refuses(capsys):
+    run(["validate", "--help"])
+    text = capsys.readouterr().out
+    assert "--photons" in text and "--relative-error" not in text and "--max-seconds" not in text
+
+
+@pytest.mark.parametrize("place", ["ring finger", "back of hand"])
+def test_a_table_of_one_place_is_read_with_its_path_as_source(tmp_path, place):
+    table = read_people(SKIN, own(tmp_path, SKIN, lambda t: t[t.place == place]))
+    assert set(table.place) == {place} and table.attrs == {"source": str(tmp_path / f"{SKIN}.csv"), "shipped": False}
+    assert read_people(PHOTOS, tmp_path).attrs["shipped"]
+
+
+def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):
+    about = np.ones(6), np.ones(6)
+    shipped = validate._Surface._colours(read_people(PHOTOS), *about)["nail_L"]
+    assert shipped.basis == "held out" and "53 people" in shipped.quantity
+    theirs = validate._Surface._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
+    assert (
+        theirs.basis == "prediction"
+        and "160 people" in theirs.quantity
+        and theirs.source == str(tmp_path / f"{PHOTOS}.csv")
+    )
 
 
 def test_a_folder_without_any_table_is_refused(tmp_path):
@@ -49,21 +120,36 @@ def test_slopes_within_days_ignore_exposure_between_days():
 
 def test_nails_carried_over_to_measured_skin_are_pink():
     """Expected: medians of the 160 people as published with the table, by another computation: 62.4, 10.8, 8.8."""
-    lab = validate.nails_lab(read_people("nail_photos"), read_people("skin_spectra"))
+    lab = validate.nails_lab(read_people("nail_photos"))
     assert np.median(lab, 0) == pytest.approx([62.4, 10.8, 8.8], abs=1.1)
     assert (lab[:, 1] < 3).mean() < 0.05
 
 
 def test_statistics_agree_and_disagree_where_they_should():
-    about = {"quantity": "length", "units": "mm", "source": "a table"}
-    assert validate._z((1.0, 0.1), (1.1, 0.1), **about).agrees
-    assert not validate._z((1.0, 0.1), (1.5, 0.1), **about).agrees
+    about = {"quantity": "length", "units": "mm", "source": "a table", "basis": "prediction", "fit": "none"}
+    bands = {"bands": ("of people", "of the model")}
+    assert validate._z((1.0, 0.1), (1.1, 0.1), 0.0, **about, **bands).agrees
+    # A spread over the priors is shown, and excuses nothing.
+    wide = validate._z((1.0, 0.1), (1.5, 0.1), 3.0, **about, **bands)
+    assert not wide.agrees and wide.model[0, 0] < -4
     people, model = np.random.default_rng(2).normal(0, 1, 400), np.array([[-1.96], [0.0], [1.96]])
     covered = validate._coverage(people, model, **about)
     assert covered.agrees and covered.value == pytest.approx(0.95, abs=0.03)
     assert not validate._coverage(people + 2, model, **about).agrees
     # An interval that holds everybody states too much.
     assert not validate._coverage(people, 10 * model, **about).agrees
+
+
+def test_a_w_that_is_too_deep_disagrees():
+    """Expected: from medians of two groups, 1.041 and 1.029, a model of 1.14 is many standard errors off."""
+    fingers = read_people(SKIN)[lambda t: t.place == "ring finger"]
+    about = {"source": "a table", "basis": "fitted", "fit": "all"}
+    (deep,) = validate._w_depth("ring finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2, **about).values()
+    assert deep.people[1, 0] == pytest.approx(1.035, abs=1e-3)
+    assert deep.value > 10 and not deep.agrees and deep.model[0, 0] < 1.01
+    (flat,) = validate._w_depth("ring finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2, **about).values()
+    assert flat.agrees
+    assert not validate._w_depth("ring finger", fingers[fingers.group == "JP"], [np.ones(3)], **about)
 
 
 def test_waves_and_pulse_without_light_agree_with_people():
@@ -80,6 +166,9 @@ def test_waves_and_pulse_without_light_agree_with_people():
 def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     result = validate.validate(photons=60_000, seed=1, store=False)
     assert {"nail_L", "nail_a", "nail_b", "ring_finger", "spo2_slope", "pulse_red"} <= {*result.tables}
+    # The model has an interval over the priors at every point.
+    for name, one in result.tables.items():
+        assert (one.model[2] - one.model[0] > 0.003 * np.abs(one.model[1])).all(), name
     # Of so few rays only what is plain: the nail is no longer grey.
     assert result.tables["nail_a"].agrees and 4.4 < result.tables["nail_a"].model[1, 0] < 16.4
     text = page.page(result)
@@ -87,4 +176,6 @@ def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     assert rows == sorted(rows) and text.count("<svg") == len(result.tables)
     summary = page.summary(result)
     assert {"quantity", "people", "model", "agrees"} <= {*summary["tables"]["nail_L"]}
-    assert len(page.lines(summary)) == len(result.tables) + 1
+    assert len(page.lines(summary)) == len(result.tables) + 2
+    not_fitted = [one.agrees for one in result.tables.values() if one.basis != "fitted"]
+    assert f"of {len(not_fitted)} unfitted quantities {sum(not_fitted)} agree" in page.lines(summary)[-1]

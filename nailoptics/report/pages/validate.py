@@ -7,45 +7,52 @@ import numpy as np
 from ...studies.validate import Comparison, Validation
 from .. import style
 from ..files import Report
-from ..html import document, figure, section, small, table
+from ..html import Html, document, figure, section, small, table
 from ..numbers import aligned, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAD = (
-    "What was measured on people, and what the model says of the same quantity. Intervals hold 95 %: of people, or of "
-    "what is known of their mean; of the model, over the priors of the finger and the noise of the trace."
+    "What was measured on people, and what the model says of the same quantity. Fitted: the model was fitted to these "
+    "people. Held out: it was fitted to others of the same table. Prediction: it was not fitted to the quantity."
 )
 NOTE = (
-    "z: difference over its standard error, which agrees between -2 and 2. Coverage: the part of people, or of points "
-    "of a curve, within the model's interval; an interval that is too wide does not agree either."
+    "z: difference over its standard error, which agrees between -2 and 2. Coverage: the part of what each figure "
+    "states; an interval of the model that holds more than 99 % of many people does not agree either."
 )
 
 
 def page(result: Validation) -> str:
     """The page of a validation."""
     ranked = sorted(result.tables.values(), key=lambda comparison: comparison.agrees)
-    agreeing = sum(comparison.agrees for comparison in ranked)
     return document(
         kicker="validation",
         title="Comparison with measurements on people",
         lead=LEAD,
-        cards=[(f"{agreeing} of {len(ranked)}", "measured quantities agree with the model")],
+        cards=[(f"{n} of {count}", f"{words} quantities agree") for words, (n, count) in result.counts().items()],
         body=[
-            section("All quantities, what disagrees first", table([_row(one) for one in ranked]), small(NOTE)),
-            *(
-                section(one.quantity, figure(draw(one), _caption(one), narrow=True), small(one.remark))
-                for one in ranked
+            section(
+                "All quantities, what disagrees first",
+                table([_row(one) for one in ranked], kind="compared"),
+                small(NOTE),
+                *(f"No data: {name}." for name in result.no_data),
             ),
+            *(section(one.quantity, figure_of(one), small(one.remark)) for one in ranked),
         ],
         attributes=result.attributes,
     )
 
 
-def _caption(comparison: Comparison) -> str:
+def figure_of(comparison: Comparison) -> Html:
+    """The figure of a quantity with its statistic, what was fitted, and its source."""
     agrees = "agrees" if comparison.agrees else "disagrees"
-    return f"{comparison.statistic} {significant(comparison.value, 2)}: {agrees}. People: {comparison.source}"
+    counted = f" of {comparison.counted}" if comparison.counted else ""
+    caption = (
+        f"{comparison.statistic} {significant(comparison.value, 2)}{counted}: {agrees}. "
+        f"{comparison.basis.capitalize()}: {comparison.fit}. People: {comparison.source}"
+    )
+    return figure(draw(comparison), caption, narrow=True)
 
 
 def _range(rows: np.ndarray) -> str:
@@ -60,6 +67,7 @@ def _row(comparison: Comparison) -> dict[str, object]:
     low, high = comparison.accepted
     return {
         "Quantity": comparison.quantity + _units(comparison),
+        "Basis": comparison.basis,
         "Agrees": "yes" if comparison.agrees else "no",
         "Statistic": f"{comparison.statistic} {significant(comparison.value, 2)}",
         "Accepted": f"{low:g} to {high:g}",
@@ -75,22 +83,27 @@ def _units(comparison: Comparison) -> str:
 @style.drawing()
 def draw(comparison: Comparison) -> "Figure":
     """People and model with their intervals: side by side, or over what the quantity is measured over."""
-    both = (("people", comparison.people, style.MUTED), ("model", comparison.model, style.ZONES[0]))
+    of_people, of_model = comparison.bands
+    both = (
+        (f"people: {of_people}", comparison.people, style.MUTED),
+        (f"model: {of_model}", comparison.model, style.ZONES[0]),
+    )
     if not comparison.x_label:
         drawing, axes = style.panels(5.5, 1.3)
-        for row, (_, values, colour) in enumerate(both):
+        for row, (name, values, colour) in enumerate(both):
             low, middle, high = values[:, 0]
             axes.plot([low, high], [row, row], color=colour, lw=2.2)
-            axes.plot(middle, row, "o", color=colour)
+            axes.plot(middle, row, "o", color=colour, label=name)
         axes.set_yticks([0, 1], ["people", "model"])
-        axes.set(ylim=(1.6, -0.6), xlabel=f"95 % interval{_units(comparison)}")
+        axes.set(ylim=(1.6, -0.6), xlabel=_units(comparison).strip(" []"))
+        style.legend_above(drawing, axes, ncols=1)
         return drawing
     drawing, axes = style.panels(5.5, 3.0)
     for name, values, colour in both:
         axes.fill_between(comparison.x, values[0], values[2], color=colour, alpha=0.2, linewidth=0)
         axes.plot(comparison.x, values[1], color=colour, label=name)
-    axes.set(xlabel=comparison.x_label, ylabel=f"middle, and 95 %{_units(comparison)}")
-    axes.legend()
+    axes.set(xlabel=comparison.x_label, ylabel=_units(comparison).strip(" []"))
+    style.legend_above(drawing, axes, ncols=1)
     return drawing
 
 
@@ -98,18 +111,21 @@ def lines(summary: dict[str, Any]) -> list[str]:
     """Every table's verdict for the terminal, what disagrees first."""
     rows = []
     for name, one in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
-        statistic, row = "z" if "z" in one else "coverage", {"quantity": name}
+        statistic, row = "z" if "z" in one else "coverage", {"quantity": name, "basis": one["basis"]}
         for side in ("people", "model"):
             values = np.atleast_1d(one[side]["middle"])
             row[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
         row |= {"statistic": f"{statistic} {one[statistic]:.2g}", "verdict": "agrees" if one["agrees"] else "DISAGREES"}
         rows.append(row)
-    return aligned(rows)
+    counts = [f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items()]
+    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), ", ".join(counts)]
 
 
 def summary(result: Validation) -> dict[str, Any]:
     """Every table as plain numbers and texts."""
-    return {"tables": {name: table.as_dict() for name, table in result.tables.items()}} | dict(result.attributes)
+    made: dict[str, Any] = {"tables": {name: table.as_dict() for name, table in result.tables.items()}}
+    made |= {"counts": result.counts(), "no_data": [*result.no_data]}
+    return made | dict(result.attributes)
 
 
 def _files(result: Validation) -> tuple[Any, ...]:
