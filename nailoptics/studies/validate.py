@@ -188,8 +188,11 @@ def validate(
     result = _waves(tables["fingertip_waves"])
     result["pulse_over_contact_pressure"] = _contact_pressure(tables["pulse_against_contact_pressure"])
     result |= _pulse(tables["red_infrared_pulse"], options, progress)
-    surface, photos, spectra = _Surface(options), tables["nail_photos"], tables["skin_spectra"]
-    result |= surface.nails(photos) | surface.skin(spectra)
+    result |= _nails(tables["nail_photos"], options)
+    skin, spectra = _Skin(options), tables["skin_spectra"]
+    fit = _of(spectra, "fitted", "scattering, bloodless absorption and blood of the pulp, to their median")
+    result |= skin.fingers(spectra[spectra.place == "ring finger"], **fit)
+    result |= skin.hands(spectra[spectra.place == "back of hand"], source=fit["source"], basis="fitted")
     no_data = [place for place in PERCENTILES if not (spectra.place == place).any()]
     seconds = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds, no_data)
@@ -412,22 +415,18 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
     )
     bands = ("95 % interval of the estimate", f"{PRIORS_95} and photodiodes")
     about = {"units": "percent", "bands": bands} | _of(people, "prediction", "no optics were fitted to it")
-    result = {
-        "spo2_slope": _z(
-            (float(line[0]), float(np.sqrt(covariance[0, 0]))),
-            (float(middle[0]), float(error[0])),
-            quantity="slope of SpO2 over the ratio of ratios, 70 to 100 %",
-            remark=remark,
-            **about,
-        ),
-        "spo2_level": _z(
-            (float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))),
-            (float(middle[1]), float(error[1])),
-            quantity=f"SpO2 at a ratio of ratios of {at:.3f}",
-            remark=f"{remark} The reference, an oximeter on the same person, may be off by {REFERENCE_SPO2_ERROR:g} %.",
-            **about,
-        ),
-    }
+    reference = f" The reference, an oximeter on the same person, may be off by {REFERENCE_SPO2_ERROR:g} %."
+    level = float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))
+    slope, words = (
+        (float(line[0]), float(np.sqrt(covariance[0, 0]))),
+        "slope of SpO2 over the ratio of ratios, 70 to 100 %",
+    )
+    result = {}
+    for k, (name, both, quantity, more) in enumerate(
+        (("slope", slope, words, ""), ("level", level, f"SpO2 at a ratio of ratios of {at:.3f}", reference))
+    ):
+        model = float(middle[k]), float(error[k])
+        result[f"spo2_{name}"] = _z(both, model, quantity=quantity, remark=remark + more, **about)
     normal = still[still["spo2_percent"] >= NORMAL_SPO2]
     for k, name in enumerate(("red", "infrared"), start=2):
         result[f"pulse_{name}"] = _coverage(
@@ -486,117 +485,108 @@ class _Reflectance:
         return over_priors(scene, priors, lambda varied: base + few(varied) - twin)
 
 
-class _Surface:
-    """The shipped prototype's nail and a ring finger's pulp beside those of people."""
+def _nails(photos: "pd.DataFrame", options: TraceOptions) -> dict[str, Comparison]:
+    """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
+    scene, viewer, more = _shipped_scene("prototype"), Viewer(), 1 + HAEMOGLOBIN_STEP / photos["hb_g_per_l"].mean()
+    nail = _Reflectance(scene, patches_of(scene)[ALONG // 2], options, NAIL_SHARE)
+
+    def quantities(varied: Scene, rays: ColourRays) -> Array:
+        bled = at_value(varied, "blood.rest_blood_fraction", float(more * varied.blood.rest_blood_fraction))
+        both = np.stack([nail.read(varied, rays), nail.read(bled, rays)])
+        effects = _effects(both @ viewer.weights @ np.linalg.inv(XYZ_OF_RGB).T)
+        return np.column_stack([viewer.lab(both[0]), *(after - before for before, after in effects.values())])
+
+    priors = [p for p in scene.finger_priors if p.field.startswith("finger.") or p.field in BLOOD_OF_NAIL]
+    middle, spread, noise = _moments(nail.over_priors(scene, priors, quantities))
+    return _colours(photos, middle, spread) | _slopes(photos, middle[3:], spread[3:], noise[3:])
+
+
+def _colours(photos: "pd.DataFrame", middle: Array, spread: Array) -> dict[str, Comparison]:
+    """L*, a*, b* of people who were not fitted, and of the model, (3,) float or more each."""
+    held_out = np.arange(len(photos)) % FOLDS == FOLDS - 1
+    people = nails_lab(photos[held_out] if photos.attrs["shipped"] else photos)
+    return {
+        f"nail_{band[0]}": _coverage(
+            people[:, k],
+            _interval(float(middle[k]), float(spread[k])),
+            quantity=f"{band} of nails, {len(people)} people",
+            units="1",
+            remark="Photographs, scaled to skin under a spectrophotometer: exposure and tone curve are unknown.",
+            **_of(photos, "held out", f"these {len(people)} were left out when the plate was fitted to the others"),
+        )
+        for k, band in enumerate(("L*", "a*", "b*"))
+    }
+
+
+class _Skin(_Reflectance):
+    """A ring finger's pulp, gloss included."""
 
     def __init__(self, options: TraceOptions) -> None:
-        scene = _shipped_scene("prototype")
-        self.nail = _Reflectance(scene, patches_of(scene)[ALONG // 2], options, NAIL_SHARE)
-        self.finger = _Reflectance(scene.model_copy(update={"finger": Finger(digit="ring")}), PAD, options)
+        scene = _shipped_scene("prototype").model_copy(update={"finger": Finger(digit="ring")})
+        super().__init__(scene, PAD, options)
 
-    def nails(self, photos: "pd.DataFrame") -> dict[str, Comparison]:
-        """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
-        scene, viewer, more = self.nail.scene, Viewer(), 1 + HAEMOGLOBIN_STEP / float(photos["hb_g_per_l"].mean())
+    def spectrum(self, scene: Scene, rays: ColourRays | None = None) -> Array:
+        """At the wavelengths of the tables, by all rays and without each group, (1 + groups, q) float. [percent]"""
+        read = self.read(scene, rays, gloss=True)
+        return 100 * np.stack([np.interp(SPECTRUM_NM, WAVELENGTHS_NM, one) for one in read])
 
-        def quantities(varied: Scene, rays: ColourRays) -> Array:
-            bled = at_value(varied, "blood.rest_blood_fraction", more * varied.blood.rest_blood_fraction)
-            both = np.stack([self.nail.read(varied, rays), self.nail.read(bled, rays)])
-            effects = _effects(both @ viewer.weights @ np.linalg.inv(XYZ_OF_RGB).T)
-            return np.column_stack([viewer.lab(both[0]), *(after - before for before, after in effects.values())])
-
-        priors = [p for p in scene.finger_priors if p.field.startswith("finger.") or p.field in BLOOD_OF_NAIL]
-        middle, spread, noise = _moments(self.nail.over_priors(scene, priors, quantities))
-        return self._colours(photos, middle, spread) | _slopes(photos, middle[3:], spread[3:], noise[3:])
-
-    @staticmethod
-    def _colours(photos: "pd.DataFrame", middle: Array, spread: Array) -> dict[str, Comparison]:
-        shipped = photos.attrs["shipped"]
-        held_out = photos[np.arange(len(photos)) % FOLDS == FOLDS - 1] if shipped else photos
-        people = nails_lab(held_out)
-        return {
-            f"nail_{band[0]}": _coverage(
-                people[:, k],
-                _interval(float(middle[k]), float(spread[k])),
-                quantity=f"{band} of nails, {len(people)} people",
-                units="1",
-                remark="Photographs, scaled to skin under a spectrophotometer: exposure and tone curve are unknown.",
-                **_of(photos, "held out", f"these {len(people)} were left out when the plate was fitted to the others"),
-            )
-            for k, band in enumerate(("L*", "a*", "b*"))
-        }
-
-    def skin(self, spectra: "pd.DataFrame") -> dict[str, Comparison]:
-        """Ring fingers beside the shipped skin; hands of each group with the melanin and the blood that come nearest to
-        its median, all through the spectrophotometer's port; and the depth of the W of oxyhaemoglobin in both."""
-        result, fingers = {}, spectra[spectra.place == "ring finger"]
-        of_fingers = _of(spectra, "fitted", "scattering, bloodless absorption and blood of the pulp, to their median")
-        if len(fingers):
-            everyone, quartiles = self._pooled(fingers, (5, 50, 95)), self._pooled(fingers, (25, 75))
-            model = self._over_priors(self.finger.scene, (*OF_SKIN, *OF_FITTED_SKIN))
-            result["ring_finger"] = _spectrum(
-                model[:, :-1],
-                everyone,
-                quartiles,
-                quantity=f"reflectance of skin: ring finger, {_people(fingers)} people",
-                counted="wavelengths at which the model is within 25-75 % of people",
-                **of_fingers,
-            )
-            result |= _w_depth("ring finger", fingers, [model[:, -1]] * fingers.group.nunique(), **of_fingers)
-        blood, melanin, skins = self._skins()
-        hands, models = spectra[spectra.place == "back of hand"], []
-        for group, table in hands.groupby("group", sort=False):
-            low, middle, high = (_percentile(table, percent) for percent in PERCENTILES["back of hand"])
-            best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
-            models.append(self._over_priors(self._skin_of(blood[best], melanin[best]), OF_SKIN))
-            result[f"back_of_hand_{group}"] = _spectrum(
-                models[-1][:, :-1],
-                np.stack([low, middle, high]),
-                (low, high),
-                quantity=f"reflectance of skin: back of hand, group {group}, {_people(table)} people",
-                source=spectra.attrs["source"],
-                counted="wavelengths at which the model is within 5-95 % of people",
-                basis="fitted",
-                fit=f"melanin of {100 * melanin[best]:.2g} % and blood of {100 * blood[best]:.2g} %, to their median",
-            )
-        about: dict[str, Any] = {"source": spectra.attrs["source"], "basis": "fitted"}
-        depths = [model[:, -1] for model in models]
-        return result | _w_depth("back of hand", hands, depths, fit="melanin and blood, to the medians", **about)
-
-    def _over_priors(self, scene: Scene, fields: Sequence[str]) -> Array:
-        """The pulp's reflectance at the tables' wavelengths [percent], and its W; low, scene's, high, (3, q + 1)."""
+    def bands(self, scene: Scene, fields: Sequence[str]) -> Array:
+        """The spectrum [percent] and its W over priors: low, the scene's and high, (3, q + 1) float."""
 
         def quantities(varied: Scene, rays: ColourRays) -> Array:
-            spectrum = _at_tables(self.finger.read(varied, rays, gloss=True))
+            spectrum = self.spectrum(varied, rays)
             return np.log(np.column_stack([spectrum, _w(spectrum)]))
 
-        priors = [prior for prior in scene.finger_priors if prior.field in fields]
-        answers = self.finger.over_priors(scene, priors, quantities)
+        answers = self.over_priors(scene, [p for p in scene.finger_priors if p.field in fields], quantities)
         (middle, spread, _), own = _moments(answers), answers.base_answer[0]
         return np.exp(np.stack([middle - Z95 * spread, own, middle + Z95 * spread]))
 
-    def _skin_of(self, blood: float, melanin: float) -> Scene:
-        bled = at_value(self.finger.scene, "blood.pulp_blood_fraction", float(blood))
+    def of_group(self, blood: float, melanin: float) -> Scene:
+        """The scene with the blood and the melanin of a group of people. [1]"""
+        bled = at_value(self.scene, "blood.pulp_blood_fraction", float(blood))
         return at_value(bled, "finger.melanin_fraction", float(melanin))
 
-    def _pooled(self, table: "pd.DataFrame", percentiles: tuple[int, ...]) -> Array:
-        """Percentiles of all groups' people together, from those of each, (n, q) float."""
-        known, samples = PERCENTILES["ring finger"], []
-        for _, group in table.groupby("group"):
-            rows = np.stack([_percentile(group, percent) for percent in known])
-            at = 100 * (np.arange(count := _people(group)) + 0.5) / count
-            samples.append(np.stack([np.interp(at, known, column) for column in rows.T], -1))
-        return np.asarray(np.percentile(np.concatenate(samples), percentiles, axis=0))
+    def fingers(self, table: "pd.DataFrame", **about: Any) -> dict[str, Comparison]:
+        """Ring fingers beside the shipped skin, and the depth of the W of oxyhaemoglobin."""
+        if not len(table):
+            return {}
+        everyone, quartiles = _pooled(table, (5, 50, 95)), _pooled(table, (25, 75))
+        model = self.bands(self.scene, (*OF_SKIN, *OF_FITTED_SKIN))
+        what = f"reflectance of skin: ring finger, {_people(table)} people"
+        counted = "wavelengths at which the model is within 25-75 % of people"
+        result = {"ring_finger": _spectrum(model, everyone, quartiles, quantity=what, counted=counted, **about)}
+        return result | _w_depth("ring finger", table, [model] * table.group.nunique(), **about)
 
-    def _skins(self) -> tuple[Array, Array, Array]:
-        """Blood and melanin, (n,) float each [1], and the reflectance of such skin, (n, q) float. [percent]"""
+    def hands(self, table: "pd.DataFrame", **about: Any) -> dict[str, Comparison]:
+        """Hands of each group with the melanin and the blood that come nearest to its median, and their W."""
         blood, melanin = (axis.ravel() for axis in np.meshgrid(SKIN_BLOOD, MELANIN))
-        scenes = [self._skin_of(b, m) for b, m in zip(blood, melanin, strict=True)]
-        return blood, melanin, np.stack([_at_tables(self.finger.read(scene, gloss=True))[0] for scene in scenes])
+        scenes = [self.of_group(*both) for both in zip(blood, melanin, strict=True)]
+        skins, models, result = list[Array](), list[Array](), dict[str, Comparison]()
+        for group, rows in table.groupby("group", sort=False):
+            skins = skins or [self.spectrum(scene)[0] for scene in scenes]
+            low, middle, high = (_percentile(rows, percent) for percent in PERCENTILES["back of hand"])
+            best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
+            models.append(self.bands(scenes[best], OF_SKIN))
+            result[f"back_of_hand_{group}"] = _spectrum(
+                models[-1],
+                np.stack([low, middle, high]),
+                (low, high),
+                quantity=f"reflectance of skin: back of hand, group {group}, {_people(rows)} people",
+                counted="wavelengths at which the model is within 5-95 % of people",
+                fit=f"melanin of {100 * melanin[best]:.2g} % and blood of {100 * blood[best]:.2g} %, to their median",
+                **about,
+            )
+        return result | _w_depth("back of hand", table, models, fit="melanin and blood, to the medians", **about)
 
 
-def _at_tables(read: Array) -> Array:
-    """Reflectance at the wavelengths of the tables, (..., q) float. [percent]"""
-    return 100 * np.stack([np.interp(SPECTRUM_NM, WAVELENGTHS_NM, one) for one in read])
+def _pooled(table: "pd.DataFrame", percentiles: tuple[int, ...]) -> Array:
+    """Percentiles of all groups' people together, from those of each, (n, q) float."""
+    known, samples = PERCENTILES["ring finger"], []
+    for _, group in table.groupby("group"):
+        rows = np.stack([_percentile(group, percent) for percent in known])
+        at = 100 * (np.arange(count := _people(group)) + 0.5) / count
+        samples.append(np.stack([np.interp(at, known, column) for column in rows.T], -1))
+    return np.asarray(np.percentile(np.concatenate(samples), percentiles, axis=0))
 
 
 def _percentile(table: "pd.DataFrame", percent: int) -> Array:
@@ -609,7 +599,9 @@ def _people(table: "pd.DataFrame") -> int:
 
 
 def _spectrum(model: Array, people: Array, ends: ArrayLike, **about: Any) -> Comparison:
+    """People's spectra and the model's with its W, (3, q) and (3, q + 1), and the ends between which it agrees."""
     low, high = np.asarray(ends)
+    model = model[:, :-1]
     inside = (model[1] >= low) & (model[1] <= high)
     over: dict[str, Any] = {"x": SPECTRUM_NM, "x_label": "wavelength [nm]", "units": "percent"}
     return _curve(inside, people, model, bands=("5 to 95 % of people", PRIORS_95), **over, **about)
@@ -622,12 +614,12 @@ def _w(spectrum: Array) -> Array:
 
 
 def _w_depth(place: str, table: "pd.DataFrame", model: Sequence[Array], **about: Any) -> dict[str, Comparison]:
-    """The W of groups' medians beside the model's of each, low, middle and high; of one group alone nothing, as its
+    """The W of groups' medians beside the last of the model's of each, (3, n) float; of one group alone nothing, as its
     standard error is not known."""
     people = np.array([_w(_percentile(group, 50)) for _, group in table.groupby("group", sort=False)])
     if len(people) < 2:
         return {}
-    low, middle, high = np.transpose(model)
+    low, middle, high = np.array([one[:, -1] for one in model]).T
     stderr = float((middle - people).std(ddof=1) / np.sqrt(len(people)))
     return {
         f"w_of_{place.replace(' ', '_')}": _z(

@@ -95,9 +95,9 @@ def test_a_table_of_one_place_is_read_with_its_path_as_source(tmp_path, place):
 
 def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):
     about = np.ones(6), np.ones(6)
-    shipped = validate._Surface._colours(read_people(PHOTOS), *about)["nail_L"]
+    shipped = validate._colours(read_people(PHOTOS), *about)["nail_L"]
     assert shipped.basis == "held out" and "53 people" in shipped.quantity
-    theirs = validate._Surface._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
+    theirs = validate._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
     assert (
         theirs.basis == "prediction"
         and "160 people" in theirs.quantity
@@ -145,12 +145,12 @@ def test_a_w_that_is_too_deep_disagrees():
     """Expected: from medians of two groups, 1.041 and 1.029, a model of 1.14 is many standard errors off."""
     fingers = read_people(SKIN)[lambda t: t.place == "ring finger"]
     about = {"source": "a table", "basis": "fitted", "fit": "all"}
-    (deep,) = validate._w_depth("ring finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2, **about).values()
+    (deep,) = validate._w_depth("ring finger", fingers, [np.array([[1.0], [1.14], [1.3]])] * 2, **about).values()
     assert deep.people[1, 0] == pytest.approx(1.035, abs=1e-3)
     assert deep.value > 10 and not deep.agrees and deep.model[0, 0] < 1.01
-    (flat,) = validate._w_depth("ring finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2, **about).values()
+    (flat,) = validate._w_depth("ring finger", fingers, [np.array([[1.0], [1.036], [1.1]])] * 2, **about).values()
     assert flat.agrees
-    assert not validate._w_depth("ring finger", fingers[fingers.group == "JP"], [np.ones(3)], **about)
+    assert not validate._w_depth("ring finger", fingers[fingers.group == "JP"], [np.ones((3, 1))], **about)
 
 
 def test_waves_and_pulse_without_light_agree_with_people():
