@@ -45,7 +45,7 @@ def test_failures_end_with_3_and_stand_on_the_page(jit_backend, here, tmp_path, 
         (["--status", "nowhere"], "not a batch folder"),
         (["SWEEP"], "needs -o"),
         (["SWEEP", "-o", "b", "--workers", "0"], "workers = 0"),
-        (["SWEEP", "-o", "b", "--shard", "9/3"], "--shard 9/3"),
+        (["SWEEP", "-o", "b", "--shard", "9/3"], "shard 9/3"),
         (["SWEEP", "-o", "slabs2.toml"], "slabs2.toml"),
     ],
 )
