@@ -22,7 +22,7 @@ from ..light import ProgressCallback, backend, trace
 from ..light.identity import light_digest
 from ..light.optics import zones
 from ..light.tracing.store import LightStore
-from ..light.walk.nail_reflectance import NailReflectance, Patch
+from ..light.walk.nail_reflectance import NailReflectance, Patch, as_seen
 from ..options import Requested, TraceOptions
 from ..scene import Body, Finger, Prior, Scene, load_scene
 from ..scene.base import USUAL_PULP_BLOOD_FRACTION
@@ -455,10 +455,10 @@ class _Reflectance:
     """Reflectance of one place on a shipped finger, without its board, over its optics."""
 
     def __init__(self, scene: Scene, patch: Patch, options: TraceOptions, share: float = 1.0) -> None:
-        self.scene, self.patch, self.options = scene, patch, options
+        self.scene, self.patch, self.options = as_seen(scene), patch, options
         count = round(share * (options.photons or RAYS))
         self.backend = backend.activate_jit(options.backend, "validate")
-        self.rays, self._own = self._walked(scene, count), dict[str, ColourRays]()
+        self.rays, self._own = self._walked(self.scene, count), dict[str, ColourRays]()
 
     def _walked(self, scene: Scene, photons: int) -> ColourRays:
         nail = NailReflectance(scene, backend=self.backend.name, stores=LightStore.of_command(self.options))
@@ -473,22 +473,22 @@ class _Reflectance:
         self, scene: Scene, priors: Sequence[Prior], quantities: Callable[[Scene, ColourRays], Array]
     ) -> PriorSensitivity:
         """Quantities of a scene and its rays, (1 + groups, ...) float, over priors: what scatters is walked anew."""
+        base, twin = quantities(scene, self.rays), quantities(scene, self.few(scene))
+        return over_priors(scene, priors, lambda varied: base + quantities(varied, self.few(varied)) - twin)
 
-        def few(varied: Scene) -> Array:
-            # With the same random numbers, so that what all have in common cancels.
-            key = light_digest(varied)
-            if key not in self._own:
-                self._own[key] = self._walked(varied, min(OWN_RAYS, self.options.photons or RAYS))
-            return quantities(varied, self._own[key])
-
-        base, twin = quantities(scene, self.rays), few(scene)
-        return over_priors(scene, priors, lambda varied: base + few(varied) - twin)
+    def few(self, scene: Scene) -> ColourRays:
+        """Fewer rays, of any scattering, with the same random numbers, so that what all have in common cancels."""
+        key = light_digest(scene)
+        if key not in self._own:
+            self._own[key] = self._walked(scene, min(OWN_RAYS, self.options.photons or RAYS))
+        return self._own[key]
 
 
 def _nails(photos: "pd.DataFrame", options: TraceOptions) -> dict[str, Comparison]:
     """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
     scene, viewer, more = _shipped_scene("prototype"), Viewer(), 1 + HAEMOGLOBIN_STEP / photos["hb_g_per_l"].mean()
     nail = _Reflectance(scene, patches_of(scene)[ALONG // 2], options, NAIL_SHARE)
+    scene = nail.scene
 
     def quantities(varied: Scene, rays: ColourRays) -> Array:
         bled = at_value(varied, "blood.rest_blood_fraction", float(more * varied.blood.rest_blood_fraction))
@@ -561,9 +561,11 @@ class _Skin(_Reflectance):
         """Hands of each group with the melanin and the blood that come nearest to its median, and their W."""
         blood, melanin = (axis.ravel() for axis in np.meshgrid(SKIN_BLOOD, MELANIN))
         scenes = [self.of_group(*both) for both in zip(blood, melanin, strict=True)]
+        few = self.few(self.scene)
+        more = self.spectrum(self.scene)[0] / self.spectrum(self.scene, few)[0]
         skins, models, result = list[Array](), list[Array](), dict[str, Comparison]()
         for group, rows in table.groupby("group", sort=False):
-            skins = skins or [self.spectrum(scene)[0] for scene in scenes]
+            skins = skins or [more * self.spectrum(scene, few)[0] for scene in scenes]
             low, middle, high = (_percentile(rows, percent) for percent in PERCENTILES["back of hand"])
             best = int((np.log(skins / middle) ** 2).sum(-1).argmin())
             models.append(self.bands(scenes[best], OF_SKIN))

@@ -166,6 +166,9 @@ def test_waves_and_pulse_without_light_agree_with_people():
 def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     result = validate.validate(photons=60_000, seed=1, store=False)
     assert {"nail_L", "nail_a", "nail_b", "ring_finger", "spo2_slope", "pulse_red"} <= {*result.tables}
+    # Of the darkest and the palest group's skin, by the melanin that is fitted to each.
+    dark, pale = (result.tables[f"back_of_hand_{group}"].model[1] for group in ("AF", "CA"))
+    assert (dark < 0.6 * pale).all()
     # The model has an interval over the priors at every point.
     for name, one in result.tables.items():
         assert (one.model[2] - one.model[0] > 0.003 * np.abs(one.model[1])).all(), name
