@@ -77,9 +77,7 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
     lines.append(f"The sign of the change holds in 97.5 % of draws from these priors at {signs} of {count} readings.")
     lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
-    lines.append(
-        "Not among these priors: how contact grows with force, and what differs between blood zones but beds and reach."
-    )
+    lines.append("Not among these priors: how contact grows with force, and the number of blood zones.")
     return lines
 
 

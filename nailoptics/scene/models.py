@@ -388,9 +388,13 @@ class Scene(Table):
 
     @property
     def finger_priors(self) -> tuple[Prior, ...]:
-        """The priors of the finger, but for what the scene states: its contact, and a bed without blood."""
-        bloodless = set() if self.blood.rest_blood_fraction else {"blood.rest_blood_fraction"}
-        return self.priors.of_finger(self.touch.stated_contact | bloodless)
+        """The priors of the finger, but for what the scene states, its contact, and what is without effect in it."""
+        blood, without = self.blood, set(self.touch.stated_contact)
+        if not blood.rest_blood_fraction:
+            without.add("blood.rest_blood_fraction")
+        if len(self.zone_edges_mm) == 1 or blood.decay_length is not None:
+            without.add("blood.bone_edge_mm")
+        return self.priors.of_finger(without)
 
     @property
     def layout(self) -> Layout:

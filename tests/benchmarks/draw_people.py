@@ -47,7 +47,13 @@ SIZE_SD = {
 SIZE_CORRELATION = 0.7
 FLUX_MW = (0.9, 1.5)
 # Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
-NOT_DRAWN = ("finger.melanin_fraction", *(f"blood.{name}" for name in FACTORS), "blood.distal_reach", "touch.")
+NOT_DRAWN = (
+    "finger.melanin_fraction",
+    *(f"blood.{name}" for name in FACTORS),
+    "blood.distal_reach",
+    "blood.bone_edge_mm",
+    "touch.",
+)
 
 
 def sizes(digit: str, rng: np.random.Generator) -> dict[str, float]:

@@ -319,6 +319,15 @@ def test_every_prior_has_a_source_and_a_field_in_its_range():
     assert scene.priors.of_body(None) == ()
 
 
+def test_the_bones_edge_is_a_prior_where_it_moves_blood():
+    scene, force_n = prototype(), np.array([0.0, 2.0])
+    for zones, is_prior in ((2, False), (8, True)):
+        cut = at_value(scene, "blood.zones", zones)
+        low, high = (steady_blood(at_value(cut, "blood.bone_edge_mm", mm), force_n) for mm in (0.25, 2.5))
+        assert any(prior.field == "blood.bone_edge_mm" for prior in cut.finger_priors) == is_prior
+        assert (np.abs(low - high).max() > 1e-3) == is_prior
+
+
 def test_priors_of_vessels_cover_diameters_and_arterial_pressure():
     """Rationale: steady, the network depends on its walls' stiffness over P_H, on resistances and on touch over P_H.
     Expected: to rounding, a diameter of capillaries acts as their stiffness and the fourth power of resistances, P_H as
@@ -354,7 +363,7 @@ def test_contact_reach_and_vessels_move_the_signal_alone(zones):
     light = {"rest_blood_fraction", "pulp_blood_fraction", "so2"}
     of_blood = [one for one in scene.finger_priors if one.field.split(".")[0] in ("blood", "touch")]
     priors = [one for one in of_blood if one.field.split(".")[1] not in light]
-    assert len(priors) == 7
+    assert len(priors) == (7 if zones is None else 8)
     for prior in priors:
         moved = ends(other := at_value(scene, prior.field, prior.high))
         assert np.abs(operating_point(other, 1.0).blood_fraction / held - 1).max() > 0.05
