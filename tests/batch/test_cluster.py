@@ -98,6 +98,7 @@ def done_with(cluster: Cluster, calm: Calm, folder: Path, progress) -> None:
     assert len(outcome.done) == 30 and bits(folder) == calm.bits
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_same_bits_and_loses_nothing(calm, cluster, tmp_path):
     # A worker is killed.
     _, progress = once(8, lambda: cluster.end(cluster.workers[0]))

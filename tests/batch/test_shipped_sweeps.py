@@ -23,7 +23,7 @@ SLOW = {"nail_colour", "pulse_oximeter"}
 ELSEWHERE = {"placement"}
 # Scenes of a sweep that are run, spread over it: few where each is traced anew.
 MOST_SCENES = {"photographs": 2, "fingers": 3, "led_place_and_nail": 4}
-QUICK = {"vein_stiffness", "white_band"}
+QUICK = {"vein_stiffness"}
 
 
 def names(folder: Path) -> list[str]:

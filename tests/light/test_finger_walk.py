@@ -110,8 +110,9 @@ def test_photons_and_volpath_agree_on_the_prototype(jit_backend, index_steps):
     assert_engines_agree(prototype(index_steps=index_steps), ours=0.02, volpath=0.05, sigmas=3.5)
 
 
+@pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize("index_steps", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("index_steps", [True, False])
 def test_every_photon_is_accounted_for(jit_backend, index_steps):
     """Parts of the energy are fractions that sum to 1 within their noise, and fewer than 1 in 1e5 is lost."""
     traced = nail.trace(prototype(index_steps=index_steps), photons=1 << 19, seed=5)

@@ -217,6 +217,7 @@ def test_pairs_of_sets_go_through_the_coordinates_of_the_search():
     assert pair[0].capillary_area_m2 == pair[1].capillary_area_m2
 
 
+@pytest.mark.long
 def test_search_goes_on_from_a_given_set():
     # One generation around a good set finds what random sets do not.
     near = search(seed=0, max_seconds=1e-3, population=6, start=(parameters("best"), parameters("best")))

@@ -191,6 +191,7 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     assert (value + 2 * error >= without.level.total[0]).all() and (value - 2 * error > without.level.total[0]).any()
 
 
+@pytest.mark.long
 def test_a_finger_of_which_all_is_known_has_no_spread(traced):
     scene = prototype(*all_but())
     found = readings_over_priors(replace(traced, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)

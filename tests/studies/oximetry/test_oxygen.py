@@ -51,6 +51,7 @@ def found(light):
     return result
 
 
+@pytest.mark.long
 def test_the_shipped_oximeter_is_one(found, tmp_path):
     """Rationale: measured on fingers, a slope lies at -28 to -40, an intercept at 108 to 114 and R(0.97) at 0.36 to
     0.52. Expected: these on the best photodiode within three standard errors of so few photons, R that falls with
@@ -74,6 +75,7 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
     assert page.count("<figure") == 4 and "textbook" in page
 
 
+@pytest.mark.long
 def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(oxygen, "oximeter", lambda scene, **_: found)
     worn, folder = tmp_path / "worn.csv", tmp_path / "out"
@@ -82,6 +84,7 @@ def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_pa
     assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
 
 
+@pytest.mark.long
 def test_the_pulse_dims_infrared_more_than_red(found):
     index = found.perfusion_index
     assert np.all(index.sel(led="infrared") > index.sel(led="red"))
@@ -91,6 +94,7 @@ def test_the_pulse_dims_infrared_more_than_red(found):
     assert np.all(abs(least - least[0, 0]) <= 1)
 
 
+@pytest.mark.long
 def test_interpolated_saturations_agree_with_those_read_directly(light):
     beat = beat_at(shipped(), 0.0)
     curve = saturation_curve(light, (0, 1), beat, low=0.5, high=1.0, seed=3)

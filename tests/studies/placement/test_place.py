@@ -169,6 +169,7 @@ def test_places_keep_their_distances(scene):
         candidates.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
 
 
+@pytest.mark.long
 def test_the_best_is_first_and_its_fresh_trace_agrees(found):
     """The map's predicted resolution and readings, and those of a trace of the real board, share no photon."""
     assert [str(name) for name in found.layout.values][-1] == "far" and not bool(found.tied.sel(layout="far"))
@@ -180,6 +181,7 @@ def test_the_best_is_first_and_its_fresh_trace_agrees(found):
     assert "paper" in found.layout.values and result.gain(found)[0] > 0
 
 
+@pytest.mark.long
 def test_each_photodiode_looks_where_the_blood_tells_it(found):
     """The depth map of a fresh trace and the slopes of the bare board's map: which zone dims which photodiode."""
     seen = found.depth_sensitivity[0] * found.cell_volume_mm3
@@ -195,6 +197,7 @@ def test_each_photodiode_looks_where_the_blood_tells_it(found):
     assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
 
 
+@pytest.mark.long
 def test_the_cover_keeps_half_of_the_ambient_light_out(found):
     sun, lamp = (found.ambient_a.sel(ambient=name) for name in ("sun", "lamp"))
     assert bool((sun > 5 * lamp).all()) and bool((lamp > 0).all())
@@ -349,6 +352,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     assert np.all(score[:, 1] > score[:, 0]) and np.abs(score[:, 0] - score[:, 2]).mean() < 0.2
 
 
+@pytest.mark.long
 def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
     near = result.chosen(found.sel(layout=["near"]))
     assert near.placement is None and len(near.photodiodes) == 4
@@ -388,6 +392,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
     assert min(spent) < 0.05 and np.all(np.isfinite(judged.force.all_n))
 
 
+@pytest.mark.long
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
