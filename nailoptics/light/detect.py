@@ -142,6 +142,8 @@ def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
     chosen = backends.choose(options.backend, volpath=scene.light.engine == "volpath")
     if chosen.advice == backends.VOLPATH_ADVICE:
         log.warning(chosen.advice)
+    if engine_for(scene, chosen) == "volpath" and not chosen.jit and any(led.fwhm_nm for led in scene.leds):
+        log.warning("the scalar backend traces an LED's line at its peak alone")
     required = accuracy(scene, options).model_dump()
     return replace(options, backend=chosen.name, **required), engine_for(scene, chosen)
 

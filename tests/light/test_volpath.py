@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from colour.colorimetry import SpectralShape, sd_gaussian_fwhm
 from small_scenes import PLAIN_FINGER, phantom
 
 from nailoptics import geometry
@@ -13,7 +14,7 @@ from nailoptics.light.optics import finger_media
 from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.reference.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.options import TraceOptions
-from nailoptics.scene import parse_scene
+from nailoptics.scene import Led, parse_scene
 from nailoptics.statistics import seed_of
 
 # Dermis, measured by Shimojo (mu_a), and reduced scattering 4.6 (lambda / 500)^-1.421 (Jacques 2013). [mm^-1]
@@ -44,7 +45,7 @@ def slab(*, mu_a, mu_s, g, n, thickness=1.0, n_below=1.0, led=None, photodiodes=
 
 def fractions(scene, windows, *, batches, paths, seed, backend):
     """The fraction of the LED's power through each window, (batches, windows) float."""
-    with mitsuba_scene.stock_mitsuba(backend):
+    with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
         traced = mitsuba_scene.phantom_paths(scene, windows, backend=backend)
         return np.stack([traced.batch(paths=paths, seed=seed_of(seed, k)) for k in range(batches)])
 
@@ -106,6 +107,61 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("along_y", [False, True])
+def test_a_line_is_read_wavelength_by_wavelength(along_y, jit_backend):
+    """Expected: a slab whose absorption grows and whose scattering falls along a line reflects the mean of
+    adding-doubling over the line, by colour-science; not what it has at the peak, nor with a tenth more absorption."""
+    iadpython = pytest.importorskip("iadpython")
+    led = Led(name="line", wavelength_nm=800.0, fwhm_nm=40.0, position_mm=(0.0, 0.0), pattern="pencil")
+    nm, g = mitsuba_scene.line_wavelengths_nm(led), 0.8
+    mu_a, mu_s = 0.1 * np.exp((nm - 800) / 20), 12.0 * (800 / nm) ** 2
+
+    def exact(mu_a):
+        albedo, depth = mu_s / (mu_a + mu_s), mu_a + mu_s
+        each = [iadpython.Sample(a=a, b=b, g=g, n=1.4, quad_pts=20).rt()[0] for a, b in np.stack([albedo, depth], -1)]
+        return np.average(each, weights=sd_gaussian_fwhm(800, 40, SpectralShape(740, 860, 3)).values)
+
+    assert np.allclose(nm, np.arange(740, 861, 3))
+    scene = slab(mu_a=0.1, mu_s=12.0, g=g, n=1.4)
+    with mitsuba_scene.stock_mitsuba(jit_backend, mitsuba_scene.SPECTRAL) as mi:
+        made = mitsuba_scene.phantom_scene(mi, scene.phantom, led, [Window((0.0, 0.0), EVERYTHING)])
+        bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.tile(mu_a, (1, 3, 1)))
+        box = np.array([[-80.0, -80, -1.2], [80, 80, 0.2]])
+        made["medium_0"] = mitsuba_scene.medium(mu_a=mu_a, mu_s=mu_s, g=g)
+        if along_y:
+            made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
+        made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0, 0.5])
+        loaded = mi.load_dict(mitsuba_scene.spectral(made), optimize=False)
+        batches = np.stack([mitsuba_scene._render(mi, loaded, paths=8192, seed=seed) for seed in range(12)])
+    mean, stderr = statistics(batches)
+    assert np.all(abs(mean * [1, 1, 1, 2] - exact(mu_a)) < 4 * stderr * [1, 1, 1, 2])
+    pooled, spread = statistics((batches * [1, 1, 1, 2]).mean(1))
+    for wrong in (np.full_like(mu_a, 0.1), 1.1 * mu_a):
+        assert abs(pooled - exact(wrong)) > 4 * spread
+    # The four wavelengths of a path are the same place of the line, so that channels hardly differ.
+    assert np.ptp(batches[:, :3], axis=1).max() < 1e-3 * pooled
+
+
+@pytest.mark.jit
+def test_absorption_by_place_and_channel_is_that_of_the_table(jit_backend):
+    """Read back from the medium's volume, between the nodes in place and at those in wavelength."""
+    rng, v = np.random.default_rng(1), np.linspace(-6.0, 6.0, 25)
+    states = rng.uniform(0.1, 0.3, (3, 25, mitsuba_scene.LINE_POINTS))
+    with mitsuba_scene.stock_mitsuba(jit_backend, mitsuba_scene.SPECTRAL) as mi:
+        box = np.array([[-5.0, -5, -9], [5, 5, 0]])
+        made = mitsuba_scene.bed_medium(mi, BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=box)
+        for y, node in ((3.33, 7), (-4.87, 40)):
+            point = mi.Interaction3f()
+            point.p = mi.Point3f(0, y, -1)
+            point.wavelengths = mitsuba_scene.AXIS_START + node + mitsuba_scene.LINE_POINTS * np.arange(4.0)
+            expected = [np.interp(y, v, state[:, node]) for state in (*states, states[-1])]
+            total, share = (np.ravel(made[name].eval(point)) for name in ("sigma_t", "albedo"))
+            assert np.allclose(total, np.add(expected, 20), rtol=1e-5)
+            assert np.allclose(total * (1 - share), expected, rtol=1e-3)
+        assert made["sigma_t"].max() >= 1.05 * (states.max() + 20)
 
 
 @pytest.mark.long

@@ -1,33 +1,45 @@
 """The independent engine: Mitsuba's stock volpath, traced from the LED back to the photodiode.
 
 It shares nothing with the photon walk but the scene: absorption acts along the way through real participating media,
-and up to three blood states travel as the three colours of one path, so that their difference carries little noise.
-Where no JIT backend works it does the main job in the scalar variant.
-
+and up to three blood states travel as channels of one path, so that their difference carries little noise.
 Roles are swapped: the LED is the sensor and the photodiode the emitter, which by reciprocity gives the same reading
-with less noise. All three colours of an rgb variant are plain floats here; they separate blood states or windows.
+with less noise.
+
+A spectral variant's four wavelengths per path are four channels: its axis of wavelengths holds the LED's line four
+times, one after the other. Mitsuba draws the four a quarter of all light apart, which is the same wavelength of the
+line in each: so scattering changes along the line without the noise of chromatic media. Where no JIT backend works
+the scalar variant does the main job, at the line's peak; its three channels are the colours of rgb, as plain floats.
 """
 
 import math
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...assets import WAVELENGTH_RANGE_NM
 from ...errors import InputError
 from ...geometry import Face, Geometry
 from ...scene import Led, Phantom, Scene
 from ..backend import Backend, Name, activate, choose
 from ..optics import Media
 
-# The rgb variants carry three plain floats, at the cost of one.
-VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+# The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
+RGB: dict[Name, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+SPECTRAL: dict[Name, str] = {"cuda": "cuda_ad_spectral", "llvm": "llvm_ad_spectral", "scalar": "scalar_rgb"}
+# Wavelengths on which a line is given, and how far it reaches to both sides, in widths: 0.04 % lies beyond.
+LINE_POINTS, LINE_REACH = 41, 1.5
+# The first wavelength on a spectral variant's axis, on which they lie 1 apart. [nm]
+AXIS_START = 400.0
+# The least interaction of a medium that is clear at some wavelengths of a line; volpath divides by it. [mm^-1]
+CLEAR_PER_MM = 1e-9
 MAX_SPP = 10_000
 # Mitsuba's seeds have 32 bits.
 SEEDS = 1 << 32
@@ -43,6 +55,7 @@ BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
 # It keeps the three colours as they are.
 RGB_FILM: dict[str, Any] = {"type": "hdrfilm", "width": FILM, "height": FILM, "rfilter": {"type": "box"}}
 RGB_FILM |= {"pixel_format": "rgb", "component_format": "float32"}
+Spectrum = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,7 @@ class BedAbsorption:
     """Absorption of the nail bed along the nail, in up to three blood states.
 
     v_mm : (k,) float. Equally spaced places along the nail, k >= 2. [mm]
-    mu_a_per_mm : (states, k) float. [mm^-1]
+    mu_a_per_mm : (states, k) float, or (states, k, LINE_POINTS) along an LED's line. [mm^-1]
     """
 
     v_mm: NDArray[np.float64]
@@ -71,44 +84,126 @@ EVERYTHING = (0.9 * 2 * INFINITE_MM, 0.9 * 2 * INFINITE_MM)
 LEAVING = (Window((0.0, 0.0), EVERYTHING), Window((0.0, 0.0), EVERYTHING, top=False))
 
 
-def medium(*, mu_a: float, mu_s: float, g: float) -> dict[str, Any] | None:
-    """A homogeneous medium, or None where light meets nothing. mu_a, mu_s in mm^-1."""
-    if mu_a + mu_s == 0:
+def line_wavelengths_nm(led: Led) -> Spectrum:
+    """The wavelengths of an LED's line, (LINE_POINTS,) float; those beyond the tables are at their end. [nm]"""
+    offset = led.fwhm_nm * np.linspace(-LINE_REACH, LINE_REACH, LINE_POINTS)
+    return np.asarray(np.clip(led.wavelength_nm + offset, *WAVELENGTH_RANGE_NM))
+
+
+def channel_count(variant: str) -> int:
+    """How many readings a path carries."""
+    return 4 if variant.endswith("spectral") else 3
+
+
+def _on_axis(values: Spectrum) -> dict[str, Any]:
+    """Values on a spectral variant's axis."""
+    text = ",".join(map(repr, values.tolist()))
+    stop = AXIS_START + len(values) - 1
+    return {"type": "regular", "wavelength_min": AXIS_START, "wavelength_max": stop, "values": text}
+
+
+def spectral(part: Any) -> Any:
+    """A part of an rgb scene for a spectral variant: colours and values along a line as spectra on its axis."""
+    if isinstance(part, np.ndarray):
+        return _on_axis(np.tile(part, 4))
+    if not isinstance(part, dict):
+        return part
+    if part.get("type") == "hdrfilm":
+        return _line_film()
+    if part.get("type") != "rgb":
+        return {name: spectral(value) for name, value in part.items()}
+    if np.ndim(part["value"]) == 0:
+        return {"type": "uniform", "value": part["value"]}
+    return _on_axis(np.repeat(part["value"], LINE_POINTS))
+
+
+def _line_film() -> dict[str, Any]:
+    """A film that weighs by a Gaussian line in each of four channels."""
+    line = np.exp2(-((2 * np.linspace(-LINE_REACH, LINE_REACH, LINE_POINTS)) ** 2))
+    line /= np.trapezoid(line)
+    film = {name: value for name, value in RGB_FILM.items() if name != "pixel_format"} | {"type": "specfilm"}
+    for channel in range(4):
+        band = _on_axis(line)
+        for end in ("wavelength_min", "wavelength_max"):
+            band[end] += channel * LINE_POINTS
+        film[f"channel_{channel}"] = band
+    return film
+
+
+def medium(*, mu_a: float | Spectrum, mu_s: float | Spectrum, g: float) -> dict[str, Any] | None:
+    """A homogeneous medium, or None where light meets nothing. mu_a, mu_s in mm^-1, numbers or both along a line."""
+    mu_t = mu_a + mu_s
+    if np.max(mu_t) == 0:
         return None
+    if np.ndim(mu_t):
+        mu_t = np.maximum(mu_t, CLEAR_PER_MM)
     return {
         "type": "homogeneous",
-        "sigma_t": mu_a + mu_s,
-        "albedo": mu_s / (mu_a + mu_s),
+        "sigma_t": mu_t,
+        "albedo": mu_s / mu_t,
         "phase": {"type": "hg", "g": g},
         # Shadow rays through an index-matched boundary to an emitter close behind it are lost.
         "sample_emitters": False,
     }
 
 
-def bed_medium(mi: Any, bed: BedAbsorption, *, mu_s: float, g: float, bounds_mm: NDArray[np.float64]) -> dict[str, Any]:
-    """The nail bed as a heterogeneous medium whose absorption varies along y; bounds_mm (2, 3) must hold all of it."""
+def bed_medium(mi: Any, bed: BedAbsorption, *, mu_s: Any, g: float, bounds_mm: NDArray[np.float64]) -> dict[str, Any]:
+    """The nail bed as a heterogeneous medium whose absorption varies along y; bounds_mm (2, 3) must hold all of it.
+
+    mu_s : a number, or (LINE_POINTS,) float. [mm^-1]
+    """
     v, mu_a = np.asarray(bed.v_mm, float), np.asarray(bed.mu_a_per_mm, float)
-    if len(mu_a) == 2:
-        mu_a = mu_a[[0, 1, 1]]
-    sigma_t = (mu_a + mu_s).T[None, :, None, :]
+    if len(mu_a) > 1:
+        mu_a = mu_a[np.minimum(np.arange(channel_count(mi.variant())), len(mu_a) - 1)]
+    mu_t = mu_a + mu_s
     # Values sit at the centres of cells.
     half = (v[1] - v[0]) / 2
     low, high = np.array(bounds_mm, float)
     low[1], high[1] = v[0] - half, v[-1] + half
     transform = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
+    volume = partial(_spectral_volume if mi.variant().endswith("spectral") else _grid_volume, mi, transform)
+    # Without room below the majorant, the states' weights at null collisions would spread without bound.
+    majorant = MAJORANT * float(mu_t.max())
+    medium = {"type": "heterogeneous", "sigma_t": volume(mu_t, max_value=majorant), "albedo": volume(mu_s / mu_t)}
+    return medium | {"phase": {"type": "hg", "g": g}, "sample_emitters": False}
 
-    def volume(values: NDArray[np.float64], **more: float) -> dict[str, Any]:
-        grid = mi.VolumeGrid(np.ascontiguousarray(values, np.float32))
-        return {"type": "gridvolume", "grid": grid, "raw": True, "to_world": transform, "wrap_mode": "clamp"} | more
 
-    return {
-        "type": "heterogeneous",
-        # Without room below the majorant, the states' weights at null collisions would spread without bound.
-        "sigma_t": volume(sigma_t, max_value=MAJORANT * float(sigma_t.max())),
-        "albedo": volume(mu_s / sigma_t),
-        "phase": {"type": "hg", "g": g},
-        "sample_emitters": False,
-    }
+def _grid_volume(mi: Any, to_world: Any, values: Spectrum, **more: float) -> dict[str, Any]:
+    """Values (states, k) along y of a box, a state in each colour."""
+    grid = mi.VolumeGrid(np.ascontiguousarray(values.T[None, :, None, :], np.float32))
+    return {"type": "gridvolume", "grid": grid, "raw": True, "to_world": to_world, "wrap_mode": "clamp"} | more
+
+
+def _spectral_volume(mi: Any, to_world: Any, values: Spectrum, *, max_value: float = 1.0) -> Any:
+    """Values (states, k) or (states, k, LINE_POINTS) along y of a box and along the axis of wavelengths.
+
+    Mitsuba has grids of one value or of three colours, none of spectra.
+    """
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], LINE_POINTS, axis=2)
+    values = np.concatenate(np.broadcast_to(values, (4, *values.shape[1:])), axis=1)
+    places, points = values.shape
+    table = mi.Texture2f(mi.TensorXf(values[..., None]), use_accel=False)
+    to_local = mi.AffineTransform4f(to_world.inverse())
+
+    class SpectralVolume(mi.Volume):
+        """A table of values by place and wavelength."""
+
+        def eval(self, it: Any, active: Any = True) -> Any:
+            """The values at a place at each wavelength of a path."""
+            along, result = (to_local @ it.p).y, mi.UnpolarizedSpectrum(0)
+            for i in range(4):
+                column = (it.wavelengths[i] - AXIS_START + 0.5) / points
+                result[i] = table.eval(mi.Point2f(column, along), active)[0]
+            return result
+
+        def max(self) -> float:
+            """The bound of all values."""
+            return max_value
+
+    properties = mi.Properties()
+    properties["to_world"] = to_world
+    return SpectralVolume(properties)
 
 
 def boundary(*, n_below: float, n_above: float) -> dict[str, Any]:
@@ -176,7 +271,8 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
         flip = T().rotate([1, 0, 0], 180) if window.top else T()
         height = gap if window.top else float(z[-1]) - gap
         place = (T().translate([*window.center_mm, height]) @ flip).scale([*np.divide(window.size_mm, 2), 1])
-        scene[f"window_{i}"] = rectangle(place, bsdf=BLACK, emitter=emitter([float(i == k) for k in range(3)]))
+        colour = [float(i == k) for k in range(channel_count(mi.variant()))]
+        scene[f"window_{i}"] = rectangle(place, bsdf=BLACK, emitter=emitter(colour))
     x, y = led.position_mm
     if led.pattern == "pencil":
         look = T().look_at(origin=[x, y, gap / 2], target=[x, y, -1.0], up=[0, 1, 0])
@@ -216,7 +312,7 @@ def finger_scene(
 
     mi : Mitsuba, for a bed that changes along the nail; without one all values are plain.
     bed : Absorption along the nail, in place of the bed's own in `media`.
-    emitters : Colours (3,) by region.
+    emitters : Colours, one value per channel, by region.
 
     Dies and photodiodes look into the epoxy with their lower faces only; their sides, and what else they touch, are
     black.
@@ -268,14 +364,19 @@ def _inside(
     for region in range(len(geometry.regions)):
         made = None
         if region == bed_region and bed is not None:
-            optics = {"mu_s": float(media.mu_s[region]), "g": float(media.g[region])}
+            optics: dict[str, Any] = {"mu_s": _plain(media.mu_s[region]), "g": float(media.g[region])}
             made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
         elif clear[region]:
-            made = medium(mu_a=float(mu_a[region]), mu_s=float(media.mu_s[region]), g=float(media.g[region]))
+            made = medium(mu_a=_plain(mu_a[region]), mu_s=_plain(media.mu_s[region]), g=float(media.g[region]))
         refs.append(f"medium_{region}" if made else None)
         if made:
             scene[f"medium_{region}"] = made
     return scene, refs
+
+
+def _plain(value: Any) -> float | Spectrum:
+    """A number, or values along a line."""
+    return np.asarray(value) if np.ndim(value) else float(value)
 
 
 def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
@@ -303,15 +404,15 @@ def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:
 
 
 @contextmanager
-def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
-    """Mitsuba in the variant that this engine needs; the one that was set before returns afterwards."""
+def stock_mitsuba(backend: Backend | None, variants: Mapping[Name, str] = RGB) -> Iterator[Any]:
+    """Mitsuba in one of the variants that this engine needs; the one that was set before returns afterwards."""
     backend = backend or choose(volpath=True)
     if "volpath" not in backend.engines:
         raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
     # Dr.Jit loads its library at import, so only `activate`, which knows the right one, may import it.
     loaded = sys.modules.get("mitsuba")
     before = loaded.variant() if loaded else None
-    mi = activate(backend, VARIANTS)
+    mi = activate(backend, variants)
     try:
         yield mi
     finally:
@@ -320,7 +421,7 @@ def stock_mitsuba(backend: Backend | None) -> Iterator[Any]:
 
 
 def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
-    """Mean of each colour over some paths, (3,) float."""
+    """Mean of each channel over some paths, (channels,) float."""
     spp = max(1, math.ceil(paths / PIXELS))
     if spp > MAX_SPP:
         raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
@@ -332,22 +433,24 @@ def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64
 
 
 class Paths:
-    """Traces one LED's light to up to three readings at once.
+    """Traces one LED's light to up to four readings at once, three by the scalar backend.
 
-    made : the scene of a Mitsuba, which may write meshes to a folder; colour k of its film is reading k.
-    scale : (channels,) float. Fraction of the LED's power per colour.
+    made : the scene of a Mitsuba, which may write meshes to a folder; channel k of its film is reading k.
+    scale : (channels,) float. Fraction of the LED's power per channel.
     """
 
     def __init__(
         self, made: Callable[[Any, Path], dict[str, Any]], scale: Sequence[float], backend: Backend | None
     ) -> None:
         self._backend, self._scale = backend or choose(volpath=True), np.array(scale)
-        with stock_mitsuba(self._backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
-            self._scene = mi.load_dict(made(mi, Path(folder)), optimize=False)
+        folder = tempfile.TemporaryDirectory(prefix="nailoptics-")
+        with stock_mitsuba(self._backend, SPECTRAL) as mi, folder as meshes:
+            scene = made(mi, Path(meshes))
+            self._scene = mi.load_dict(spectral(scene) if self._backend.jit else scene, optimize=False)
 
     def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
         """Fractions of the LED's power from one batch, (channels,) float; kernels cannot be interrupted."""
-        with stock_mitsuba(self._backend) as mi:
+        with stock_mitsuba(self._backend, SPECTRAL) as mi:
             return np.asarray(_render(mi, self._scene, paths=paths, seed=seed)[: len(self._scale)] * self._scale)
 
 
@@ -375,17 +478,20 @@ def finger_paths(
     photodiodes: tuple[int, ...],
     backend: Backend | None = None,
 ) -> Paths:
-    """An LED's light on one photodiode of a finger in up to three blood states, or on up to three in one state.
+    """An LED's light on one photodiode of a finger in up to three blood states, or on as many as there are channels.
 
-    media : optics of its regions; the bed's own mu_a is not used.
+    media : optics of its regions, mu_a and mu_s (r,) float, or (r, LINE_POINTS) along the LED's line where the backend
+        is not scalar; the bed's own mu_a is not used.
     bed : absorption of the bed along the nail in each state.
     led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
         several only with one state.
     """
     channels, die = max(len(bed.mu_a_per_mm), len(photodiodes)), geometry.leds[led]
-    colours = {geometry.photodiodes[p].region: [float(i == k) for k in range(3)] for i, p in enumerate(photodiodes)}
+    backend = backend or choose(volpath=True)
+    colour = np.eye(channel_count(SPECTRAL[backend.name]))
+    colours = {geometry.photodiodes[p].region: colour[i].tolist() for i, p in enumerate(photodiodes)}
     if len(photodiodes) == 1:
-        colours = dict.fromkeys(colours, [1.0, 1.0, 1.0])
+        colours = dict.fromkeys(colours, [1.0] * len(colour))
 
     def made(mi: Any, folder: Path) -> dict[str, Any]:
         return finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)

@@ -32,8 +32,6 @@ LEAST_BATCHES = 8
 FIRST_ROUND, MAX_BATCH_PATHS = 1 << 14, 1 << 15
 # A photodiode that so many paths saw nothing of is taken for unlit.
 UNLIT_PATHS = 1 << 23
-# States or photodiodes that one path reads.
-COLOURS = 3
 # A zone whose blood changes by less than this part of it gets a state of its own, so that its mean path is known: by a
 # fifth more, or less where half is blood; without blood, by a thousandth.
 LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
@@ -196,7 +194,7 @@ def finger_states(
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the error or paths, or time is up.
 
-    The colours of a path are the states of one photodiode, or three photodiodes in one state.
+    The channels of a path are the states of one photodiode, or several photodiodes in one state.
 
     Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
@@ -205,10 +203,10 @@ def finger_states(
     backend = choose(options.backend, volpath=True)
     paths = partial(mitsuba_scene.finger_paths, geometry, media, bed=bed, led=led, backend=backend)
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
-    together = 1 if states > 1 else COLOURS
+    together = 1 if states > 1 else mitsuba_scene.channel_count(mitsuba_scene.SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     # One change of Mitsuba's variant for all batches.
-    with mitsuba_scene.stock_mitsuba(backend):
+    with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
         groups = [_Group(paths(photodiodes=part), [names[i] for i in part]) for part in parts]
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
     return _readings(groups, reason, interrupted, states=states)
@@ -220,7 +218,7 @@ def phantom_readings(
     """Read one LED over a phantom, and where its light went."""
     backend = choose(options.backend, volpath=True)
     paths = partial(mitsuba_scene.phantom_paths, scene, led=led, backend=backend)
-    with mitsuba_scene.stock_mitsuba(backend):
+    with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
         groups = [_Group(paths([Window(p.position_mm, p.size_mm)]), [p.name]) for p in scene.photodiodes]
         leaving = _Group(paths(LEAVING), [])
         ended = _sample([*groups, leaving], scene.leds[led].name, options, seed_of(options.seed, led), progress)
@@ -250,28 +248,39 @@ def read_leds(
     """
     begin, traced = time.perf_counter(), list[StateReadings]()
     finger = None if blood is None else build(scene)
-    for i, led in enumerate(scene.leds):
+    for i in range(len(scene.leds)):
         share = share_of_time(options.max_seconds, begin, len(scene.leds) - i)
         how: dict[str, Any] = {"led": i, "options": replace(options, max_seconds=max(share, LEAST_SECONDS))}
         if finger is None or blood is None:
             traced.append(phantom_readings(scene, progress=progress, **how))
         else:
-            media = optics.finger_media(scene, finger.regions, led.wavelength_nm)
-            bed = bed_absorption(scene, finger, blood, i)
+            media, bed = line_optics(scene, finger, blood, i, along_line=choose(options.backend, volpath=True).jit)
             traced.append(finger_states(scene, finger, media, bed, progress=progress, **how))
         if traced[-1].interrupted and i + 1 < len(scene.leds):
             raise KeyboardInterrupt  # nothing is known of the other LEDs
     return traced
 
 
-def bed_absorption(scene: Scene, finger: Geometry, blood: np.ndarray, led: int) -> BedAbsorption:
-    """Absorption of the bed along the nail at an LED's wavelength, in each blood state, (states, zones) float."""
-    zones = optics.zones(scene)
-    mu_a = optics.absorption(scene, scene.leds[led].wavelength_nm, blood_fraction=blood)[:, 0]
+def line_optics(
+    scene: Scene, finger: Geometry, blood: np.ndarray, led: int, *, along_line: bool
+) -> tuple[optics.Media, BedAbsorption]:
+    """Optics of the regions, and absorption of the bed along the nail in each blood state, (states, zones) float.
+
+    along_line : absorption and scattering at each wavelength of the LED's line, not at its peak alone.
+    """
+    source, zones = scene.leds[led], optics.zones(scene)
+    media, is_line = optics.finger_media(scene, finger.regions, source.wavelength_nm), along_line and source.fwhm_nm > 0
+    wavelength_nm = mitsuba_scene.line_wavelengths_nm(source) if is_line else np.array([source.wavelength_nm])
+    if is_line:
+        each = [optics.finger_media(scene, finger.regions, nm) for nm in wavelength_nm.tolist()]
+        mu_a, mu_s = (np.stack([getattr(one, name) for one in each], axis=-1) for name in ("mu_a", "mu_s"))
+        media = replace(media, mu_a=mu_a, mu_s=mu_s)
     low, high = np.asarray(finger.bounds_mm)[:, 1]
     places = 1 + round((high - low) / (zones.width_mm / PLACES_PER_STEP))
     v = np.linspace(low - BEYOND_MM, high + BEYOND_MM, places)
-    return BedAbsorption(v, mu_a[:, list(optics.bed_columns(scene))] @ zones.weights(v).T)
+    of_zones = optics.absorption(scene, wavelength_nm, blood_fraction=blood)[..., list(optics.bed_columns(scene))]
+    mu_a = np.swapaxes(of_zones @ zones.weights(v).T, -1, -2)
+    return media, BedAbsorption(v, mu_a if is_line else mu_a[..., 0])
 
 
 def corner_states(states: np.ndarray) -> np.ndarray:
