@@ -95,11 +95,10 @@ def channel_count(variant: str) -> int:
     return 4 if variant.endswith("spectral") else 3
 
 
-def _on_axis(values: Spectrum) -> dict[str, Any]:
-    """Values on a spectral variant's axis."""
-    text = ",".join(map(repr, values.tolist()))
-    stop = AXIS_START + len(values) - 1
-    return {"type": "regular", "wavelength_min": AXIS_START, "wavelength_max": stop, "values": text}
+def _on_axis(values: Spectrum, first: int = 0) -> dict[str, Any]:
+    """Values on a spectral variant's axis, from one of its points on."""
+    low, text = AXIS_START + first, ",".join(map(repr, values.tolist()))
+    return {"type": "regular", "wavelength_min": low, "wavelength_max": low + len(values) - 1, "values": text}
 
 
 def spectral(part: Any) -> Any:
@@ -120,14 +119,8 @@ def spectral(part: Any) -> Any:
 def _line_film() -> dict[str, Any]:
     """A film that weighs by a Gaussian line in each of four channels."""
     line = np.exp2(-((2 * np.linspace(-LINE_REACH, LINE_REACH, LINE_POINTS)) ** 2))
-    line /= np.trapezoid(line)
-    film = {name: value for name, value in RGB_FILM.items() if name != "pixel_format"} | {"type": "specfilm"}
-    for channel in range(4):
-        band = _on_axis(line)
-        for end in ("wavelength_min", "wavelength_max"):
-            band[end] += channel * LINE_POINTS
-        film[f"channel_{channel}"] = band
-    return film
+    channels = {f"channel_{k}": _on_axis(line / np.trapezoid(line), k * LINE_POINTS) for k in range(4)}
+    return {name: value for name, value in RGB_FILM.items() if name != "pixel_format"} | {"type": "specfilm"} | channels
 
 
 def medium(*, mu_a: float | Spectrum, mu_s: float | Spectrum, g: float) -> dict[str, Any] | None:
