@@ -261,20 +261,24 @@ def compare(
 
 
 @app.command
-def place(scene: ScenePath, *, negate_x_on_bottom: Flag = False, options: Study = STUDY) -> None:
+def place(
+    scene: ScenePath, *, negate_x_on_bottom: Flag = False, verify_with_mitsuba: Flag = False, options: Study = STUDY
+) -> None:
     """Rank layouts of LEDs and photodiodes by their force resolution, and search for better ones.
 
     Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
 
     Args:
         negate_x_on_bottom: Write the position file with X negated on the bottom side.
+        verify_with_mitsuba: Also read the best layout by stock Mitsuba: minutes per LED, not counted in --max-seconds.
+            Run again after an interrupt, it resumes from the store.
     """
     from .report.pages.placement import PLACEMENT
     from .studies.placement.place import place as study
 
     loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, PLACEMENT)
-    result, unmet = _traced(study, loaded, options=options)
+    result, unmet = _traced(study, loaded, verify_with_mitsuba=verify_with_mitsuba, options=options)
     paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom)
     _show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
 

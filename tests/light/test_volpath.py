@@ -335,3 +335,31 @@ def test_an_interrupt_keeps_the_batches_that_are_there(finger):
     kept = readings.finger_states(scene, shape, media, bed, led=0, options=options, progress=interrupt)
     assert kept.unmet_reason.startswith("interrupted") and kept.paths == heard[-1].photons
     assert np.all(np.isfinite(kept.fraction_stderr))
+
+
+def test_batches_of_an_interrupted_run_come_from_the_store(finger, store, monkeypatch):
+    """Expected: the run after it traces only what is missing and has the bits of one that was never interrupted; its
+    pace counts the stored batches' time, and other absorption has batches of its own."""
+    scene, shape, media, bed = finger
+    options, traced, heard = TraceOptions(photons=64, seed=1, backend="scalar"), [], []
+    batch = mitsuba_scene.Paths.batch
+    monkeypatch.setattr(mitsuba_scene.Paths, "batch", lambda *at, **how: traced.append(1) or batch(*at, **how))
+
+    def run(bed=bed, options=options, progress=heard.append):
+        return readings.finger_states(scene, shape, media, bed, led=0, options=options, progress=progress)
+
+    def interrupt(progress):
+        heard.append(progress)
+        if len(heard) == 20:
+            raise KeyboardInterrupt
+
+    assert run(progress=interrupt).interrupted and len(traced) == 20
+    first_s = heard[-1].seconds
+    resumed = run()
+    assert not resumed.interrupted and len(traced) == 32
+    # Of the batches, not of what is between them.
+    assert heard[39].fraction_done == heard[19].fraction_done and heard[39].seconds > 0.8 * first_s
+    unbroken = run(options=replace(options, store=False))
+    assert len(traced) == 64 and np.array_equal(unbroken.fraction, resumed.fraction)
+    run(bed=replace(bed, mu_a_per_mm=1.01 * bed.mu_a_per_mm))
+    assert len(traced) == 96

@@ -104,7 +104,8 @@ def _on_axis(values: Spectrum, first: int = 0) -> dict[str, Any]:
 def spectral(part: Any) -> Any:
     """A part of an rgb scene for a spectral variant: colours and values along a line as spectra on its axis."""
     if isinstance(part, np.ndarray):
-        return _on_axis(np.tile(part, 4))
+        # Mitsuba takes no spectrum of zeros, such as the albedo of a film that only absorbs.
+        return _on_axis(np.tile(part, 4)) if part.any() else {"type": "uniform", "value": 0.0}
     if not isinstance(part, dict):
         return part
     if part.get("type") == "hdrfilm":
@@ -307,8 +308,8 @@ def finger_scene(
     bed : Absorption along the nail, in place of the bed's own in `media`.
     emitters : Colours, one value per channel, by region.
 
-    Dies and photodiodes look into the epoxy with their lower faces only; their sides, and what else they touch, are
-    black.
+    The sensor looks into the epoxy with its lower face only. Emitters of a given colour shine from all that light can
+    meet of them, so that they read what a photodiode does; those of a named one from their lower face.
     """
     epoxy = geometry.regions.index("epoxy")
     parts = (*geometry.leds, *geometry.photodiodes)
@@ -324,7 +325,11 @@ def finger_scene(
         if media.opaque[below]:
             grey = {"type": "rgb", "value": float(media.reflectance[below])}
             shape |= {"bsdf": {"type": "diffuse", "reflectance": grey}} | sides(below=None, above=refs[above])
-            if above == epoxy and below in looking:
+            if isinstance(colour := emitters.get(below), list):
+                # What is reciprocal is radiance over n squared.
+                relative = float(media.n[above] / media.n[epoxy]) ** 2
+                shape["emitter"] = emitter([relative * value for value in colour])
+            elif above == epoxy and below in looking:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
                 meter = {"sensor": {"type": "irradiancemeter", "film": RGB_FILM} | inside}
                 facing = _facing(geometry, triangles, looking[below])

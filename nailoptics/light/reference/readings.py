@@ -1,5 +1,6 @@
 """Readings by stock volpath: LED by LED within an accuracy, and what lies between the blood states that were traced."""
 
+import hashlib
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import choose
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
+from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
 from . import mitsuba_scene
@@ -71,14 +73,18 @@ class _Group:
 
     photodiodes : names of those that it reads, or of the one that it reads in several states; none where it reads
         parts of the LED's power.
+    lights : stores of its batches, if any.
     sizes, rows : paths of each batch, and what it read, (channels,) float.
+    seconds : that its batches took, stored ones when they were traced. [s]
     size, planned : paths of the next batch, and of all that are planned.
     """
 
     traced: Paths
     photodiodes: Sequence[str]
+    lights: Sequence[StoredLight] = ()
     sizes: list[int] = field(default_factory=list)
     rows: list[NDArray[np.float64]] = field(default_factory=list)
+    seconds: float = 0.0
     size: int = 0
     planned: int = 0
 
@@ -93,8 +99,16 @@ class _Group:
         self.size = min(math.ceil(more / ROUND_BATCHES), MAX_BATCH_PATHS)
 
     def batch(self, seed: int) -> None:
-        """Trace one batch."""
-        self.rows.append(self.traced.batch(paths=self.size, seed=seed))
+        """Trace one batch, or take it from a store."""
+
+        def trace() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+            begin = time.perf_counter()
+            row = self.traced.batch(paths=self.size, seed=seed)
+            return {}, {"row": row, "seconds": np.array(time.perf_counter() - begin)}
+
+        batch, _ = stored_or_made(self.lights, f"{seed}-{self.size}", trace, lambda _, arrays: arrays)
+        self.rows.append(batch["row"])
+        self.seconds += float(batch["seconds"])
         self.sizes.append(self.size)
 
     @property
@@ -170,7 +184,9 @@ def _sample(
         if progress:
             paths, error = min(group.paths for group in groups), worst()
             share = max(paths / photons if photons else trigger.share_done(error), seconds() / max_seconds)
-            progress(TraceProgress(led, paths, error, target or None, min(1.0, share), seconds()))
+            # What comes from a store counts as long as it took: so the pace holds for what is left.
+            spent = max(seconds(), sum(group.seconds for group in groups))
+            progress(TraceProgress(led, paths, error, target or None, min(1.0, share), spent))
 
     ending, so_far = run_until(needed(), sample, is_late=is_late, report=report), f"relative error {worst():.3g}"
     if ending is Ending.INTERRUPTED:
@@ -198,18 +214,34 @@ def finger_states(
 
     Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
-    mitsuba_scene.check_pattern(scene.leds[led])
-    check_flat(scene.photodiodes, "volpath")
+    check_readable(scene)
     backend = choose(options.backend, volpath=True)
     paths = partial(mitsuba_scene.finger_paths, geometry, media, bed=bed, led=led, backend=backend)
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
     together = 1 if states > 1 else mitsuba_scene.channel_count(mitsuba_scene.SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
+    lights = _lights(scene, led, backend.name, options, [*vars(media).values(), bed.v_mm, bed.mu_a_per_mm])
     # One change of Mitsuba's variant for all batches.
     with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
-        groups = [_Group(paths(photodiodes=part), [names[i] for i in part]) for part in parts]
+        groups = [_Group(paths(photodiodes=part), [names[i] for i in part], lights) for part in parts]
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
     return _readings(groups, reason, interrupted, states=states)
+
+
+def check_readable(scene: Scene) -> None:
+    """Raise InputError for an LED with a measured pattern, or a photodiode with an angular response."""
+    for led in scene.leds:
+        mitsuba_scene.check_pattern(led)
+    check_flat(scene.photodiodes, "volpath")
+
+
+def _lights(
+    scene: Scene, led: int, backend: str, options: TraceOptions, optics: Sequence[np.ndarray]
+) -> list[StoredLight]:
+    """Where an LED's batches are stored, by all that decides their bits; optics : along the line, in each state."""
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in optics)).hexdigest()
+    made = made_of(scene, led, seed=options.seed, backend=backend, what="volpath") | {"optics": digest}
+    return [store.light(made) for store in LightStore.of_command(options)]
 
 
 def phantom_readings(

@@ -221,8 +221,25 @@ def _check(result: xr.Dataset) -> str:
     by_map = estimated(result.isel(layout=0, finger=0), "finger_resolution_n", 1e3)
     return (
         "Layouts are evaluated on photon maps of the bare board. The best was verified by a trace with its photodiodes "
-        f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map."
+        f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map. {_mitsuba_words(result)}"
     )
+
+
+def _mitsuba_words(result: xr.Dataset) -> str:
+    """How stock Mitsuba's readings of the best layout compare with those of its trace; empty where there are none."""
+    if "mitsuba_ratio" not in result:
+        return ""
+    of_leds = (f"{_by_mitsuba(result.sel(led=led), 'mitsuba_led')} for LED {led}" for led in result.led.values)
+    return (
+        "Light on all photodiodes by stock Mitsuba, which shares no code for light, over that of this trace (deviation "
+        f"from 1 in standard errors): {', '.join(of_leds)}; single photodiodes deviate by up to "
+        f"{float(abs(result.mitsuba_z).max()):.1f} standard errors."
+    )
+
+
+def _by_mitsuba(result: xr.Dataset, name: str) -> str:
+    """A ratio of readings with its standard error and z."""
+    return f"{estimated(result, f'{name}_ratio')} ({float(result[f'{name}_z']):+.1f})"
 
 
 def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
@@ -239,6 +256,8 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
             # A hundredth of the bed's volume, in millivolts.
             for k, zone in enumerate(("Proximal", "Distal")):
                 line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
+            if "mitsuba_ratio" in reading:
+                line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
             line["Mean depth [mm]"] = estimated(reading, "mean_depth_mm") if "mean_depth_mm" in reading else "–"
             lines.append(line)
     return lines
@@ -297,6 +316,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "rank_by": result.attrs["rank_by"],
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
+        "verified_by_mitsuba": _mitsuba_words(result),
         **spread_summary(result),
     } | run_summary(result.attrs)
 
@@ -310,7 +330,8 @@ def lines(summary: dict[str, Any]) -> list[str]:
     if better := summary["gain_over_paper"]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}{_tied(ranking)}")
-    return [*out, *filter(None, [rough_words(ranking)]), *summary.get("conclusions", [])]
+    words = [rough_words(ranking), summary["verified_by_mitsuba"]]
+    return [*out, *filter(None, words), *summary.get("conclusions", [])]
 
 
 PLACEMENT = Report(

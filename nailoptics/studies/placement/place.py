@@ -26,7 +26,7 @@ from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import resolution_over_priors
-from .verification import verify_layout
+from .verification import check_mitsuba, verify_by_mitsuba, verify_layout
 
 log = logging.getLogger(__name__)
 
@@ -39,9 +39,17 @@ CHECK_S = 10.0
 VERIFY_SHARE = 0.7
 
 
-def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
+def place(
+    scene: Scene,
+    *,
+    verify_with_mitsuba: bool = False,
+    progress: ProgressCallback | None = None,
+    **requested: Unpack[Requested],
+) -> xr.Dataset:
     """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.
 
+    verify_with_mitsuba : also read the best layout by stock Mitsuba, for minutes past max_seconds; what an interrupted
+        run has traced of this is taken from the store.
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : the evaluation ends when the best is distinguished from all others or every score is known so
         well; 0.02 if nothing is requested.
@@ -59,6 +67,8 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base, cases = boards.rules(scene), boards.base_board(scene), boards.fingers(scene)
+    if verify_with_mitsuba:
+        check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
     conditions = [finger_condition(base, case, rules) for case in cases]
     oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
     objective = Objective(rules, [condition.point for condition in conditions], oxygen)
@@ -90,13 +100,18 @@ def place(scene: Scene, *, progress: ProgressCallback | None = None, **requested
     report_progress("check", 1.0, scores[0].relative_error)
     if scene.priors.spread and report_progress.seconds_left > CHECK_S:
         over = resolution_over_priors(layouts, rules, ranking, stop=closer["stop"])
+    if verify_with_mitsuba and verified and not report_progress.interrupted:
+        over = over.merge(verify_by_mitsuba(layouts[0].scene, conditions[0], verified, options, progress))
+        report_progress.interrupted = "mitsuba_ratio" not in over
     if store is not None:
         store.close()
     made |= {"photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, ranking, searched, verified, made).merge(over)
     spread = "resolution_spread" in over or not scene.priors.spread
-    for known, what in ((verified, "verified"), (spread, "evaluated on other fingers")):
+    read = "mitsuba_ratio" in result or not verify_with_mitsuba
+    ways = (verified, "verified"), (spread, "evaluated on other fingers"), (read, "read by stock Mitsuba")
+    for known, what in ways:
         unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
     return unless_cut_off(result, unmet)
 

@@ -2,15 +2,19 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from ...errors import InputError
+from ...light import backend as backends
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.identity import light_scene
+from ...light.reference.readings import check_readable, read_leds
 from ...light.tracing.store import LightStore
+from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import ambient_photocurrent, sources_of
 from ...sensor.information import (
@@ -37,6 +41,9 @@ BACK_PHOTONS = 1 << 16
 OPEN_PHOTONS = 1 << 13
 BATCHES_PER_ROUND = 4
 OPEN_DISTANCE_MM = 0.2
+# Paths of stock Mitsuba for the photodiodes that share them. Their number is fixed: its batches are skewed, and to stop
+# where they look settled favours low readings.
+MITSUBA_PATHS = 1 << 20
 COVERS = ("covered", "uncovered")
 # Streams of random numbers.
 FORWARD, BACK, OPEN_BOARD = 2, 3, 4
@@ -193,3 +200,48 @@ def verify_layout(
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, coords=coordinates, attrs=attributes)
+
+
+def check_mitsuba(scenes: Sequence[Scene], backend: str) -> None:
+    """Raise InputError where stock Mitsuba cannot read boards, or not in reasonable time."""
+    if not backends.choose(backend, volpath=True).jit:
+        raise InputError("verify_with_mitsuba: no backend here compiles volpath (see nailoptics doctor); leave it out.")
+    for scene in scenes:
+        check_readable(scene)
+
+
+def verify_by_mitsuba(
+    best: Scene, condition: FingerCondition, verified: xr.Dataset, options: TraceOptions, progress: Any
+) -> xr.Dataset:
+    """The readings of a layout on one finger by stock Mitsuba, over those of the fresh trace; empty if interrupted.
+
+    verified : what `verify_layout` says of the layout.
+    options : seed, backend, and whether batches are stored and taken from the store.
+    progress : called after every batch, if not None.
+    """
+    options = replace(options, photons=MITSUBA_PATHS, relative_error=None, max_seconds=None)
+    scene = boards.worn_on(best, condition.case)
+    try:
+        traced = read_leds(scene, options, progress, condition.point.blood_fraction[None])
+    except KeyboardInterrupt:
+        return xr.Dataset()
+    if traced[-1].interrupted:
+        return xr.Dataset()
+    # Values and standard errors.
+    stock = np.stack([[reading.fraction[:, 0], reading.fraction_stderr[:, 0]] for reading in traced], 1)
+    fresh = np.stack([verified.checked_fraction, verified.checked_fraction_stderr])
+    # A path ends on one photodiode, so that their errors are independent.
+    stock_sum, fresh_sum = (np.stack([of[0].sum(-1), np.linalg.norm(of[1], axis=-1)]) for of in (stock, fresh))
+    data = _over_fresh("mitsuba", ("led", "best_photodiode"), stock, fresh)
+    return xr.Dataset(data | _over_fresh("mitsuba_led", ("led",), stock_sum, fresh_sum))
+
+
+def _over_fresh(name: str, dims: tuple[str, ...], stock: np.ndarray, fresh: np.ndarray) -> Variables:
+    """Light by stock Mitsuba over that of the fresh trace; both have values, then standard errors."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = stock[0] / fresh[0]
+        error = ratio * np.hypot(stock[1] / stock[0], fresh[1] / fresh[0])
+        z = (ratio - 1) / error
+    text = "light of an LED by stock Mitsuba over that of the fresh trace of the best layout"
+    data = variable(f"{name}_ratio", dims, ratio, text, stderr=error)
+    return data | variable(f"{name}_z", dims, z, "deviation of that ratio from 1, in standard errors")
