@@ -308,8 +308,8 @@ def finger_scene(
     bed : Absorption along the nail, in place of the bed's own in `media`.
     emitters : Colours, one value per channel, by region.
 
-    The sensor looks into the epoxy with its lower face only. Emitters of a given colour shine from all that light can
-    meet of them, so that they read what a photodiode does; those of a named one from their lower face.
+    The sensor looks into the epoxy with its lower face only. Emitters shine from all that light can meet of them, so
+    that they read what a photodiode does; without `bed`, for other programs, from their lower face.
     """
     epoxy = geometry.regions.index("epoxy")
     parts = (*geometry.leds, *geometry.photodiodes)
@@ -325,10 +325,10 @@ def finger_scene(
         if media.opaque[below]:
             grey = {"type": "rgb", "value": float(media.reflectance[below])}
             shape |= {"bsdf": {"type": "diffuse", "reflectance": grey}} | sides(below=None, above=refs[above])
-            if isinstance(colour := emitters.get(below), list):
+            if bed is not None and below in emitters:
                 # What is reciprocal is radiance over n squared.
                 relative = float(media.n[above] / media.n[epoxy]) ** 2
-                shape["emitter"] = emitter([relative * value for value in colour])
+                shape["emitter"] = emitter([relative * value for value in emitters[below]])
             elif above == epoxy and below in looking:
                 inside = {"medium": {"type": "ref", "id": refs[epoxy]}} if refs[epoxy] else {}
                 meter = {"sensor": {"type": "irradiancemeter", "film": RGB_FILM} | inside}
