@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nailoptics.paper.claims import PEOPLE_RULES, Claim, judge_people
+from nailoptics.paper.claims import PEOPLE_RULES, Claim, evaluate_people
 from nailoptics.paper.protocols import CURVE_PA, N_PER_CM2, PHASE_S
 from nailoptics.paper.responses import PeopleReadings
 from nailoptics.studies import people
@@ -27,14 +27,14 @@ def made_up(proximal, distal, *, late=0.0, skin_effect=0.0) -> PeopleReadings:
 def claims(readings: PeopleReadings) -> dict[str, list[Claim]]:
     """Claims by the sentence of their rule."""
     by_sentence: dict[str, list[Claim]] = {}
-    for claim in judge_people(readings):
+    for claim in evaluate_people(readings):
         by_sentence.setdefault(claim.rule.sentence, []).append(claim)
     return by_sentence
 
 
 def test_people_as_the_paper_says_meet_every_rule():
     made = made_up([0.01, 0.02, 0.04, 0.03], [0.02, 0.021, 0.02, 0.021], late=[0.02, 0.0, -0.02, 0.0])
-    assert all(claim.met for claim in judge_people(made)) and len(judge_people(made)) == len(PEOPLE_RULES)
+    assert all(claim.met for claim in evaluate_people(made)) and len(evaluate_people(made)) == len(PEOPLE_RULES)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_people_as_the_paper_says_meet_every_rule():
 )
 def test_people_who_are_otherwise_miss_the_rule_that_says_so(word, how):
     usual = {"proximal": [0.01, 0.02, 0.04, 0.03], "distal": [0.02] * 4, "late": [-0.02, 0.0, 0.02, 0.0]}
-    missed = [claim.rule.sentence for claim in judge_people(made_up(**usual | how)) if not claim.met]
+    missed = [claim.rule.sentence for claim in evaluate_people(made_up(**usual | how)) if not claim.met]
     assert missed and all(word in sentence for sentence in missed)
 
 
