@@ -6,6 +6,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
+from nailoptics.cli import run
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Candidate, Scene, load_scene, parse_scene, to_toml
@@ -72,6 +73,28 @@ def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, n
         again = parse_scene(text, folder=tmp_path)
         check_scene(again)
         assert len(again.layout.photodiodes) == len(best.layout.photodiodes)
+
+
+@pytest.mark.jit
+@pytest.mark.slow
+def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backend, tmp_path: Path):
+    """On a board as large as the nail, whose body moves it, with resistors that place fitted."""
+    scene = SCENES["placement"]
+    rules = scene.placement.model_copy(update={"led_step_mm": 5.0, "photodiodes": 3, "fingers": ()})
+    priors = scene.priors.model_copy(update={"spread": False})
+    try:
+        result = nail.place(scene.model_copy(update={"placement": rules, "priors": priors}), photons=2000, seed=1)
+    except nail.NotReachedError as short:
+        result = short.result
+    PLACEMENT.write(result, tmp_path)
+    best, few = str(tmp_path / "best.toml"), ["--photons", "20000", "--seed", "1"]
+    assert all(photodiode.feedback_ohm for photodiode in load_scene(best).photodiodes)
+    recording, subject, page = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "explore.html"))
+    assert run(["check", best]) == 0
+    assert run(["simulate", best, "-o", str(tmp_path / "run"), "--recording", recording, *few]) == 0
+    assert run(["calibrate", best, recording, "-o", subject, *few]) == 0
+    assert run(["predict", subject, recording, "-o", str(tmp_path / "force")]) == 0
+    assert run(["explore", best, "-o", page, "--photons", "50000"]) == 0
 
 
 @pytest.mark.parametrize("name", ZONED)

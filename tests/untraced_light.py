@@ -35,8 +35,8 @@ def untraced(scene: Scene) -> SimpleNamespace:
 
 def untraced_table(scene: Scene) -> ReadingTable:
     """The same light as a fit takes it, on the scene's board."""
-    led, diode = scene.leds[0], scene.layout.photodiodes[0].photodiode
-    level_v = LEVEL * electronics.volts_per_fraction(led, diode, scene.electronics)
+    led, diodes = scene.leds[0], [element.photodiode for element in scene.layout.photodiodes]
+    level_v = LEVEL * electronics.volts_per_fraction(led, diodes, scene.electronics)
     coefficients = np.zeros((len(LEVEL), len(POWERS)))
     coefficients[:, POWERS.index((0, 0))] = np.log(level_v) - scene.blood.rest_blood_fraction * SLOPES.sum(1)
     coefficients[:, POWERS.index((1, 0))] = SLOPES[:, 0] * MOST_BLOOD

@@ -128,7 +128,9 @@ def ambient_photocurrent(
     return np.array(rows).T
 
 
-def trace_ambient(scene: Scene, sources: Sequence[Ambient], options: TraceOptions, *, seed: int) -> Array:
+def trace_ambient(
+    scene: Scene, sources: Sequence[Ambient], options: TraceOptions, *, seed: int, photons: int | None = None
+) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
     photodiodes) float, as `ambient_photocurrent`. [A]
 
@@ -140,7 +142,7 @@ def trace_ambient(scene: Scene, sources: Sequence[Ambient], options: TraceOption
     light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
     parts = []
     for j in range(len(scene.layout.photodiodes)):
-        _, left = tracer.back(j, led, photons=PHOTONS, seed=seed_of(seed, _BACK, j))
+        _, left = tracer.back(j, led, photons=photons or PHOTONS, seed=seed_of(seed, _BACK, j))
         parts.append(ambient_photocurrent(left, scene, j, sources, **light))
     if store is not None:
         store.close()

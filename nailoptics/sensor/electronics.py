@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,9 @@ from ..errors import InputError
 from ..scene import Scene
 from ..scene.base import PHOTON_NM_PER_V
 from ..scene.models import Electronics, Led, Photodiode
+
+Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
+Ohm: TypeAlias = Array | float | None
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
@@ -79,7 +82,7 @@ def photodiode_responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: Array
     return np.asarray(np.interp(not_negative("wavelength_nm", wavelength_nm), at_nm, value, left=0.0, right=0.0))
 
 
-def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Photodiode], float]) -> Array:
+def _of_each(photodiodes: Photodiodes, value: Callable[[Photodiode], float]) -> Array:
     """A number of a photodiode, or of each of several, () or (photodiodes,) float."""
     if isinstance(photodiodes, Photodiode):
         return np.asarray(value(photodiodes))
@@ -91,16 +94,14 @@ def _of_each(photodiodes: Photodiode | Sequence[Photodiode], value: Callable[[Ph
 def fitted_ohm(current_a: ArrayLike, amplifier: Electronics) -> Array:
     """The largest E24 resistor that holds currents, dark and ambient ones included, below the converter's limit by the
     stage's headroom, of any shape. [ohm]"""
-    least_a = limit_v(amplifier) / amplifier.headroom / MOST_OHM
-    most = limit_v(amplifier) / amplifier.headroom / np.maximum(current_a, least_a)
+    most_v = limit_v(amplifier) / amplifier.headroom
     # A relative 1e-9 lets a resistor be its own fit, whatever the rounding.
-    step = 10.0 ** np.floor(np.log10(most * (1 + 1e-9)) - 1)
-    return np.asarray(E24[np.searchsorted(E24, most / step * (1 + 1e-9), side="right") - 1] * step)
+    most = most_v / np.maximum(current_a, most_v / MOST_OHM) * (1 + 1e-9)
+    step = 10.0 ** np.floor(np.log10(most) - 1)
+    return np.asarray(E24[np.searchsorted(E24, most / step, side="right") - 1] * step)
 
 
-def stage_ohm(
-    photodiodes: Photodiode | Sequence[Photodiode], amplifier: Electronics, *, largest_a: Array | float | None = None
-) -> Array:
+def stage_ohm(photodiodes: Photodiodes, amplifier: Electronics, *, largest_a: Array | float | None = None) -> Array:
     """Feedback resistance of a photodiode's stage, or of each of several, () or (photodiodes,) float. [ohm]
 
     largest_a : (..., photodiodes) float. Their largest photocurrents, to which "auto" fits; then of its shape. [A]
@@ -118,8 +119,7 @@ def stage_ohm(
         return given
     if largest_a is None:
         raise InputError('electronics.feedback_ohm = "auto" is not known here; give the resistance in ohm.')
-    dark_a = _of_each(photodiodes, lambda p: p.dark_current_a(amplifier.temperature_k))
-    return np.where(np.isnan(given), fitted_ohm(largest_a + dark_a, amplifier), given)
+    return np.where(np.isnan(given), fitted_ohm(largest_a + _dark_a(photodiodes, amplifier), amplifier), given)
 
 
 def with_resistors(scene: Scene, largest_a: Array) -> Scene:
@@ -138,6 +138,11 @@ def with_resistors(scene: Scene, largest_a: Array) -> Scene:
     return scene.model_copy(update={"photodiodes": tuple(photodiodes)})
 
 
+def _dark_a(photodiodes: Photodiodes, amplifier: Electronics) -> Array:
+    """Dark current of a photodiode, or of each of several, at the amplifier's temperature. [A]"""
+    return _of_each(photodiodes, lambda p: p.dark_current_a(amplifier.temperature_k))
+
+
 def lsb_v(amplifier: Electronics) -> float:
     """The converter's step. [V]"""
     return amplifier.adc_range_v / 2.0**amplifier.adc_bits
@@ -149,85 +154,47 @@ def limit_v(amplifier: Electronics) -> float:
 
 
 def noise_budget(
-    current_a: ArrayLike,
-    amplifier: Electronics,
-    *,
-    feedback_ohm: Array | float | None = None,
-    dark_current_na: ArrayLike = 0.1,
-    shunt_ohm: ArrayLike = 1e9,
-    capacitance_pf: ArrayLike = 0.0,
+    current_a: ArrayLike, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None
 ) -> NoiseBudget:
-    """The noise of the stage's output at a photocurrent, cause by cause.
+    """The noise of a stage's output at a photocurrent without its dark current [A], cause by cause.
 
     Current noise density 2q(I + I_d) + 4kT/R_f + 4kT/R_sh + (2 pi f C e_n)^2, integrated from 0 to the bandwidth
     (the last term grows with f^2, so that its integral is (2 pi C e_n)^2 B^3 / 3) and multiplied by R_f^2; the
     converter adds LSB^2/12.
 
-    current_a : array. Photocurrent without the dark current. [A]
-    feedback_ohm : that of the amplifier if not given. [ohm]
-    capacitance_pf : Of the photodiode, besides that of the amplifier's input. [pF]
+    feedback_ohm : that of the stage if not given. [ohm]
     """
     current = not_negative("current_a", current_a)
-    dark = not_negative("dark_current_na", dark_current_na) * 1e-9
-    shunt, capacitance = np.asarray(shunt_ohm, float), np.asarray(capacitance_pf, float)
-    if not np.all(shunt > 0):
-        raise InputError(f"shunt_ohm = {shunt.min():g} must be above 0; correct it")
-    bandwidth = amplifier.bandwidth_hz
-    ohm = np.asarray(amplifier.feedback_ohm if feedback_ohm is None else feedback_ohm, float)
-    gain2 = ohm**2
-    thermal_j = 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
-    charge_noise = 2 * np.pi * (amplifier.capacitance_pf + capacitance) * 1e-12 * amplifier.noise_nv_per_rt_hz * 1e-9
+    bandwidth, ohm = amplifier.bandwidth_hz, stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
+    gain2, thermal_j = np.asarray(ohm) ** 2, 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
+    capacitance_f = 1e-12 * (amplifier.capacitance_pf + _of_each(photodiode, lambda p: p.capacitance_pf))
+    charge_noise = 2 * np.pi * capacitance_f * amplifier.noise_nv_per_rt_hz * 1e-9
     same = np.ones_like(current)
     return NoiseBudget(
-        shot_v2=2 * ELEMENTARY_CHARGE_C * (current + dark) * bandwidth * gain2,
+        shot_v2=2 * ELEMENTARY_CHARGE_C * (current + _dark_a(photodiode, amplifier)) * bandwidth * gain2,
         feedback_v2=same * thermal_j * bandwidth * ohm,
-        shunt_v2=same * thermal_j / shunt * bandwidth * gain2,
+        shunt_v2=same * thermal_j / _of_each(photodiode, lambda p: 1e6 * p.shunt_mohm) * bandwidth * gain2,
         amplifier_v2=same * charge_noise**2 * bandwidth**3 / 3 * gain2,
         adc_v2=same * lsb_v(amplifier) ** 2 / 12,
     )
 
 
-def stage_noise(
-    current_a: ArrayLike,
-    photodiode: Photodiode | Sequence[Photodiode],
-    amplifier: Electronics,
-    *,
-    feedback_ohm: Array | float | None = None,
-) -> NoiseBudget:
-    """The noise of a photodiode's stage at a photocurrent, without its dark current [A]; feedback_ohm : that of the
-    stage if not given. [ohm]"""
-    return noise_budget(
-        current_a,
-        amplifier,
-        feedback_ohm=stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm,
-        dark_current_na=_of_each(photodiode, lambda p: 1e9 * p.dark_current_a(amplifier.temperature_k)),
-        shunt_ohm=_of_each(photodiode, lambda p: 1e6 * p.shunt_mohm),
-        capacitance_pf=_of_each(photodiode, lambda p: p.capacitance_pf),
-    )
-
-
 def reading_noise(
-    current_a: ArrayLike,
-    photodiode: Photodiode | Sequence[Photodiode],
-    amplifier: Electronics,
-    *,
-    ambient_a: ArrayLike = 0.0,
-    feedback_ohm: Array | float | None = None,
+    current_a: ArrayLike, photodiode: Photodiodes, amplifier: Electronics, ambient_a: ArrayLike, *, feedback_ohm: Ohm
 ) -> NoiseBudget:
     """Noise of one reading of a photocurrent by an LED beside that by light from outside [A], with its rejection.
 
     A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
     bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
     """
-    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
-    lit = stage_noise(current_a, photodiode, amplifier, feedback_ohm=ohm)
-    shot_v2 = 2 * ELEMENTARY_CHARGE_C * np.asarray(ambient_a) * amplifier.bandwidth_hz * np.asarray(ohm) ** 2
+    how: dict[str, Any] = {"photodiode": photodiode, "amplifier": amplifier, "feedback_ohm": feedback_ohm}
+    lit, dark = (noise_budget(a, **how) for a in (current_a, np.zeros_like(current_a)))
+    outside_v2 = noise_budget(ambient_a, **how).shot_v2 - noise_budget(0.0, **how).shot_v2
     if amplifier.ambient_rejection is None:
-        return lit._replace(ambient_v2=shot_v2)
-    dark = stage_noise(np.zeros_like(current_a), photodiode, amplifier, feedback_ohm=ohm)
+        return lit._replace(ambient_v2=outside_v2)
     factor = 1 if amplifier.ambient_rejection == "dark_slot" else 2
     both = (np.asarray(factor * (a + b)) for a, b in zip(lit, dark, strict=True))
-    return NoiseBudget(*both)._replace(ambient_v2=2 * factor * shot_v2)
+    return NoiseBudget(*both)._replace(ambient_v2=2 * factor * outside_v2)
 
 
 def flicker_gain(flicker_hz: float, amplifier: Electronics) -> float:
@@ -258,11 +225,11 @@ def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArra
 def read(
     detected_fraction: ArrayLike,
     led: Led,
-    photodiode: Photodiode | Sequence[Photodiode],
+    photodiode: Photodiodes,
     amplifier: Electronics,
     *,
     ambient_a: ArrayLike = 0.0,
-    feedback_ohm: Array | float | None = None,
+    feedback_ohm: Ohm = None,
 ) -> Output:
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
@@ -276,28 +243,22 @@ def read(
     """
     ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
     lit_a, outside_a = photocurrent_a(detected_fraction, led, photodiode), not_negative("ambient_a", ambient_a)
-    dark_a = _of_each(photodiode, lambda p: p.dark_current_a(amplifier.temperature_k))
+    dark_a = _dark_a(photodiode, amplifier)
     amplified = np.asarray((lit_a + outside_a + dark_a) * ohm)
     volts, saturated = converted(amplified, amplifier)
     if amplifier.ambient_rejection is not None:
         volts = volts - converted(np.asarray((outside_a + dark_a) * ohm), amplifier)[0]
-    noise = reading_noise(lit_a, photodiode, amplifier, ambient_a=outside_a, feedback_ohm=ohm)
+    noise = reading_noise(lit_a, photodiode, amplifier, outside_a, feedback_ohm=ohm)
     return Output(amplified_v=amplified, volts=volts, noise=noise, saturated=saturated)
 
 
-def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiode | Sequence[Photodiode]) -> Array:
+def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiodes) -> Array:
     """The photocurrent of a part of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
     per_w = _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
     return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
 
 
-def volts_per_fraction(
-    led: Led,
-    photodiode: Photodiode | Sequence[Photodiode],
-    amplifier: Electronics,
-    *,
-    feedback_ohm: Array | float | None = None,
-) -> Array:
+def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None) -> Array:
     """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
     () or (photodiodes,) float, or of the shape of feedback_ohm. [V]"""
     ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm

@@ -14,25 +14,27 @@ from ..light.detect import light_of
 from ..light.diffusion import DiffusionModel
 from ..light.transfer.series import ReadingSeries
 from ..options import TraceOptions
-from ..scene import Oximeter, Photodiode, Scene, Slot
+from ..scene import Ambient, Oximeter, Photodiode, Scene, Slot
 from ..scene.oximeter import DARK, two_leds
 from ..statistics import Z95
 from . import electronics
-from .ambient import trace_ambient
+from .ambient import LAMP, trace_ambient
 
 # A usual oximeter averages over so long. [s]
 AVERAGE_S = 8.0
-# Photons of the short trace to which resistors fit, of all LEDs and of each: readings to some 5 %.
-MOST_PHOTONS, LEAST_PHOTONS = 1 << 16, 1 << 12
+# Photons of the short trace to which resistors fit, of all LEDs and of each: readings to some 5 %; and from each
+# photodiode for light from outside.
+MOST_PHOTONS, LEAST_PHOTONS, AMBIENT_PHOTONS = 1 << 16, 1 << 12, 1 << 13
 CAUSES = ("electronics", "converter", "ambient light")
 
 
-def ambient_bound_a(scene: Scene) -> Array:
-    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], (photodiodes,) float;
-    0 without one, or without a backend that traces it. [A]"""
-    if scene.ambient is None or not backend.choose("auto").jit:
+def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
+    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
+    where it has none, (photodiodes,) float; 0 without either, or without a backend that traces it. [A]"""
+    source = scene.ambient or usual
+    if source is None or not backend.choose("auto").jit:
         return np.zeros(len(scene.layout.photodiodes))
-    current_a, stderr_a = trace_ambient(scene, [scene.ambient], TraceOptions(), seed=0)[:2, 0]
+    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=AMBIENT_PHOTONS)[:2, 0]
     return np.asarray(current_a + Z95 * stderr_a)
 
 
@@ -52,7 +54,7 @@ def rough_readings(scene: Scene, states: Array) -> ReadingSeries:
 
 def with_fitted_resistors(scene: Scene) -> Scene:
     """The scene with a resistor at every photodiode where it has "auto", the same for every command: fitted to the
-    upper end of the 95 % interval of the brightest LED through a bed without blood, beside the scene's [ambient]."""
+    upper end of the 95 % interval of the brightest LED through a bed without blood, beside [ambient] or a lamp."""
     if scene.electronics.feedback_ohm != "auto":
         return scene
     read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))
@@ -61,7 +63,7 @@ def with_fitted_resistors(scene: Scene) -> Scene:
     lit_a = [
         electronics.photocurrent_a(of_led, led, photodiodes) for of_led, led in zip(bound, scene.leds, strict=True)
     ]
-    return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_bound_a(scene))
+    return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_bound_a(scene, usual=LAMP))
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ class SampledFrontEnd:
         led = dict(zip(self.lights, (*self.leds, self.leds[0]), strict=True))
         current_a = np.array([self.photocurrent_a(lit[name], led[name]) for name in self.slot_names])
         quiet, bright = (
-            electronics.stage_noise(current_a + ambient_a, self.photodiode, amplifier)
+            electronics.noise_budget(current_a + ambient_a, self.photodiode, amplifier)
             for ambient_a in (0.0, self.ambient_a)
         )
         # Noise of a first-order stage is correlated over its time constant, between the samples of a slot.

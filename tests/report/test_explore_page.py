@@ -146,8 +146,8 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
 
 
 def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: Exploration):
-    scene = explored.scene
-    led, photodiode = scene.leds[0], scene.photodiodes[0]
+    scene, ohm = explored.scene, 1e6
+    led, photodiode = scene.leds[0], scene.photodiodes[0].model_copy(update={"feedback_ohm": ohm})
     # The last of them lies in the converter's last step.
     limit_v = electronics.limit_v(scene.electronics) + 0.5 * electronics.lsb_v(scene.electronics)
     dark_v = float(electronics.read(0.0, led, photodiode, scene.electronics).amplified_v)
@@ -157,7 +157,7 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
         current = fraction * led.flux_mw * 1e-3
         displayed = shown.evaluate(
             "([x, ohm]) => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0], 0, ohm)",
-            [current, scene.electronics.feedback_ohm],
+            [current, ohm],
         )
         assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
         assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
@@ -166,22 +166,33 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
 
 @pytest.mark.parametrize("rejection", [None, "dark_slot", "lock_in"])
 def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Exploration, rejection: str | None):
-    led, photodiode, ambient_a = explored.scene.leds[0], explored.scene.photodiodes[0], 3e-7
+    led, ambient_a, ohm = explored.scene.leds[0], 3e-7, 1e6
+    photodiode = explored.scene.photodiodes[0].model_copy(update={"feedback_ohm": ohm})
     stage = explored.scene.electronics.model_copy(update={"ambient_rejection": rejection})
     expected = electronics.read(1e-4, led, photodiode, stage, ambient_a=ambient_a)
     scene = explored.scene.model_copy(update={"electronics": stage})
     kind = _readout(photodiode, [{"fields": {"wavelength_nm": led.wavelength_nm}}], scene)
     lit_a = 1e-7 * led.flux_mw * float(kind.pop("responsivity")[0])
     displayed = shown.evaluate(
-        """([kind, lit, ambient, rejects]) => {
+        """([kind, lit, ambient, ohm, rejects]) => {
             const before = tables.stage.rejects;
-            try { tables.stage.rejects = rejects; return stage(kind, lit, ambient, tables.stage.feedbackOhm); }
+            try { tables.stage.rejects = rejects; return stage(kind, lit, ambient, ohm); }
             finally { tables.stage.rejects = before; }
         }""",
-        [kind, lit_a, ambient_a, rejection is not None],
+        [kind, lit_a, ambient_a, ohm, rejection is not None],
     )
     assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
     assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
+
+
+def test_resistors_that_fit_a_layout_are_pythons(shown: Any, explored: Exploration):
+    stage, current_a = explored.scene.electronics, [1e-12, *np.geomspace(1e-8, 1e-3, 40).tolist()]
+    displayed = shown.evaluate("currents => currents.map(fittedOhm)", current_a)
+    assert displayed == pytest.approx(electronics.fitted_ohm(current_a, stage), rel=1e-12)
+    # On the page every element has the one for its brightest light, and none is saturated.
+    rows = shown.evaluate("evaluate(workbench.layout).rows.map(row => [row.element.ohm, row.amplified, row.saturated])")
+    assert len({ohm for ohm, _, _ in rows}) >= min(2, len(explored.scene.layout.photodiodes))
+    assert all(volts < electronics.limit_v(stage) / stage.headroom and not full for _, volts, full in rows)
 
 
 def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: Exploration):

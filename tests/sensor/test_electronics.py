@@ -19,6 +19,8 @@ LED = Led(name="watt", wavelength_nm=800, flux_mw=1000)
 # 0.55 A/W at the LED's wavelength.
 DIODE = Photodiode(name="diode", position_mm=(0, 0), quantum_efficiency=0.55 * PHOTON_NM_PER_V / 800)
 
+NO_DARK_CURRENT = DIODE.model_copy(update={"dark_current_na": 0.0})
+
 
 def test_responsivity_is_that_of_silicon():
     # eta 0.85: 0.45 / 0.55 / 0.64 A/W at 660 / 800 / 940 nm, rounded as data sheets give them.
@@ -34,8 +36,7 @@ def test_shot_noise_exceeds_thermal_noise_from_52_mv_at_any_resistor():
     # 2 q V / R = 4 k T / R at V = 2 k T / q = 51.7 mV at 300 K.
     for ohm in (1e5, 1e6, 1e7):
         amplifier = Electronics(feedback_ohm=ohm, temperature_k=300)
-        below = noise_budget(0.0510 / ohm, amplifier, dark_current_na=0)
-        above = noise_budget(0.0524 / ohm, amplifier, dark_current_na=0)
+        below, above = (noise_budget(volts / ohm, NO_DARK_CURRENT, amplifier) for volts in (0.0510, 0.0524))
         assert below.shot_v2 < below.feedback_v2
         assert above.shot_v2 > above.feedback_v2
 
@@ -44,12 +45,12 @@ def test_the_amplifiers_noise_is_the_integral_of_its_density():
     amplifier = Electronics(bandwidth_hz=5e4, capacitance_pf=80, noise_nv_per_rt_hz=12)
     f = np.linspace(0, 5e4, 200_001)
     expected = np.trapezoid((2 * np.pi * f * 80e-12 * 12e-9) ** 2, f) * 1e6**2
-    assert noise_budget(0.0, amplifier).amplifier_v2 == pytest.approx(expected, rel=1e-8)
+    assert noise_budget(0.0, DIODE, amplifier).amplifier_v2 == pytest.approx(expected, rel=1e-8)
 
 
 def test_each_noise_grows_with_bandwidth_as_it_should():
-    narrow = noise_budget(1e-7, Electronics(bandwidth_hz=1e3))
-    wide = noise_budget(1e-7, Electronics(bandwidth_hz=2e3))
+    narrow = noise_budget(1e-7, DIODE, Electronics(bandwidth_hz=1e3))
+    wide = noise_budget(1e-7, DIODE, Electronics(bandwidth_hz=2e3))
     assert [b / a for a, b in zip(narrow[:-1], wide[:-1], strict=True)] == pytest.approx([2, 2, 2, 8, 1])
 
 
@@ -58,7 +59,7 @@ def test_simulated_electrons_show_the_same_shot_noise():
     amplifier = Electronics(bandwidth_hz=1e3)
     electrons = np.random.default_rng(1).poisson(1e-9 * 0.5e-3 / 1.602176634e-19, size=20_000)
     volts = electrons * 1.602176634e-19 / 0.5e-3 * 1e6
-    expected = noise_budget(1e-9, amplifier, dark_current_na=0).shot_v2
+    expected = noise_budget(1e-9, NO_DARK_CURRENT, amplifier).shot_v2
     relative_error = np.sqrt(2 / electrons.size)
     assert volts.var() == pytest.approx(expected, rel=4 * relative_error)
     assert relative_error < 0.011
@@ -123,7 +124,8 @@ def test_light_from_outside_adds_its_current_and_its_noise():
     amplifier = Electronics()
     alone, lit = (read(1e-7, LED, DIODE, amplifier, ambient_a=a) for a in (0.0, 2e-7))
     assert lit.volts - alone.volts == pytest.approx(2e-7 * amplifier.feedback_ohm, rel=1e-12)
-    more = noise_budget(0.55e-7 + 2e-7, amplifier).shot_v2 - noise_budget(0.55e-7, amplifier).shot_v2
+    dark, bright = (noise_budget(a, DIODE, amplifier).shot_v2 for a in (0.55e-7, 0.55e-7 + 2e-7))
+    more = bright - dark
     assert lit.noise_v2 - alone.noise_v2 == pytest.approx(more, rel=1e-6)
 
 

@@ -45,7 +45,7 @@ def test_noise_of_averaged_slots_is_that_of_samples_that_are_drawn():
     """Noise of a first-order stage, drawn sample by sample, averaged over a slot as the converter does."""
     one, rng = stage(shipped()), np.random.default_rng(5)
     expected = one.slot_noise_v2(LIGHT)["electronics"][0]
-    budget = electronics.noise_budget(one.photocurrent_a(LIGHT[0], 0), shipped().electronics)
+    budget = electronics.noise_budget(one.photocurrent_a(LIGHT[0], 0), one.photodiode, shipped().electronics)
     analog = float(sum(budget) - budget.adc_v2)
     held = electronics.BOLTZMANN_J_PER_K * 305.0 / 10e-12
     step = np.exp(-np.diff(1e-3 * one.sample_times_ms(2.0))[0] / one.settling_s)

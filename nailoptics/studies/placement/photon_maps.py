@@ -14,6 +14,8 @@ from ...light.tracing.store import LightStore
 from ...scene import FingerCase, Scene, digest
 from ...scene.rectangles import Rectangle
 from ...sensor import electronics
+from ...sensor.ambient import LAMP
+from ...sensor.front_end import ambient_bound_a
 from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
 from ...statistics import left_out, seed_of
 from . import boards
@@ -75,6 +77,7 @@ class PhotonMapCache:
     stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)
     _traced: dict[str, _Traced] = field(default_factory=dict, init=False)
+    _ambient_a: dict[str, np.ndarray] = field(default_factory=dict, init=False)
 
     @property
     def cases(self) -> list[FingerCase]:
@@ -163,7 +166,8 @@ class PhotonMapCache:
         ]
 
     def with_resistors(self, layout: Scene, board: Scene) -> Scene:
-        """The layout with the resistors that fit the brightest light of any LED on any finger, where it has "auto"."""
+        """The layout with resistors for the brightest light of any LED on any finger, beside [ambient] or a lamp, where
+        it has "auto"."""
         if layout.electronics.feedback_ohm != "auto":
             return layout
         areas, photodiodes = layout.layout.photodiode_areas, [e.photodiode for e in layout.layout.photodiodes]
@@ -172,4 +176,6 @@ class PhotonMapCache:
             for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
             for led, light in zip(layout.leds, by_led, strict=True)
         ]
-        return electronics.with_resistors(layout, np.max(lit_a, axis=0))
+        if (key := digest(layout)) not in self._ambient_a:
+            self._ambient_a[key] = ambient_bound_a(layout, usual=LAMP)
+        return electronics.with_resistors(layout, np.max(lit_a, axis=0) + self._ambient_a[key])

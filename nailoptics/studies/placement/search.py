@@ -8,6 +8,7 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, islice, product
 
 import numpy as np
@@ -17,7 +18,9 @@ from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.layout import SIDES
 from ...scene.rectangles import Rectangle
+from ...sensor.ambient import LAMP
 from ...sensor.electronics import stage_ohm
+from ...sensor.front_end import ambient_bound_a
 from ...sensor.information import brightest_current_a, response
 from . import candidates
 from .candidates import CandidateLayout
@@ -271,6 +274,14 @@ class Search:
         self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
         self._designs: dict[LedRow, RowDesign] = {}
 
+    @cached_property
+    def _ambient_a_per_mm2(self) -> float:
+        """Photocurrent by light from outside to which "auto" fits, as on the photodiodes where they lie. [A/mm^2]"""
+        if self.base.electronics.feedback_ohm != "auto":
+            return 0.0
+        areas_mm2 = [area.area_mm2 for area in self.base.layout.photodiode_areas]
+        return float(np.max(ambient_bound_a(self.base, usual=LAMP) / areas_mm2))
+
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
         """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
         step, start = self.rules.led_step_mm, report_progress.seconds
@@ -352,7 +363,8 @@ class Search:
             brightest_current_a(values, one, kinds, condition.point)
             for values, condition in zip(by_finger, conditions, strict=True)
         ]
-        ohm = stage_ohm(kinds, self.base.electronics, largest_a=np.max(brightest_a, axis=0))
+        outside_a = self._ambient_a_per_mm2 * np.array([area.area_mm2 for area in design.places.areas])
+        ohm = stage_ohm(kinds, self.base.electronics, largest_a=np.max(brightest_a, axis=0) + outside_a)
         for finger, (values, condition) in enumerate(zip(by_finger, conditions, strict=True)):
             read = response(values, self.base, led, kinds, condition.point, feedback_ohm=ohm)
             columns.append(self.objective.columns(finger, led, read))

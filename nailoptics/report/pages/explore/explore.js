@@ -217,7 +217,7 @@ function evaluate(layout, cache = new Map()) {
   const rest = stateAt(0, layout.rest, layout.so2), state = stateAt(layout.force, layout.rest, layout.so2);
   const known = { rest: monomials(rest), state: monomials(state), slope: [monomials(state, 0), monomials(state, 1)] };
   const rows = [], elements = layout.photodiodes.flatMap((pd) => elementsOf(pd));
-  // A bed with hardly any blood is the brightest; a resistor is the same under all LEDs.
+  // A bed with hardly any blood is the brightest; a resistor is the same under all LEDs, and has room for a lamp.
   const least = tables.polynomial.bloodFraction[0], bright = monomials([least, least, layout.so2]);
   const pairOf = (led, element) => {
     const kind = tables.ledKinds[led.kind], die = dieOf(led);
@@ -227,7 +227,7 @@ function evaluate(layout, cache = new Map()) {
     return cache.get(key);
   };
   for (const element of elements) {
-    const diode = tables.photodiodeKinds[element.kind], ambientA = ambientCurrent(element, layout.ambient);
+    const diode = tables.photodiodeKinds[element.kind], ambientA = ambientCurrent(element, layout.ambient ?? tables.ambient.usual);
     const lit = layout.leds.map((led) => Math.max(0, dot(bright, pairOf(led, element).coefficients)) * currentPerFraction(led, diode));
     element.ohm = tables.stage.feedbackOhm ?? fittedOhm(Math.max(0, ...lit) + ambientA + diode.darkA);
   }

@@ -14,7 +14,7 @@ from ....scene import Led, Photodiode, Scene
 from ....scene.base import MOST_PHOTODIODES
 from ....scene.rectangles import Rectangle
 from ....sensor import electronics
-from ....sensor.ambient import SOURCES
+from ....sensor.ambient import LAMP, SOURCES
 from ....statistics import FEW_TERMS
 from ....studies.exploration.explore import (
     BLOCKS,
@@ -149,6 +149,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "formula": FORMULA,
         "ambient": {
             "names": [source.words for source in SOURCES],
+            "usual": SOURCES.index(LAMP),
             "nodesU": nodes_u,
             "nodesV": nodes_v,
             "aPerMm2": exploration.ambient_a_per_mm2,
@@ -223,17 +224,17 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
     converter and feedback it goes as the square of the feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    dark, lit = (electronics.reading_noise(a, photodiode, stage, feedback_ohm=1.0) for a in (0.0, TEST_CURRENT_A))
+    dark, lit = (electronics.reading_noise(a, photodiode, stage, 0.0, feedback_ohm=1.0) for a in (0.0, TEST_CURRENT_A))
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
         "responsivity": electronics.photodiode_responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "noise": {
-            "adcV2": dark.adc_v2,
-            "perOhm": dark.feedback_v2,
-            "perOhm2": dark.shot_v2 + dark.shunt_v2 + dark.amplifier_v2,
-            "perOhm2A": (lit.shot_v2 - dark.shot_v2) / TEST_CURRENT_A,
+            "adcV2": float(dark.adc_v2),
+            "perOhm": float(dark.feedback_v2),
+            "perOhm2": float(dark.shot_v2 + dark.shunt_v2 + dark.amplifier_v2),
+            "perOhm2A": float(lit.shot_v2 - dark.shot_v2) / TEST_CURRENT_A,
         },
     }
 
