@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+import statistics
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -380,7 +381,36 @@ def validation() -> str:
     return "\n".join(rows) + "\n"
 
 
+def force() -> str:
+    """How well force is estimated of virtual people: medians over each simulator's, with the best and the worst."""
+    numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
+    people = json.loads((HERE / "force_benchmark.json").read_text(encoding="utf-8"))["people"]
+    head = [
+        "virtual people of",
+        "touches",
+        "error",
+        "best, worst",
+        "filter",
+        "cubic",
+        "components",
+        "sigmoid",
+        "covered",
+    ]
+    rows = [f"| {' | '.join([*head, 'half width'])} |", "|" + "---|" * (len(head) + 1)]
+    groups = dict.fromkeys((one["simulator"], one["touches"]) for one in people)
+    for group in groups:
+        of_group = [one for one in people if (one["simulator"], one["touches"]) == group]
+        median = {name: statistics.median(one[name] for one in of_group) for name in numbers}
+        errors = sorted(one["rms_n"] for one in of_group)
+        ends = f"{1e3 * errors[0]:.0f}, {1e3 * errors[-1]:.0f}"
+        error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:5])
+        cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}"]
+        simulator = f"{group[0]} ({len(of_group)})"
+        rows.append(f"| {' | '.join([simulator, group[1], error, ends, *cells])} |")
+    return "\n".join(rows) + "\n"
+
+
 MADE: dict[str, Callable[[], str]] = {
     one.__name__: one
-    for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors, validation)
+    for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors, validation, force)
 }

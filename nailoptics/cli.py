@@ -521,6 +521,28 @@ def figures(
 
 
 @app.command
+def protocol(scene: ScenePath, *, output: Output = Path("protocol.csv"), seed: int = 0, json_: Json = False) -> None:
+    """Write the touches to calibrate a sensor with, four minutes of varied touches on both sides, to follow.
+
+    The CSV has time_s, force_n and proximal_share at the scene's rate; as [touch] file it is that touch.
+
+    Args:
+        output: File to write.
+        seed: Seed of the touches; others for another person, or another day.
+    """
+    from . import checks
+    from .scene import load_scene
+    from .scene.protocol import draw_protocol, protocol_csv
+
+    checks.seed(seed)
+    check_writable(output.parent, output.name)
+    text = protocol_csv(seed, load_scene(scene).touch.sample_rate_hz)
+    duration_s = float(draw_protocol(seed).time_s[-1])
+    line = f"{duration_s:.0f} s of touches, first of the proximal side, then of the distal one"
+    _finish({"duration_s": duration_s}, [line], {"protocol": _write(output, text)}, json_)
+
+
+@app.command
 def calibrate(
     scene: ScenePath, recordings: list[Path], *, output: Output = Path("subject.toml"), options: Traced = TRACED
 ) -> None:

@@ -20,7 +20,6 @@ from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, pressu
 from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject
-from nailoptics.studies.force.uncertainty import no_correction
 
 # Steps of derivatives by pressures [N/cm^2, N/cm^2, Pa], and what is known of the touch's before any reading.
 STEPS, TOUCH_SPREAD = np.array([0.01, 0.01, 50.0]), 0.5
@@ -49,8 +48,7 @@ def exactly_known(subject: Subject, scene: Scene) -> Subject:
         static_error=0.0,
     )
     nothing = np.zeros_like(subject.covariance)
-    quality = replace(subject.quality, coverage_factor=1.0)
-    return replace(subject, noise=own, covariance=nothing, correction=no_correction(), quality=quality)
+    return replace(subject, noise=own, covariance=nothing, ensemble=None)
 
 
 def _beat(heart: Heartbeat, who: Person) -> CardiacOscillator:

@@ -22,14 +22,16 @@ from nailoptics.scene import Scene, digest
 from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_recording, recording_csv
 from nailoptics.studies import force
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.kalman import KalmanFilter
+from nailoptics.studies.force.estimator import ForceEstimator
+from nailoptics.studies.force.kalman import KalmanFilter, stacked
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
+from nailoptics.studies.force.scores import TOUCH_N
 from nailoptics.studies.force.subject import Subject
 
 KINDS = ("slow", "steps")
-# What people are calibrated on: slow cycles alone, or quick steps, too.
-SLOWLY, QUICKLY = ("calibration",), ("calibration", "quick")
+# What people are calibrated on: the protocol, or slow cycles and quick steps.
+CALIBRATIONS = {"protocol": ("protocol",), "cycles": ("calibration", "quick")}
 # Touches up to here are what rms is asked of; the last slow cycle is for closure. [N]
 MOST_N = 1.0
 # A reading past which less than this part of its change is left is past closure; looked for up to MOST_SEARCHED_N.
@@ -68,8 +70,9 @@ DIFFERENCES: dict[str, Callable[[Scene, Scene], dict[str, Any]]] = {
 class Score:
     """How well one person's touches of one kind on one side were told.
 
-    rms_n, linear_n, components_n : of the filter and of the regressions. [N]
-    covered : part of samples below closure that the interval covers.
+    rms_n : over touches; filter_n, cubic_n, components_n, sigmoid_n : of the filter alone and of the baselines. [N]
+    covered : part of the touches' samples below closure that the interval covers.
+    half_width_n : median of the interval over these. [N]
     open_above : part of samples above closure whose interval is open; NaN where there are none.
     consistent : whether the readings were found to fit the person's own calibration.
     """
@@ -78,9 +81,12 @@ class Score:
     site: str
     kind: str
     rms_n: float
-    linear_n: float
+    filter_n: float
+    cubic_n: float
     components_n: float
+    sigmoid_n: float
     covered: float
+    half_width_n: float
     open_above: float
     consistent: bool
 
@@ -139,15 +145,20 @@ def calibrated(
     scene: Scene,
     table: ReadingTable,
     *,
-    kinds: tuple[str, ...] = SLOWLY,
+    kinds: tuple[str, ...],
 ) -> str:
-    """The file of a person's sensor, calibrated on some kinds of touches on either side."""
-    recordings = [person.recording(kind, site) for kind in kinds for site in record.SIDES]
-    return str(calibrate_with(scene, table, recordings).attrs["subject"])
+    """The file of a person's sensor, calibrated on some kinds of touches; on either side, but for the protocol."""
+    return str(calibrate_with(scene, table, recordings_of(person, kinds)).attrs["subject"])
+
+
+def recordings_of(person: VirtualPerson, kinds: tuple[str, ...]) -> list[Recording]:
+    """A person's recordings for a calibration."""
+    sides = {kind: record.SIDES[: 1 if kind == "protocol" else 2] for kind in kinds}
+    return [person.recording(kind, site) for kind in kinds for site in sides[kind]]
 
 
 def asked_of(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which samples of some touches are judged: the last of the slow cycles goes beyond what is asked."""
+    """Which samples of some touches may be judged: the last of the slow cycles goes beyond what is asked."""
     last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
     return np.asarray(time_s < last) if kind == "slow" else np.ones(time_s.shape, bool)
 
@@ -157,22 +168,19 @@ def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site)
     recording = person.recording(kind, site, seed=1)
     told = predict(subject, recording)
     force_n, closure_n = told.known_force_n.values, person.closure_n(site)
-    asked = asked_of(kind, told.time.values)
+    asked = asked_of(kind, told.time.values) & (force_n >= TOUCH_N)
     below, above = asked & (force_n < closure_n), force_n > closure_n
     inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
     is_open = np.isinf(told.force_high_n.values)
-    rms_n, linear_n, components_n = (
-        float(np.sqrt(np.nanmean((told[name].values - force_n)[asked] ** 2)))
-        for name in ("force_n", "force_linear_n", "force_components_n")
-    )
+    half_n = 0.5 * (told.force_high_n.values - told.force_low_n.values)
+    names = ("force_n", *(f"force_{name}_n" for name in ("filter", "cubic", "components", "sigmoid")))
     return Score(
         person.name,
         site,
         kind,
-        rms_n,
-        linear_n,
-        components_n,
+        *(float(np.sqrt(np.nanmean((told[name].values - force_n)[asked] ** 2))) for name in names),
         covered=float(inside[below].mean()),
+        half_width_n=float(np.median(half_n[below])),
         open_above=float(is_open[above].mean()) if above.any() else float("nan"),
         consistent=bool(told.attrs["consistent"]),
     )
@@ -204,10 +212,11 @@ def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> i
 
 def seconds_per_sample(subject: Subject, recording: Recording) -> float:
     """Median processor time of one sample, read alone. [s]"""
-    observer, spent = KalmanFilter(subject), []
+    observer, estimator, spent = KalmanFilter(subject), ForceEstimator(subject), []
     for k, volts in enumerate(recording.volts.T[:500]):
         begin = time.process_time()
-        observer.update_sample(volts, 0.01 if k else None)
+        estimate = observer.update_sample(volts, 0.01 if k else None)
+        estimator.of(stacked([estimate]), volts[:, None], np.array([0.01]))
         spent.append(time.process_time() - begin)
     return float(np.median(spent))
 

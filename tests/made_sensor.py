@@ -70,10 +70,25 @@ def cycle(most_n: float, *, lasting_s: float = 8.0) -> np.ndarray:
     return most_n * np.where(time_s < 2, 0.0, np.sin(np.pi * (time_s - 2) / (lasting_s - 2)) ** 2)
 
 
-def record(force_n: np.ndarray, site: str, *, seed: int, pulp: Pulp = RIGID_PULP) -> Recording:
+def touches() -> np.ndarray:
+    """Two seconds of rest, and four touches of a second and different force that are let go at once. [N]"""
+    time_s = np.arange(0.0, 8.0, STEP_S)
+    number, into_s = np.divmod(time_s - 2, 1.5)
+    height_n = np.array([0.5, 1.1, 0.3, 0.8])[np.clip(number, 0, 3).astype(int)]
+    return height_n * np.where(time_s < 2, 0.0, np.clip(np.minimum(into_s, 1.0 - into_s) / 0.2, 0.0, 1.0))
+
+
+def record_touches(*, seed: int) -> Recording:
+    """What the sensor records of these touches twice, of the proximal side and then of the distal one."""
+    force_n = np.tile(touches(), 4)
+    return record(force_n, np.repeat([1.0, 0.0], force_n.size // 2), seed=seed)
+
+
+def record(force_n: np.ndarray, site: str | np.ndarray, *, seed: int, pulp: Pulp = RIGID_PULP) -> Recording:
     """What the sensor records of a force that begins untouched, with noise, on a pulp."""
     own, light = scene(), table()
-    time_s, where = STEP_S * np.arange(force_n.size), np.full(force_n.shape, SITES[site])
+    time_s = STEP_S * np.arange(force_n.size)
+    where = np.full(force_n.shape, SITES[site]) if isinstance(site, str) else site
     who = nominal_finger(parameters(own.blood.parameters), pulp=pulp).person()
     volts = light.volts(who.blood(who.widths_over(time_s, who.pressures(force_n, where))))
     noise = np.random.default_rng(seed).normal(size=volts.shape)

@@ -22,8 +22,11 @@ def touch_words(scene: Scene) -> str:
         "hold": f"hold of {touch.force_n:g} N",
         "cycle": f"{touch.cycles} cycles ({touch.waveform}) of {touch.force_n:g} N and {touch.period_s or 0:g} s",
         "steps": f"{len(steps)} steps of force, up to {max(steps, default=0):g} N",
+        "protocol": "protocol of touches of both sides",
         "recorded": f"recorded in {touch.file}",
     }[touch.profile]
+    if touch.profile == "protocol":
+        return words
     if touch.recorded_proximal_pressure_pa is None:
         share = f"{100 * touch.proximal_share:g} % of it on the proximal pulp"
         words += f", {_PULP.get(touch.proximal_share, share)}"

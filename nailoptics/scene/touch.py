@@ -1,4 +1,4 @@
-"""The touch: force over time as a step, a ramp, a cycle, a list of steps, a held force or a recorded CSV."""
+"""The touch: force over time as a step, ramp, cycle, list of steps, held force, protocol of calibration or CSV."""
 
 import math
 from pathlib import Path
@@ -9,6 +9,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .importers.recordings import PRESSURES, check_columns, read_columns
+from .protocol import draw_protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
 # The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.
@@ -46,9 +47,9 @@ class ForceStep(Table):
 class Touch(Table):
     """Force on the fingertip over time, and its distribution over the pulp."""
 
-    profile: Literal["step", "ramp", "hold", "cycle", "steps", "recorded"] = "step"
+    profile: Literal["step", "ramp", "hold", "cycle", "steps", "protocol", "recorded"] = "step"
     """step: force_n from start_s to release_s; ramp: with linear edges; hold: constant; cycle: periodic between 0 and
-    force_n; steps: a list of them; recorded: from a CSV."""
+    force_n; steps: a list of them; protocol: varied touches of both sides, to calibrate with; recorded: from a CSV."""
     force_n: Force = 1.0
     """Force of the step, ramp or hold, and the largest of a cycle. [N]"""
     start_s: NonNegative = 0.25
@@ -65,6 +66,8 @@ class Touch(Table):
     """Shape of a cycle: (1 - cos)/2 or triangular; sine if not given."""
     steps: Annotated[tuple[ForceStep, ...], Field(min_length=1, max_length=10_000)] | None = None
     """The list of steps, in order of time; before the first the force is 0."""
+    protocol_seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Seed of the protocol's touches, as of the command protocol --seed."""
     duration_s: Annotated[float, Field(gt=0, le=86400)] = 4.0
     """Simulated time; if not given 4, the end of the last cycle, or 2 after the last step. [s]"""
     sample_rate_hz: Annotated[float, Field(gt=0, le=100_000)] = 100.0
@@ -136,6 +139,12 @@ class Touch(Table):
             path = Path(folder) / data["file"]
             columns = read_columns(path, "touch.file", known, either=(("force_n",), PRESSURES))
             data = data | {f"recorded_{name}": column for name, column in columns.items()}
+        if data.get("profile") == "protocol" and "recorded_time_s" not in data:
+            seed = data.get("protocol_seed", 0)
+            drawn = draw_protocol(
+                seed if isinstance(seed, int) and seed >= 0 else 0
+            )  # the field's rule says what is wrong
+            data = data | {f"recorded_{name}": tuple(column.tolist()) for name, column in drawn._asdict().items()}
         if data.get("profile") == "cycle":
             data = CYCLE | data
         if data.get("site") in tuple(SHARES):
@@ -144,8 +153,10 @@ class Touch(Table):
 
     @model_validator(mode="after")
     def _profile_is_complete(self) -> Self:
-        if (self.profile == "recorded") != (self.recorded_time_s is not None):
+        if (self.profile in ("recorded", "protocol")) != (self.recorded_time_s is not None):
             raise ValueError('profile = "recorded" and file go together; give both or neither')
+        if self.profile == "protocol" and (self.file is not None or self.site is not None):
+            raise ValueError('profile = "protocol" touches both sides, as drawn; leave out site and file')
         if (self.profile == "steps") != (self.steps is not None):
             raise ValueError('profile = "steps" and the list steps go together; give both or neither')
         for name in CYCLE:

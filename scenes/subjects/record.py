@@ -2,8 +2,8 @@
 
     python scenes/subjects/record.py -o FOLDER [--person person_3 ...] [--photons 2000000]
 
-Writes into the folder one CSV (time_s, force_n, site, volts) for each person, kind of touch and side, and each person's
-traced light, which later recordings reuse.
+Writes into the folder one CSV (time_s, force_n, site, volts) for each person's protocol, one for each kind of touch and
+side, and each person's traced light, which later recordings reuse.
 
 The recordings are made with a different model from the one that is fitted to them. A fit uses scenes/prototype.toml: an
 index finger of default sizes and tissue, vessels "best", two zones with the distal pressure on the distal one only,
@@ -19,11 +19,12 @@ massless walls, one wavelength, neither epidermis nor Kapton, a million photons 
 """
 
 import argparse
+import itertools
 import zlib
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,12 +105,18 @@ TOUCHES: dict[str, Corners] = {
 def touch_of(scene: Scene, corners: Corners, site: Site, rate_hz: float = SAMPLE_RATE_HZ) -> Touch:
     """A person's touch at one site, with the person's own contact, creep and recovery."""
     time_s, force_n = (tuple(column.tolist()) for column in corners)
+    fields = {"profile": "recorded", "recorded_time_s": time_s, "recorded_force_n": force_n, "site": site}
+    return _own_touch(scene, fields | {"sample_rate_hz": rate_hz})
+
+
+def protocol_of(scene: Scene, seed: int, rate_hz: float = SAMPLE_RATE_HZ) -> Touch:
+    """A person's touches by the protocol of calibration, on both sides."""
+    return _own_touch(scene, {"profile": "protocol", "protocol_seed": seed, "sample_rate_hz": rate_hz})
+
+
+def _own_touch(scene: Scene, fields: dict[str, Any]) -> Touch:
     own = ("contact_area_mm2", "distal_relaxation_s", "creep", "creep_s")
-    return Touch.model_validate(
-        {"profile": "recorded", "recorded_time_s": time_s, "recorded_force_n": force_n}
-        | {"site": site, "sample_rate_hz": rate_hz}
-        | {name: getattr(scene.touch, name) for name in own}
-    )
+    return Touch.model_validate(fields | {name: getattr(scene.touch, name) for name in own})
 
 
 def light_of_person(scene: Scene, path: Path, *, photons: int = PHOTONS) -> DetectedLight:
@@ -155,17 +162,19 @@ def record_person(
     model: Literal["massless", "inertial"] = "inertial",
     rate_hz: float = SAMPLE_RATE_HZ,
 ) -> Recording:
-    """What a person's sensor reads under one of `TOUCHES` on one side.
+    """What a person's sensor reads under one of `TOUCHES` on one side, or under the "protocol" on both.
 
     light : the person's, of `light_of_person`.
     rate_hz : samples in a second.
     model : the equations of the vessels; both agree within 1e-5 of a reading, and the massless are ten times as fast.
     """
-    if kind not in TOUCHES:
-        raise InputError(f'kind = "{kind}" is no touch; choose from {", ".join(TOUCHES)}.')
+    if kind not in (*TOUCHES, "protocol"):
+        raise InputError(f'kind = "{kind}" is no touch; choose from {", ".join(TOUCHES)}, protocol.')
     # Another heartbeat, drift and noise for every person and recording.
     own = zlib.crc32(f"{scene.body.seed if scene.body else 0} {kind} {site} {seed}".encode())
-    return record_touch(scene, light, touch_of(scene, TOUCHES[kind], site, rate_hz), seed=own, model=model)
+    drawn = kind == "protocol"
+    touch = protocol_of(scene, own, rate_hz) if drawn else touch_of(scene, TOUCHES[kind], site, rate_hz)
+    return record_touch(scene, light, touch, seed=own, model=model)
 
 
 def main() -> None:
@@ -181,12 +190,11 @@ def main() -> None:
     for name in given.person:
         scene = load_person(name)
         light = light_of_person(scene, given.output / f"{name}.transfer", photons=given.photons)
-        for kind in TOUCHES:
-            for side in SIDES:
-                path = given.output / f"{name}_{kind}_{side}.csv"
-                recording = record_person(scene, light, kind, side, seed=given.seed, model=model)
-                write_text(path, recording_csv(recording))
-                print(path, flush=True)
+        for kind, side in [("protocol", SIDES[0]), *itertools.product(TOUCHES, SIDES)]:
+            path = given.output / (f"{name}_{kind}.csv" if kind == "protocol" else f"{name}_{kind}_{side}.csv")
+            recording = record_person(scene, light, kind, side, seed=given.seed, model=model)
+            write_text(path, recording_csv(recording))
+            print(path, flush=True)
 
 
 if __name__ == "__main__":

@@ -30,10 +30,12 @@ Trans. Robot. Autom. 17(5). 6 Mahy, Tooke, Shore 1995, J. Physiol. 485, 213. 7 M
 
 import argparse
 import csv
+import itertools
 import json
 import statistics
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,6 +43,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+import force_page  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "prototype.toml"
 PEOPLE = ("ann", "bob", "cyd", "dan", "eve", "fay", "gus", "hal")
@@ -118,7 +124,7 @@ class Person:
 
 @dataclass(frozen=True)
 class Recording:
-    """Touches of one recording: peaks [N], slow cycles at 0.05 Hz or steps, on one side."""
+    """Touches of one recording: peaks [N], slow cycles at 0.05 Hz or steps, on one side; or a protocol's on both."""
 
     name: str
     site: str
@@ -126,11 +132,15 @@ class Recording:
     peaks: tuple[float, ...]
 
 
-CALIBRATION = (
-    Recording("slow_proximal", "proximal", True, (2.0, 2.0, 2.0)),
-    Recording("slow_distal", "distal", True, (2.0, 2.0, 2.0)),
-    Recording("quick_distal", "distal", False, (0.5, 0.15, 1.0, 0.3, 0.75)),
-)
+PROTOCOL = Recording("protocol", "both", False, ())
+CALIBRATIONS = {
+    "protocol": (PROTOCOL,),
+    "cycles": (
+        Recording("slow_proximal", "proximal", True, (2.0, 2.0, 2.0)),
+        Recording("slow_distal", "distal", True, (2.0, 2.0, 2.0)),
+        Recording("quick_distal", "distal", False, (0.5, 0.15, 1.0, 0.3, 0.75)),
+    ),
+}
 HELD_OUT = tuple(
     Recording(f"{kind}_{site}_{top}", site, kind == "slow", peaks)
     for site in ("proximal", "distal")
@@ -140,6 +150,20 @@ HELD_OUT = tuple(
         ("steps", "hard", (1.2, 1.6, 2.0)),
     )
 )
+
+
+def followed(person: Person, rng: np.random.Generator, path: Path) -> tuple[np.ndarray, ...]:
+    """What `touches` returns of the command's protocol, written to path; and whether the touch is proximal."""
+    seed = str(PEOPLE.index(person.name))
+    run(["protocol", str(SCENE), "--seed", seed, "-o", str(path)], path.with_suffix(".json"))
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    time = np.arange(-WARM_UP, table[-1, 0], STEP)
+    force = np.interp(time, table[:, 0], table[:, 1])
+    tremor = gaussian_filter1d(rng.normal(size=len(time)), 0.06 / STEP)
+    begins = np.cumsum(np.diff(force > 0, prepend=False) & (force > 0))
+    wander = rng.normal(size=begins[-1] + 1)[begins]
+    proximal = np.interp(time, table[:, 0], table[:, 2]) >= 0.5
+    return time, np.maximum(force * (1 + 0.015 * tremor / tremor.std()), 0.0), wander, proximal
 
 
 def touches(recording: Recording, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -256,15 +280,22 @@ def volts(person: Person, bed_blood: np.ndarray, rng: np.random.Generator) -> np
 
 def record(person: Person, recording: Recording, rate_hz: float, path: Path) -> None:
     """Write one recording as a CSV."""
-    number = [r.name for r in CALIBRATION + HELD_OUT].index(recording.name)
+    number = [r.name for r in (*CALIBRATIONS["cycles"], *HELD_OUT, PROTOCOL)].index(recording.name)
     rng = np.random.default_rng([17, PEOPLE.index(person.name), number])
-    time, force, wander = touches(recording, rng)
+    if recording is PROTOCOL:
+        time, force, wander, proximal = followed(person, rng, path.with_name(f"{person.name}_touches.csv"))
+    else:
+        time, force, wander = touches(recording, rng)
+        proximal = np.full(len(time), recording.site == "proximal")
     inflow = rhythms(person, time, rng)
-    bed_blood = blood(person, time, pressures(person, recording.site, force, wander), inflow)
-    force = force[-len(bed_blood) :]
+    sides = [
+        pressures(person, site, force * at, wander) for site, at in (("proximal", proximal), ("distal", ~proximal))
+    ]
+    bed_blood = blood(person, time, tuple(map(sum, zip(*sides, strict=True))), inflow)
+    force, proximal = force[-len(bed_blood) :], proximal[-len(bed_blood) :]
     readings = volts(person, bed_blood, rng)
     every = round(1 / rate_hz / STEP)
-    readings, force = readings[::every], force[::every]
+    readings, force, proximal = readings[::every], force[::every], proximal[::every]
     hum = gaussian_filter1d(rng.normal(size=readings.shape), 2.0 * rate_hz, axis=0) * np.sqrt(2.0 * rate_hz)
     readings = readings + person.noise_v * (rng.normal(size=readings.shape) + 0.5 * hum)
     readings = np.round(readings * 2**16 / 5) * 5 / 2**16
@@ -274,7 +305,8 @@ def record(person: Person, recording: Recording, rate_hz: float, path: Path) -> 
         out = csv.writer(file)
         out.writerow(["time_s", "force_n", "site", *COLUMNS])
         for i in range(len(force)):
-            out.writerow([f"{i / rate_hz:.3f}", f"{cell[i]:.4f}", recording.site, *(f"{v:.7f}" for v in readings[i])])
+            site = "proximal" if proximal[i] else "distal"
+            out.writerow([f"{i / rate_hz:.3f}", f"{cell[i]:.4f}", site, *(f"{v:.7f}" for v in readings[i])])
     part.rename(path)
 
 
@@ -295,71 +327,46 @@ def columns(path: Path, names: list[str]) -> np.ndarray:
         return np.array([[float(row[name] or "inf") for name in names] for row in csv.DictReader(file)])
 
 
-def above_rest(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Known force [N] and volts less their mean over the first seconds, with a column of ones."""
-    table = columns(path, ["time_s", "force_n", *COLUMNS])
-    change = table[:, 2:] - table[table[:, 0] < 0.8 * REST, 2:].mean(0)
-    return table[:, 1], np.c_[change, np.ones(len(change))]
-
-
-def regression(paths: list[Path]) -> np.ndarray:
-    """Coefficients of force over volts above rest: least squares over samples up to 1 N."""
-    forces, changes = zip(*map(above_rest, paths), strict=True)
-    force, change = np.concatenate(forces), np.concatenate(changes)
-    return np.linalg.lstsq(change[force <= 1.0], force[force <= 1.0], rcond=None)[0]
-
-
-def score(folder: Path, recording: Recording, coefficients: np.ndarray) -> dict[str, float]:
-    """One row of the table."""
+def score(folder: Path, recording: Recording) -> dict[str, float]:
+    """One row of the table, over touches."""
     path = folder / f"{recording.name}.csv"
     out = folder / recording.name
     told = run(["predict", str(folder / "subject.toml"), str(path), "-o", str(out)], out.with_suffix(".json"))
-    force, change = above_rest(path)
-    wanted = ["force_n", "force_low_n", "force_high_n", "open_above"]
-    estimate, low, high, unbounded = columns(out / "predict.csv", wanted).T
-    inside = (low <= np.maximum(force, 0.0)) & ((force <= high) | (unbounded > 0))  # a load cell errs below zero
+    force = columns(path, ["force_n"])[:, 0]
+    estimate, low, high = columns(out / "predict.csv", ["force_n", "force_low_n", "force_high_n"]).T
     touch = (force >= 0.15) & (force <= 1.0)
-    plain = np.maximum(change @ coefficients, 0.0)
+    inside = (low <= force) & (force <= high)
 
-    def rms_mn(error: np.ndarray) -> float:
-        return 1000 * float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
-
-    def percent(which: np.ndarray) -> float:
-        return 100 * float(np.mean(which)) if len(which) else float("nan")
+    def over(values: np.ndarray, average: Callable[[np.ndarray], float]) -> float:
+        return float(average(values[touch])) if touch.any() else float("nan")
 
     return {
-        "rms": rms_mn(estimate - force),
-        "touch": rms_mn((estimate - force)[touch]),
-        "linear": 1000 * told["baseline_rms_n"]["linear"],
-        "compon": 1000 * told["baseline_rms_n"]["components"],
-        "plain": rms_mn(plain - force),
-        "p.touch": rms_mn((plain - force)[touch]),
-        "in<1N": percent(inside[force <= 1.0]),
-        "in>1N": percent(inside[force > 1.0]),
-        "open": percent(unbounded > 0),
-        "chi2": told["chi2_per_dof"],
-        "consist": float(told["consistent"]),
+        "rms_n": over((estimate - force) ** 2, np.mean) ** 0.5,
+        **{f"{name}_n": told["baseline_rms_n"][name] for name in ("filter", "cubic", "components", "sigmoid")},
+        "covered": over(inside, np.mean),
+        "half_width_n": over(0.5 * (high - low), np.median),
+        "open": over(np.isinf(high), np.mean),
+        "consistent": float(told["consistent"]),
     }
 
 
-def measure(name: str, folder: Path, rate_hz: float) -> dict[str, dict[str, float]]:
+def measure(name: str, folder: Path, rate_hz: float, calibration: str) -> dict[str, dict[str, float]]:
     """All rows of one person, by recording."""
     folder.mkdir(parents=True, exist_ok=True)
-    person = Person(name)
-    for recording in CALIBRATION + HELD_OUT:
+    person, teaching = Person(name), CALIBRATIONS[calibration]
+    for recording in (*teaching, *HELD_OUT):
         path = folder / f"{recording.name}.csv"
         if not path.exists():
             record(person, recording, rate_hz, path)
-    known = [folder / f"{recording.name}.csv" for recording in CALIBRATION]
+    known = [folder / f"{recording.name}.csv" for recording in teaching]
     subject = folder / "subject.toml"
     fit = run(["calibrate", str(SCENE), *map(str, known), "-o", str(subject)], folder / "calibrate.json")
     print(f"{name}: calibration {1000 * fit['rms_n']:.0f} mN", *fit["warnings"], sep="\n  ")
-    coefficients = regression(known)
-    return {recording.name: score(folder, recording, coefficients) for recording in HELD_OUT}
+    return {recording.name: score(folder, recording) for recording in HELD_OUT}
 
 
 def print_row(heads: tuple[str, str], row: dict[str, float]) -> None:
-    cells = (f"{value:8.2f}" if key in ("chi2", "consist") else f"{value:8.0f}" for key, value in row.items())
+    cells = (f"{value:13.0f}" if key == "consistent" else f"{value:13.3f}" for key, value in row.items())
     print(f"{heads[0]:7}{heads[1]:21}" + "".join(cells), flush=True)
 
 
@@ -368,16 +375,30 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--people", nargs="+", choices=PEOPLE, default=PEOPLE)
     parser.add_argument("--rate", type=float, choices=(25, 50, 100), default=50, help="samples a second")
+    parser.add_argument(
+        "--calibration", choices=tuple(CALIBRATIONS), default="protocol", help="touches to calibrate on"
+    )
+    parser.add_argument("--json", type=Path, help="file that keeps the rows, for the documentation")
     options = parser.parse_args()
-    print("rms in mN of all samples and of touches of 0.15 to 1 N (touch); linear, compon: what predict compares with;")
-    print("plain: regression over volts above rest; shares in %: inside the 95 % interval, of intervals open above")
+    print(
+        "rms in N over touches of 0.15 to 1 N, and of the filter alone and of baselines over those of 0.15 N and more;"
+    )
+    print("the part of the samples of touches within the 95 % interval, and the median of half of it in N")
     rows: dict[str, list[dict[str, float]]] = {recording.name: [] for recording in HELD_OUT}
     for name in options.people:
-        answers = measure(name, options.folder / f"{name}_{options.rate:.0f}hz", options.rate)
-        print(f"{'':28}" + "".join(f"{key:>8}" for key in next(iter(answers.values()))))
+        folder = options.folder / f"{name}_{options.rate:.0f}hz_{options.calibration}"
+        answers = measure(name, folder, options.rate, options.calibration)
+        print(f"{'':28}" + "".join(f"{key:>13}" for key in next(iter(answers.values()))))
         for recording, row in answers.items():
             print_row((name, recording), row)
             rows[recording].append(row)
+    if options.json:
+        held = [
+            {"touches": f"{kind} {site}", "person": name} | row
+            for kind, site in itertools.product(("slow", "steps"), ("proximal", "distal"))
+            for name, row in zip(options.people, rows[f"{kind}_{site}_held"], strict=True)
+        ]
+        force_page.keep(options.json, "other_people.py", held)
     for recording, found in rows.items():
         print_row(("median", recording), {key: statistics.median(row[key] for row in found) for key in found[0]})
 

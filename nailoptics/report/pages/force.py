@@ -8,7 +8,8 @@ import numpy as np
 import xarray as xr
 
 from ...scene import parse_scene
-from ...studies.force.predict import TOUCH_N, csv_rows
+from ...studies.force.predict import csv_rows
+from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import parse_subject
 from .. import style
 from ..files import Report, write_files
@@ -22,12 +23,18 @@ FORCE = (
     "Force estimated from the readings, with its 95 % interval. Where the vessels are closed, readings do not depend "
     "on the force: the interval has no upper bound, which the bar at the top shows."
 )
-COVERAGE = "coverage factor: width of intervals relative to nominal, from these recordings"
 FIT = "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
 RESIDUALS = (
     "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected in "
-    "them; residuals correlated with the touch are model error, by which intervals are widened."
+    "them; residuals correlated with the touch are model error, which the ensemble of regressions takes up."
 )
+KINDS = f"Samples of {TOUCH_N:g} N or more, by side and by whether the force has changed by 0.1 N within half a second."
+NAMED = {
+    "filter": "Kalman filter on the vessels alone",
+    "cubic": "cubic regression on both zones' sum and difference",
+    "components": "linear regression on principal components",
+    "sigmoid": "a sigmoid of each reading",
+}
 KNOWN = (
     "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any other keeps its "
     "prior, and its error is carried into intervals."
@@ -44,9 +51,9 @@ def calibration_page(result: xr.Dataset) -> str:
     """The page of a calibration."""
     summary = calibration_summary(result)
     cards = [
-        (f"{significant(1e3 * summary['rms_n'], 2)} mN", "rms error of the force on the calibration recordings"),
+        (f"{significant(1e3 * summary['rms_n'], 2)} mN", f"rms error of the force of {_judged_on(summary)}"),
+        (f"± {significant(1e3 * summary['half_width_n'], 2)} mN", "median 95 % interval of a touch"),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
-        (f"× {significant(summary['widening'], 2)}", COVERAGE),
     ]
     fits = figure(_fit_figure(result), FIT), figure(_residual_figure(result), RESIDUALS)
     return document(
@@ -57,12 +64,33 @@ def calibration_page(result: xr.Dataset) -> str:
         warnings=summary["warnings"],
         cards=cards,
         body=[
+            section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
             section("Recorded and fitted", *fits),
             section("The person", table(_factors(summary)), small(KNOWN)),
             section("The readings", table(_readings(result, summary)), small(GAINS)),
         ],
         attributes=result.attrs,
     )
+
+
+def _judged_on(summary: dict[str, Any]) -> str:
+    """The touches that a calibration's errors are of, in words."""
+    return "held-out touches" if summary["is_held_out"] else "touches that it was fitted to"
+
+
+def _kinds(touches: dict[str, dict[str, float]]) -> list[dict[str, str]]:
+    """How well the touches of each kind are estimated."""
+    return [
+        {
+            "Touches": kind,
+            "Error, rms [mN]": significant(1e3 * scores["rms_n"], 2),
+            "Of their size [%]": significant(100 * scores["relative_error"], 2),
+            "In the 95 % interval [%]": f"{100 * scores['coverage_95']:.0f}",
+            "Its half width, median [mN]": significant(1e3 * scores["half_width_n"], 2),
+        }
+        for kind, scores in touches.items()
+        if math.isfinite(scores["rms_n"])
+    ]
 
 
 def _factors(summary: dict[str, Any]) -> list[dict[str, str]]:
@@ -107,10 +135,10 @@ def prediction_page(result: xr.Dataset) -> str:
     cards = [(f"{significant(summary['open_above_n'], 2)} N", "force above which intervals have no upper bound")]
     methods: list[dict[str, str]] = []
     if np.isfinite(summary["rms_n"]):
-        named = {"linear": "linear regression", "components": "principal component regression"}
-        errors = {"Kalman filter on the vessels": summary["rms_n"]}
-        errors |= {named[name]: error for name, error in summary["baseline_rms_n"].items()}
-        methods = [{"Force by": name, "Error, rms [mN]": significant(1e3 * error, 2)} for name, error in errors.items()]
+        errors = {"this estimate": summary["touch_rms_n"]}
+        errors |= {NAMED[name]: error for name, error in summary["baseline_rms_n"].items()}
+        of_touches = "Error over touches, rms [mN]"
+        methods = [{"Force by": name, of_touches: significant(1e3 * error, 2)} for name, error in errors.items()]
         inside = f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"
         cards = [(f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"), inside, *cards]
     events = [
@@ -129,6 +157,7 @@ def prediction_page(result: xr.Dataset) -> str:
         cards=cards,
         body=[
             section("Force", figure(force_figure(result), FORCE), table(methods) if methods else ""),
+            section("Touches", table(_kinds(summary["touches"])), small(KINDS)) if methods else "",
             section("Place, body and fit", figure(_share_figure(result), SHARE)),
             section("The virtual switch", table(events)) if events else "",
         ],
@@ -200,7 +229,8 @@ def force_figure(result: xr.Dataset) -> "Figure":
     axes.plot(part.time, part.force_n, color=style.ZONES[1], label="estimated")
     if np.isfinite(known).any():
         axes.plot(part.time, known, color=style.INK, linewidth=1.1, label="measured")
-        axes.plot(part.time, part.force_linear_n, color=style.MUTED, linewidth=0.7, label="linear regression")
+        if "force_cubic_n" in part:
+            axes.plot(part.time, part.force_cubic_n, color=style.MUTED, linewidth=0.7, label="cubic regression")
     axes.set(ylim=(-0.02 * top, 1.03 * top), xlabel="time [s]", ylabel="force [N]")
     style.legend_above(figure, axes, ncols=5)
     return figure
@@ -243,8 +273,10 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
         "parameters": subject.factor_table(),
         "chi2_per_dof": subject.quality.chi2_per_dof,
         "rms_n": subject.quality.rms_n,
-        "half_width_n": result.attrs["half_width_n"],
-        "widening": subject.quality.coverage_factor,
+        "half_width_n": subject.quality.touches["all"]["half_width_n"],
+        "is_held_out": subject.quality.is_held_out,
+        "quality": subject.quality.touches,
+        "weights": subject.ensemble.weights if subject.ensemble else {"filter": 1.0},
         "warnings": list(result.attrs["warnings"]),
     }
 
@@ -252,13 +284,20 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
 def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """Errors, coverage, consistency and events of a prediction."""
     names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
-    names += ["touch_rms_n", "touch_coverage_95", "half_width_n", "touch_open_above"]
+    names += ["half_width_n", "touch_open_above"]
+    touches = {
+        kind: {name: float(result[f"touch_{name}"].sel(kind=kind)) for name, *_ in TOUCH_SCORES}
+        for kind in result.kind.values.tolist()
+    }
     events = (result[f"event_{name}"].values.tolist() for name in EVENT)
     return {name: result.attrs[name] for name in names} | {
+        "touch_rms_n": touches["all"]["rms_n"],
+        "touch_coverage_95": touches["all"]["coverage_95"],
+        "touches": touches,
         "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
-        "baseline_rms_n": {name: result.attrs[f"rms_{name}_n"] for name in ("linear", "components")},
+        "baseline_rms_n": {name: result.attrs[f"touch_rms_{name}_n"] for name in NAMED if f"force_{name}_n" in result},
         "events": [dict(zip(EVENT, event, strict=True)) for event in zip(*events, strict=True)],
     }
 
@@ -269,7 +308,7 @@ def _half_width(half_width_n: float) -> str:
 
 
 def _calibration_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
-    rms = f"rms error on the calibration recordings {1e3 * summary['rms_n']:.0f} mN"
+    rms = f"rms error of {_judged_on(summary)} {1e3 * summary['rms_n']:.0f} mN"
     return [f"{rms}; 95 % interval of a touch {_half_width(summary['half_width_n'])}"]
 
 

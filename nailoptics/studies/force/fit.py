@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
@@ -18,9 +19,9 @@ from .person import LONGEST_STEP_S, NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
 from .subject import LINEAR
 
-# Recordings are averaged to these rates, the first where the force changes by more than FAST_N_PER_S; the mean over a
-# second leaves little of the heartbeat. [Hz]
-FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S = 50.0, 1.0, 1.0
+# Recordings are averaged to these rates, the first where the force, a mean over SMOOTHED_S that leaves out the load
+# cell's noise, changes by more than FAST_N_PER_S; the mean over a second leaves little of the heartbeat. [Hz]
+FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S, SMOOTHED_S = 20.0, 1.0, 1.0, 0.1
 # Least number of samples after averaging, and network steps between samples that lie far apart.
 LEAST_SAMPLES, STEPS_BETWEEN = 60, 4
 # Bounds of the search, in standard deviations of the priors. A distal pressure that falls off within the zone acts as
@@ -73,15 +74,22 @@ class Fit:
     """Fit of the factors of a finger to recordings.
 
     finger : whose constants the factors multiply. free : (P,) bool. Which factors are searched; the others stay 1.
+    fast_rate_hz : rate that recordings of fast touches are averaged to. [Hz]
     """
 
     def __init__(
-        self, recordings: Sequence[Recording], table: ReadingTable, finger: NominalFinger, *, free: NDArray[np.bool_]
+        self,
+        recordings: Sequence[Recording],
+        table: ReadingTable,
+        finger: NominalFinger,
+        *,
+        free: NDArray[np.bool_],
+        fast_rate_hz: float = FAST_RATE_HZ,
     ) -> None:
         self.recordings, self.table, self.finger = list(recordings), table, finger
         self.free = np.flatnonzero(free)
         self.most_ln = (FARTHEST_SPREADS * SPREAD_LN)[self.free]
-        self.averaged = [_averaged(recording) for recording in self.recordings]
+        self.averaged = [_averaged(recording, fast_rate_hz) for recording in self.recordings]
         self.volts = np.concatenate([recording.volts for recording in self.averaged], axis=1)
         self.valid = np.isfinite(self.volts)
         swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
@@ -96,9 +104,12 @@ class Fit:
         """Search the factors, from the best of several starts; report : takes the part that is done."""
         starts = [np.log([start.get(NAMES[k], 1.0) for k in self.free]) for start in STARTS]
         searches, results = len(starts) + ROUNDS, []
+        # Which start is best slow touches tell.
+        free = np.isin(np.arange(len(NAMES)), self.free)
+        slow = Fit(self.recordings, self.table, self.finger, free=free, fast_rate_hz=SLOW_RATE_HZ)
         for number, start in enumerate(starts):
             report(number / searches)
-            results.append(self._search(start, FIRST_EVALUATIONS))
+            results.append(slow._search(start, FIRST_EVALUATIONS))
         free_ln = min(results, key=lambda result: result[1])[0]
         for number in range(len(starts), searches):
             report(number / searches)
@@ -289,11 +300,18 @@ def _ramp(recording: Recording) -> Array:
     return np.asarray((recording.time_s - recording.time_s.mean()) / np.ptp(recording.time_s))
 
 
-def _averaged(recording: Recording) -> Recording:
-    """The recording with groups of samples averaged to the rate of the fit, where it is faster."""
+def _averaged(recording: Recording, fast_rate_hz: float) -> Recording:
+    """The recording at the rate of the fit, where it is faster."""
     time_s, force_n = recording.time_s, np.asarray(recording.force_n)
-    fast = np.nanmax(np.abs(np.diff(force_n) / np.diff(time_s)), initial=0.0) > FAST_N_PER_S
-    samples = 1.0 / ((FAST_RATE_HZ if fast else SLOW_RATE_HZ) * float(np.median(np.diff(time_s))))
+    smooth_n = uniform_filter1d(force_n, max(1, round(SMOOTHED_S / float(np.median(np.diff(time_s))))))
+    fast = np.abs(np.diff(smooth_n) / np.diff(time_s)).max(initial=0.0) > FAST_N_PER_S
+    return averaged(recording, fast_rate_hz if fast else SLOW_RATE_HZ)
+
+
+def averaged(recording: Recording, rate_hz: float) -> Recording:
+    """The recording with groups of samples averaged to a rate, where it is faster."""
+    time_s, force_n = recording.time_s, np.asarray(recording.force_n)
+    samples = 1.0 / (rate_hz * float(np.median(np.diff(time_s))))
     group = max(1, min(len(time_s) // LEAST_SAMPLES, round(samples)))
     count = len(time_s) // group
     if group == 1:

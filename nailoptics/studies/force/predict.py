@@ -23,24 +23,17 @@ from ...scene.importers.sensor_recordings import (
 )
 from ...scene.text_files import number_columns
 from ...variables import Variables, variable
+from .baselines import WORDS
+from .estimator import Estimated, ForceEstimator
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import N_PER_CM2, SIDES, Array
+from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, read_subject
-from .uncertainty import ForceEstimate, ForceInterval
+from .uncertainty import ForceEstimate
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
 # further off their predictions than this, in variances.
 MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
-# Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
-# model's do. [N, s]
-STILL_N, SETTLING_S = 0.1, 0.5
-# Samples of this force or more are of a touch: at rest an interval from 0 covers by itself. [N]
-TOUCH_N = 0.15
-# The regressions that a force is compared with, in words.
-REGRESSIONS = {
-    "linear": "force by regression, linear in the readings",
-    "components": "force by regression, on their principal components",
-}
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
 # What messages call readings that come line by line.
@@ -73,21 +66,21 @@ def predict(
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
-    estimates, interval = (
-        estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth),
-        ForceInterval(subject),
+    estimates = estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth)
+    since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
+    estimated = estimator.of(estimates, recording.volts, since_s)
+    force_n = estimated.force.force_n
+    known_n = np.full(force_n.shape, np.nan) if recording.force_n is None else recording.force_n
+    result = _dataset(subject, recording, estimates, estimated, known_n).assign(
+        _event_variables(recording.time_s, force_n, known_n, press_n=press_n, release_n=release_n)
     )
-    force = interval.of(estimates)
-    known_n = np.full(force.force_n.shape, np.nan) if recording.force_n is None else recording.force_n
-    result = _dataset(subject, recording, estimates, force, known_n).assign(
-        _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
-    )
-    above_n = interval.saturated_above_n
+    above_n = estimator.open_above_n
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
     if subject.quality.is_wrong:
-        warnings.append(
+        warnings.insert(
+            0,
             f"the calibration itself was {1e3 * subject.quality.rms_n:.0f} mN off on its own touches (rms): "
-            "calibrate again."
+            "calibrate again.",
         )
     if result.attrs["touch_open_above"] > 0.5:
         warnings.append(
@@ -116,7 +109,7 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     check_known(reading_columns(header), subject.light.names, STDIN)
     columns = {name: header.index(name) for name in ("time_s", *subject.light.names)}
     yield ",".join(CSV_COLUMNS)
-    kalman, interval, last_s = KalmanFilter(subject), ForceInterval(subject), None
+    kalman, estimator, last_s = KalmanFilter(subject), ForceEstimator(subject), None
     for number, line in rows:
         cells = _cells(line)
         if len(cells) <= max(columns.values()) and not line.endswith("\n"):
@@ -129,8 +122,9 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
             raise InputError(f"{STDIN} line {number}: looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
         volts = np.where(volts >= SATURATED * subject.light.range_v, np.nan, volts)
-        estimate = kalman.update_sample(volts, None if last_s is None else time_s - last_s)
-        last_s, force = time_s, interval.of(stacked([estimate]))
+        since_s: float | None = None if last_s is None else time_s - last_s
+        estimate = kalman.update_sample(volts, since_s)
+        last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0])).force
         yield _csv_row(time_s, *(float(column[0]) for column in force[: len(FORCE_COLUMNS)]), estimate.outlier)
 
 
@@ -176,16 +170,18 @@ def _csv_row(time_s: float, *columns: float) -> str:
 
 
 def _dataset(
-    subject: Subject, recording: Recording, estimates: PressureEstimate, force: ForceEstimate, known_n: Array
+    subject: Subject, recording: Recording, estimates: PressureEstimate, estimated: Estimated, known_n: Array
 ) -> xr.Dataset:
-    regression_n = {name: baseline.force_n(recording.volts) for name, baseline in subject.baselines.items()}
+    force = estimated.force
     columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
+        "force_filter_n": (estimated.filter_n, "force by the filter on the vessels alone", "N"),
         "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
         "surprise": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
         "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
         "known_force_n": (known_n, "known force", "N"),
     }
-    columns |= {f"force_{name}_n": (series, REGRESSIONS[name], "N") for name, series in regression_n.items()}
+    compared_n = {name: baseline.force_n(estimated.over_rest) for name, baseline in subject.comparisons.items()}
+    columns |= {f"force_{name}_n": (series, WORDS[name], "N") for name, series in compared_n.items()}
     data: Variables = {}
     for name, (values, text, units) in columns.items():
         data |= variable(name, "time", values, text, units=units)
@@ -193,18 +189,20 @@ def _dataset(
         pressure_pa, stderr_pa = (N_PER_CM2 * column for column in pressure)
         text = f"{side} touch pressure"
         data |= variable(f"{side}_pressure_pa", "time", pressure_pa, text, units="Pa", stderr=stderr_pa)
+    touches = _scored(recording, force, known_n)
+    for name, text, units in TOUCH_SCORES:
+        values = [kind[name] for kind in touches.values()]
+        data |= variable(f"touch_{name}", "kind", values, text, units=units)
     misfit = _misfit(subject, recording, estimates, force.force_n)
     inside = (known_n >= force.force_low_n) & (known_n <= force.force_high_n)
-    judged, error_n = np.isfinite(known_n), force.force_n - known_n
+    judged, is_open = np.isfinite(known_n), np.isinf(force.force_high_n)
     touching = (force.force_n if recording.force_n is None else known_n) >= TOUCH_N
     half_width_n = 0.5 * (force.force_high_n - force.force_low_n)[touching]
     attributes = {
-        "rms_n": rms(error_n),
+        "rms_n": rms(force.force_n - known_n),
         "coverage_95": _mean(inside[judged]),
-        "touch_rms_n": rms(error_n[touching]),
-        "touch_coverage_95": _mean(inside[touching & judged]),
         "half_width_n": float(np.median(half_width_n)) if half_width_n.size else float("nan"),
-        "touch_open_above": _mean(np.isinf(half_width_n)),
+        "touch_open_above": _mean(is_open[touching]),
         "chi2_per_dof": float(estimates.nis.sum() / max(estimates.count.sum(), 1)),
         "outliers": float(estimates.outlier.mean()),
         "consistent": int(not misfit),
@@ -212,8 +210,18 @@ def _dataset(
         "scene_digest": subject.scene_digest,
         "title": "force from volts",
     } | code_attributes()
-    attributes |= {f"rms_{name}_n": rms(series - known_n) for name, series in regression_n.items()}
-    return xr.Dataset(data, variable("time", "time", recording.time_s, "time", units="s"), attributes)
+    touched = known_n >= TOUCH_N
+    compared_n["filter"] = estimated.filter_n
+    attributes |= {f"touch_rms_{name}_n": rms((series - known_n)[touched]) for name, series in compared_n.items()}
+    coordinates = variable("time", "time", recording.time_s, "time", units="s") | {"kind": list(touches)}
+    return xr.Dataset(data, coordinates, attributes)
+
+
+def _scored(recording: Recording, force: ForceEstimate, known_n: Array) -> dict[str, dict[str, float]]:
+    """How well the touches of a known force are estimated, by kind; of none where it is not known."""
+    where = force.proximal_share if recording.site is None else np.nan_to_num(recording.site, nan=0.5)
+    bounds_n, still = (force.force_low_n, force.force_high_n), is_still(recording.time_s, np.nan_to_num(known_n))
+    return touches_by_kind(known_n, force.force_n, bounds_n, where > 0.5, still)
 
 
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
@@ -229,9 +237,9 @@ def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds
 
 def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate, force_n: Array) -> str:
     """The likely cause where readings do not fit the subject; empty where they do."""
-    outlier = estimates.outlier
-    before_n = np.interp(recording.time_s - SETTLING_S, recording.time_s, force_n)
-    still = np.abs(force_n - before_n) < STILL_N
+    # Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
+    # model's do.
+    outlier, still = estimates.outlier, is_still(recording.time_s, force_n)
     outliers = float(outlier[still].mean()) if still.any() else 1.0
     chi2 = estimates.nis[~outlier].sum() / max(estimates.count[~outlier].sum(), 1)
     if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
@@ -262,9 +270,3 @@ def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recordin
 
 def _mean(values: NDArray[Any]) -> float:
     return float(values.mean()) if values.size else float("nan")
-
-
-def rms(error: Array) -> float:
-    """Root mean square of the finite values; NaN of none."""
-    valid = np.isfinite(error)
-    return float(np.sqrt(np.mean(error[valid] ** 2))) if valid.any() else float("nan")

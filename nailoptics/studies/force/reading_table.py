@@ -120,15 +120,17 @@ def record(scene: Scene, result: xr.Dataset, *, seed: int) -> Recording:
     analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
     volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
     volts, _ = electronics.converted(np.round(volts / lsb) * lsb, scene.electronics)
-    return Recording(
-        "simulated", names, result.time.values, volts, result.force_n.values, np.full(volts.shape[1], site_of(scene))
-    )
+    time_s = result.time.values
+    return Recording("simulated", names, time_s, volts, result.force_n.values, site_of(scene, time_s))
 
 
-def site_of(scene: Scene) -> float:
-    """Where the scene's touch presses: 1 proximal, 0 distal, NaN even."""
+def site_of(scene: Scene, time_s: Array) -> Array:
+    """Where the scene's touch presses at some times [s]: 1 proximal, 0 distal, NaN even."""
     touch = scene.touch
-    return SITES[touch.site] if touch.site else {1.0: 1.0, 0.0: 0.0}.get(touch.proximal_share, np.nan)
+    if touch.profile == "protocol":
+        return np.round(np.interp(time_s, touch.recorded_time_s or (), touch.recorded_proximal_share or ()))
+    site = SITES[touch.site] if touch.site else {1.0: 1.0, 0.0: 0.0}.get(touch.proximal_share, np.nan)
+    return np.full(time_s.shape, site)
 
 
 def nodes_of(most_blood: float) -> Array:

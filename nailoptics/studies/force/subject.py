@@ -14,15 +14,18 @@ from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.base import Fraction
 from ...scene.importers.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
+from .baselines import Baseline
+from .ensemble import Ensemble
 from .person import MOST_GAIN, NAMES, PRIORS, SPREAD_LN, TABLE, Array, NominalFinger, Numbers, Person, within
 from .reading_table import POWERS, ReadingTable
 
-# No calibration finds more: factors on the scene's constants, and newtons for each volt of a regression.
-MOST_FACTOR, MOST_WEIGHT = 100.0, 1e9
+# No calibration finds more: factors on the scene's constants.
+MOST_FACTOR = 100.0
 # Correlations of a calibration are known to rounding but for this.
 ROUNDING = 1e-3
-# A calibration whose own touches come out further off than this, rms, does not fit its person. [N]
-MOST_RMS_N = 0.15
+# A calibration whose own touches come out further off than this part of their size, rms, does not fit its person; those
+# of files without touches, further than this. [1, N]
+MOST_ERROR, MOST_RMS_N = 0.15, 0.15
 # Parameters that are calibrated of each reading: gain, offset and an added slope by the blood of either zone.
 LINEAR = 4
 # A factor is informed by a calibration that leaves less than this part of the prior's standard deviation.
@@ -37,22 +40,27 @@ DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
 class Quality:
     """How well a calibration fits its own recordings.
 
-    chi2_per_dof : of the whitened residuals. rms_n : error of the force; NaN where it could not be judged. [N]
-    coverage_factor : how much wider than usual intervals are, where the calibration's own touches need it.
+    chi2_per_dof : of the whitened residuals. rms_n : error of touches' force; NaN where it could not be judged. [N]
     most_force_n : the largest calibrated force by site. [N]
+    is_held_out : whether errors are of touches that the ensemble was not trained on.
+    touches : rms_n, relative_error (of the touches' rms force), coverage_95 and half_width_n of touches by kind. [N, 1]
     """
 
     chi2_per_dof: float
     rms_n: Annotated[float, Field(allow_inf_nan=True)]
-    coverage_factor: Annotated[
-        float, Field(ge=1e-3, le=MOST_GAIN, validation_alias=AliasChoices("coverage_factor", "widening"))
-    ]
     most_force_n: dict[str, float]
+    is_held_out: bool = False
+    touches: dict[str, dict[str, Annotated[float, Field(allow_inf_nan=True)]]] = Field(default_factory=dict)
+
+    @property
+    def relative_error(self) -> float:
+        """rms error of the calibration's touches over their rms force; NaN where it could not be judged. [1]"""
+        return self.touches.get("all", {}).get("relative_error", float("nan"))
 
     @property
     def is_wrong(self) -> bool:
-        """Whether the force of the calibration's own touches came out so far off that no other can be trusted."""
-        return self.rms_n > MOST_RMS_N
+        """Whether the force of the calibration's own touches came out so far off that others will, too."""
+        return self.relative_error > MOST_ERROR if self.touches else self.rms_n > MOST_RMS_N
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -115,54 +123,6 @@ class Noise:
     static_error: Annotated[float, Field(exclude=True)] = STATIC_ERROR
 
 
-@dataclass(frozen=True, config=TABLE)
-class Curve:
-    """From estimated to applied pressures, (K,) float each, rising from 0; straight between them. [N/cm^2]"""
-
-    estimated_n_per_cm2: Annotated[
-        Numbers,
-        within(0, MOST_GAIN, np.positive),
-        within(1e-6, MOST_GAIN, np.diff),
-        Field(validation_alias=AliasChoices("estimated_n_per_cm2", "told_n_per_cm2")),
-    ]
-    applied_n_per_cm2: Annotated[
-        Numbers,
-        within(0, MOST_GAIN, np.positive),
-        Field(validation_alias=AliasChoices("applied_n_per_cm2", "pressed_n_per_cm2")),
-    ]
-
-    def __post_init__(self) -> None:
-        if self.estimated_n_per_cm2.shape != self.applied_n_per_cm2.shape:
-            raise ValueError("has not one applied pressure for each that is estimated")
-
-
-@dataclass(frozen=True, config=TABLE)
-class Correction:
-    """What a fitted network gets wrong of a touch: a curve for each side."""
-
-    proximal: Curve
-    distal: Curve
-
-    def apply(self, estimated: Array) -> Array:
-        """Corrected pressures (2, *S) of estimated ones. [N/cm^2]"""
-        curves = [(side.estimated_n_per_cm2, side.applied_n_per_cm2) for side in (self.proximal, self.distal)]
-        # Past its end a curve goes on in proportion.
-        sides = zip(estimated, curves, strict=True)
-        return np.stack([np.interp(side, *curve) * np.maximum(side / curve[0][-1], 1.0) for side, curve in sides])
-
-
-@dataclass(frozen=True, config=TABLE)
-class Regression:
-    """Force = intercept + weights . volts; weights_n_per_v : (R,) float."""
-
-    intercept_n: Annotated[float, Field(ge=-MOST_WEIGHT, le=MOST_WEIGHT)]
-    weights_n_per_v: Annotated[Numbers, within(0, MOST_WEIGHT)]
-
-    def force_n(self, volts: Array) -> Array:
-        """Force for volts (R, T), NaN where a reading has a gap; never below 0. [N]"""
-        return np.maximum(self.intercept_n + self.weights_n_per_v @ volts, 0.0)
-
-
 def _factor_values(table: Any) -> Any:
     """The factors of a file's table, which says more of each."""
     if isinstance(table, dict) and list(table) != list(NAMES):
@@ -190,7 +150,8 @@ class Subject:
 
     scene_digest : of the scene whose board and finger it was calibrated for.
     factors : (P,) float, by NAMES. scene : what they multiply.
-    correction : of the pressures that the filter estimates. light : volts over blood.
+    light : volts over blood. ensemble : regressions beside the filter; none in files of version 0.2, or of few touches.
+    comparisons : regressions that estimates are compared with, by name.
     covariance : (P + 4 R, P + 4 R) float. Of the factors' logarithms, gains, offsets [V], and added slopes of ln volts
         by the blood of either zone.
     """
@@ -203,17 +164,19 @@ class Subject:
     factors: Annotated[Numbers, BeforeValidator(_factor_values), within(1 / MOST_FACTOR, MOST_FACTOR, np.positive)]
     readings: Annotated[Readings, BeforeValidator(_columns)]
     noise: Noise
-    correction: Correction
-    baselines: dict[str, Regression]
     scene: NominalFinger
     light: ReadingTable
     covariance: Annotated[Numbers, AfterValidator(_covariance)]
+    ensemble: Ensemble | None = None
+    comparisons: dict[str, Baseline] = Field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.light.names)
         shapes = {"covariance": len(self.covariance) - len(NAMES) - (LINEAR - 1) * count}
         shapes |= {f"readings.{name}": len(var) for name, var in vars(self.readings).items()}
-        shapes |= {f"baselines.{name}": len(self.baselines[name].weights_n_per_v) for name in ("linear", "components")}
+        shapes |= {f"comparisons.{name}": line.projection.shape[1] for name, line in self.comparisons.items()}
+        if self.ensemble is not None:
+            shapes["ensemble.components"] = self.ensemble.components.shape[1]
         for name, size in shapes.items():
             if size != count:
                 raise ValueError(f"{name} is not that of {count} readings")

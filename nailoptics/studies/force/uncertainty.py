@@ -1,4 +1,4 @@
-"""From the filter's estimates to a force with its 95 % interval: correction of the network, calibration uncertainty.
+"""From the filter's estimates to a force with its 95 % interval: the calibration's uncertainty.
 
 The interval has no upper bound where the vessels are closed.
 """
@@ -11,43 +11,9 @@ from scipy.stats import norm, qmc
 
 from ...statistics import covariance_root
 from .kalman import PressureEstimate, rest_odds
-from .person import NAMES, SIDES, Array, Person
+from .person import NAMES, Array, Person
 from .state_space import touch_pressure
-from .subject import Correction, Curve, Subject
-
-# Nodes of the correction curve, and the largest fitted touch, in parts of the pressure at closure.
-BENDS, FITTED_TO = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0]), 0.8
-# Prior standard deviations of its factor on a pressure, and of the difference between neighbouring nodes.
-SPREAD, SMOOTHNESS = 0.3, 0.15
-# Noise of an estimated pressure and its correlation time. [N/cm^2, s]
-NOISE, CORRELATION_S = 0.1, 1.0
-
-
-def no_correction() -> Correction:
-    """The curve of a network that is exact."""
-    return Correction(Curve(BENDS, BENDS), Curve(BENDS, BENDS))
-
-
-def fit_correction(closure: float, time_s: Array, estimated: Array, applied: Array) -> Curve:
-    """The curve of one side from touches there: least squares on its factors at the bends, held to 1 and to be smooth.
-
-    closure : pressure that closes the vessels. [N/cm^2]
-    time_s, estimated, applied : (T,) float, of no samples where there was no touch. [s], [N/cm^2]
-    """
-    bends, ones = closure * BENDS, np.eye(BENDS.size)
-    rows = [ones / SPREAD, np.diff(ones, axis=0) / SMOOTHNESS]
-    target = [np.full(BENDS.size, 1 / SPREAD), np.zeros(BENDS.size - 1)]
-    if time_s.size > 1:
-        # Past closure estimates do not depend on the force.
-        below = np.maximum(estimated, applied) < FITTED_TO * closure
-        correlated = max(1.0, CORRELATION_S / float(np.median(np.diff(time_s))))
-        hats = np.stack([np.interp(estimated[below], bends, basis) for basis in ones], axis=1)
-        rows.append(hats * bends / NOISE / np.sqrt(correlated))
-        target.append(applied[below] / NOISE / np.sqrt(correlated))
-    factor = np.linalg.lstsq(np.concatenate(rows), np.concatenate(target), rcond=None)[0]
-    # A harder touch is never estimated as a softer one.
-    return Curve(bends, np.maximum.accumulate(np.maximum(factor, 0.1) * bends))
-
+from .subject import Subject
 
 # Held touches of either side at which the error is computed, in parts of closure.
 PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
@@ -90,10 +56,9 @@ class ForceInterval:
     """Forces with 95 % intervals of the filter's estimates, for one sample or many."""
 
     def __init__(self, subject: Subject) -> None:
-        self.subject, self.person, self.correction = subject, subject.person, subject.correction
-        self.scale = INTERVAL_SCALE * subject.quality.coverage_factor
+        self.subject, self.person = subject, subject.person
         closure = self.person.closure()
-        self._closed = self.correction.apply(closure[:, None])
+        self._closed = closure[:, None]
         root, self._information = covariance_root(subject.covariance), np.linalg.inv(subject.rest_covariance)
         self._roots = [
             make_interp_spline(bends, [self._jacobian(side, bend) @ root for bend in bends], k=1)
@@ -104,20 +69,20 @@ class ForceInterval:
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
         # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
         closing_n = self.person.side_areas_cm2 * self._closed[:, 0]
-        self.saturated_above_n = dict(zip(SIDES, closing_n.tolist(), strict=True))
+        self.saturated_above_n = closing_n
         self._least_closing_n = closing_n * np.exp(-2 * part)
 
     def of(self, estimates: PressureEstimate) -> ForceEstimate:
         """The forces of some samples."""
-        touch, by_filter = estimates.touch, estimates.covariance * self.scale**2
+        touch, by_filter = estimates.touch, estimates.covariance * INTERVAL_SCALE**2
         by_calibration, pressure_by_calibration = self._calibration_covariance(touch_pressure(touch.T))
         covariance = by_filter + by_calibration
         cloud = np.einsum("tij,jp->itp", covariance_root(covariance), self._points)
-        pressures = self.correction.apply(touch_pressure(touch.T[:, :, None] + cloud))
+        pressures = touch_pressure(touch.T[:, :, None] + cloud)
         force, share = self.person.force(pressures)
         low, high = np.quantile(force, QUANTILES, axis=1)
         share_low, share_high = np.quantile(share, QUANTILES, axis=1)
-        pressure = self.correction.apply(touch_pressure(touch.T))
+        pressure = touch_pressure(touch.T)
         middle, middle_share = self.person.force(pressure)
         highest = np.quantile(pressures, QUANTILES[1], axis=2)
         saturated = (highest >= self._closed).any(0)
@@ -147,7 +112,7 @@ class ForceInterval:
         total = np.maximum(pressure.sum(0), 1e-9)
         proximal, distal = (root(np.minimum(total, root.t[-1])) for root in self._roots)
         root = (pressure[0] / total)[:, None, None] * proximal + (1.0 - pressure[0] / total)[:, None, None] * distal
-        known = root @ np.moveaxis(root, 1, 2) * self.scale**2
+        known = root @ np.moveaxis(root, 1, 2) * INTERVAL_SCALE**2
         jacobian = np.zeros((total.size, 2, 4))
         jacobian[:, [0, 1], [0, 1]] = 1.0
         jacobian[:, 0, 2], jacobian[:, 0, 3], jacobian[:, 1, 2] = pressure[0], pressure[0], pressure[1]

@@ -27,16 +27,14 @@ Change = Callable[[str, int], str]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of both sites, one of another touch, and a subject that the command calibrated from half a touch."""
+    """Recordings of both sites, one of another touch, and a subject that the command calibrated from eight touches."""
     folder = tmp_path_factory.mktemp("sensor")
     for seed, site in enumerate(("proximal", "distal")):
         (folder / f"{site}.csv").write_text(recording_csv(made_sensor.record(made_sensor.cycle(1.5), site, seed=seed)))
     touch = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
     (folder / "touch.csv").write_text(recording_csv(touch))
-    rows = (folder / "proximal.csv").read_text().splitlines()
-    # At rest, pressed and held: what a recording needs at the least.
-    (folder / "half.csv").write_text("\n".join(rows[:251]) + "\n")
-    _calibrated(folder / "half.csv", folder / "me.toml")
+    (folder / "least.csv").write_text(recording_csv(made_sensor.record_touches(seed=4)))
+    _calibrated(folder / "least.csv", folder / "me.toml")
     return folder
 
 
@@ -124,8 +122,16 @@ CALIBRATING = [
     (_column("force_n", lambda cell, k: "" if k == 7 else cell), "line 9: force_n is empty"),
     (_column("force_n", lambda cell, k: "0"), "constant at 0 N; press the finger"),
     (_column("force_n", lambda cell, k: str(1e-3 * float(cell))), "force_n reaches 0.0015 N; press up to 1 N"),
-    (_column("force_n", lambda cell, k: str(60 * float(cell))), "force_n reaches 90 N; press up to 1 N or more, 20 N"),
-    (_column("force_n", lambda cell, k: str(0.2 + float(cell))), "record at least 1 s without a touch"),
+    (_column("force_n", lambda cell, k: str(15 * float(cell))), "reaches 22.5 N; press up to 1 N or more, 20 N"),
+    (_column("force_n", lambda cell, k: str(60 * float(cell))), "force_n reaches 90: that is in grams"),
+    (_column("force_n", lambda cell, k: str(0.2 + float(cell))), "rests (force_n below 0.05 N) for 0 s before the"),
+    (
+        _column("force_n", lambda cell, k: "0.3" if k == 20 else cell),
+        "for 0.4 s before the first touch; begin with 6 s",
+    ),
+    (_column("time_s", lambda cell, k: str(2.0 * float(cell))), "recorded at 25 and 50 Hz; record all"),
+    (_column("site", lambda cell, k: "distal"), "no proximal touch was recorded; record touches of both sides"),
+    (lambda text: text, "2 touches were recorded; record 8 or more"),
     (_column("time_s", lambda cell, k: str(2.0 * k)), "samples lie 2 s apart; record at 2 Hz or faster"),
     (_column("time_s", lambda cell, k: str(float(cell) + 3600.0 * (k > 200))), "nothing was recorded for 3.6e+03 s"),
     (_column("time_s", lambda cell, k: str(float(cell) + 50.0 * (k > 200))), "record at an even rate"),
@@ -187,7 +193,7 @@ def test_a_saturated_part_counts_as_a_gap_and_is_said(
 @pytest.mark.long
 def test_readings_that_are_there_every_other_sample_calibrate(folder: Path, tmp_path: Path) -> None:
     """LEDs that are lit in turn leave every other cell empty, and no sample whole."""
-    text = (folder / "half.csv").read_text()
+    text = (folder / "least.csv").read_text()
     for number, name in enumerate(made_sensor.table().names):
         text = _changed(text, name, lambda cell, k, number=number: cell if (k + number) % 2 else "")  # type: ignore[misc]
     (tmp_path / "turns.csv").write_text(text)

@@ -10,7 +10,6 @@ from nailoptics.hemodynamics import parameters
 from nailoptics.sensor import information
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
-from nailoptics.studies.force.uncertainty import no_correction
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +28,7 @@ def known() -> Subject:
             noise_v=light.noise_v,
         ),
         covariance=1e-14 * np.eye(len(found.covariance)),
-        quality=replace(found.quality, coverage_factor=1.0),
-        correction=no_correction(),
+        ensemble=None,
         noise=replace(
             found.noise,
             drift_per_min=1e-9,

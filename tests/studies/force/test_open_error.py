@@ -11,7 +11,7 @@ from nailoptics.statistics import Z95
 from nailoptics.studies.force.kalman import PressureEstimate, stacked
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.subject import LINEAR, Subject, parse_subject
-from nailoptics.studies.force.uncertainty import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR, ForceInterval, no_correction
+from nailoptics.studies.force.uncertainty import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR, ForceInterval
 
 # So small a part of the covariance moves readings in proportion.
 PART = 1e-4
@@ -20,8 +20,7 @@ PART = 1e-4
 @pytest.fixture(scope="module")
 def subject() -> Subject:
     found = parse_subject(made_sensor.subject())
-    quality = replace(found.quality, coverage_factor=1.0)
-    return replace(found, covariance=PART * found.covariance, quality=quality, correction=no_correction())
+    return replace(found, covariance=PART * found.covariance)
 
 
 def risen_v(one: Subject, pressure: np.ndarray) -> np.ndarray:

@@ -1,0 +1,179 @@
+"""Force from readings and filter by an ensemble of regressions with memory: features, terms, and what a subject holds.
+
+The filter knows the vessels of its model; what another body does is learnt from its calibration (`training`). Every
+member is linear in its terms, so that their weighted sum is one polynomial and one sum of Gaussians.
+"""
+
+import itertools
+from functools import cached_property
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from .person import MOST_GAIN, TABLE, Array, Numbers, within
+
+# Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
+LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
+# Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later. [s]
+FIRST_REST_S, ZERO_S = 6.0, 30.0
+# Principal components of the readings that are features, and the two pressures of the filter.
+COMPONENTS, PRESSURES = 2, 2
+# Exponent of the kernel for features that lie a standard deviation each apart. [1]
+NARROWNESS = 0.2
+# An interval depends on a constant, the estimate, and the components' departures over this lag, on either side.
+HALF_WIDTH_TERMS, MOTION_LAG = 3, 1
+# The estimate follows the filter from this part of the largest force that members are trained on. [1]
+HANDED_OVER = 0.9
+
+
+class Features:
+    """Features of one sample after another: components of the readings and pressures, each with its departures."""
+
+    def __init__(self, components: Array) -> None:
+        self.components = components
+        self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
+
+    def over_rest(self, ln_v: Array, is_resting: bool, since_s: float) -> Array:
+        """Logarithms of the readings (R,) less those at rest; a gap repeats the reading before it."""
+        if not self._zero.size:
+            self._zero = self._last = np.nan_to_num(ln_v)
+        ln_v = self._last = np.where(np.isfinite(ln_v), ln_v, self._last)
+        if is_resting:
+            self._rest_s += since_s
+            first = since_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
+            self._zero = self._zero + max(first, -np.expm1(-since_s / ZERO_S)) * (ln_v - self._zero)
+        return ln_v - self._zero
+
+    def with_memory(self, over_rest: Array, pressure_n: Array, since_s: float) -> Array:
+        """All features (D, *S) of one sample, or of many side by side.
+
+        over_rest : (R, *S) float. pressure_n : (2, *S) float. Of the filter, times the contact's areas. [N]
+        """
+        now = np.concatenate([self.components @ over_rest, pressure_n])
+        if not self._means.size:
+            self._means = np.zeros((len(LAGS_S), *now.shape))
+        keep = np.exp(-since_s / LAGS_S).reshape(-1, *[1] * now.ndim)
+        self._means = now + keep * (self._means - now)
+        return np.concatenate([now[None], now - self._means]).reshape(-1, *now.shape[1:])
+
+
+class Terms(NamedTuple):
+    """Indices of the features that each monomial multiplies, and which monomials a member has.
+
+    indices : (n, 3) int; past the last feature stands a 1. members : n bool each.
+    """
+
+    indices: NDArray[np.int64]
+    members: dict[str, NDArray[np.bool_]]
+
+    def of(self, features: Array) -> Array:
+        """Monomials (n, *S) of features (D, *S)."""
+        with_one = np.concatenate([features, np.ones_like(features[:1])])
+        return np.asarray(with_one[self.indices].prod(1))
+
+
+def terms_of(components: int) -> Terms:
+    """The monomials of so many components of readings and of the pressures, each with its departures."""
+    every = np.arange((1 + len(LAGS_S)) * (components + PRESSURES)).reshape(1 + len(LAGS_S), -1)
+    readings, pressures, one = every[:, :components].ravel(), every[:, components:].ravel(), every.size
+    rows: list[tuple[int, ...]] = [(i, one, one) for i in range(one)]
+    for group in (readings, pressures):
+        rows += [(i, j, one) for i, j in itertools.combinations_with_replacement(group.tolist(), 2)]
+    rows += itertools.combinations_with_replacement(every[0, :components].tolist(), 3)
+    indices = np.array(rows)
+
+    def within_group(group: NDArray[np.int64]) -> NDArray[np.bool_]:
+        return np.asarray(np.isin(indices, [*group, one]).all(1))
+
+    cubic = within_group(readings)
+    members = {
+        "quadratic": cubic & (indices[:, 2] == one),
+        "cubic": cubic,
+        "map of the filter": within_group(every[0, components:]),
+        "map of the filter with memory": within_group(pressures),
+        "kernel": (indices[:, 1:] == one).all(1),
+    }
+    return Terms(indices, members)
+
+
+@dataclass(frozen=True, config=TABLE)
+class Ensemble:
+    """Force = filter_weight * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres.
+
+    components : (K, R) float. Of ln volts over those at rest; with standard deviation 1 over the calibration's touches.
+    least, most : (D,) float. Range of the features in the calibration; beyond they count as its ends.
+    middle, scale : (D,) float. By which features are standardised for the kernel.
+    polynomial_n : by `terms_of`. [N] centres, kernel_n : (M, D) and (M,) float. [N]
+    top_n : the largest force that members are trained on. [N]
+    half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
+    open_from_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
+    weights : of every member, for the reader; errors_n : rms error over held-out touches of each. [N]
+    """
+
+    components: Numbers
+    least: Numbers
+    most: Numbers
+    middle: Numbers
+    scale: Annotated[Numbers, within(1e-12, MOST_GAIN)]
+    filter_weight: Annotated[float, Field(ge=0, le=MOST_GAIN)]
+    intercept_n: float
+    polynomial_n: Numbers
+    centres: Numbers
+    kernel_n: Numbers
+    top_n: Annotated[float, Field(gt=0, le=MOST_GAIN)]
+    half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
+    open_from_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
+    weights: dict[str, float]
+    errors_n: dict[str, float]
+
+    def __post_init__(self) -> None:
+        if self.components.ndim != 2 or self.centres.ndim != 2:
+            raise ValueError("components and centres must be tables of numbers")
+        features = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES)
+        shapes: dict[str, tuple[int, ...]] = {name: (features,) for name in ("least", "most", "middle", "scale")}
+        shapes |= {"polynomial_n": (len(self.terms.indices),), "kernel_n": (len(self.centres),)}
+        shapes |= {"half_width_n": (2, HALF_WIDTH_TERMS), "open_from_n": (2,)}
+        shapes["centres"] = len(self.centres), features
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+
+    @cached_property
+    def terms(self) -> Terms:
+        """Of its polynomial."""
+        return terms_of(len(self.components))
+
+    def force_n(self, features: Array, filter_n: Array) -> Array:
+        """Force (T,) of features (D, T) beside the filter's (T,). [N]"""
+        inside = np.clip(features, self.least[:, None], self.most[:, None])
+        force_n = self.filter_weight * filter_n + self.intercept_n + self.polynomial_n @ self.terms.of(inside)
+        force_n = np.maximum(force_n + self.kernel_n @ self.kernel(inside), 0.0)
+        # Past what members know the filter says how much harder the touch is.
+        past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
+        return np.asarray(force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0))
+
+    def interval_n(self, features: Array, force_n: Array, share: Array) -> tuple[Array, Array]:
+        """Bounds (T,) of forces (T,) with a proximal share, the upper one infinite where vessels may be closed. [N]"""
+        proximal_n, distal_n = self.half_width_n @ half_width_terms(features, force_n, len(self.components))
+        half_n = share * proximal_n + (1.0 - share) * distal_n
+        is_open = force_n >= share * self.open_from_n[0] + (1.0 - share) * self.open_from_n[1]
+        return np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n)
+
+    def kernel(self, features: Array) -> Array:
+        """The Gaussians (M, T) of features (D, T)."""
+        return gaussians((features - self.middle[:, None]) / self.scale[:, None], self.centres)
+
+
+def gaussians(standardised: Array, centres: Array) -> Array:
+    """Gaussians (M, T) of features (D, T) about centres (M, D), narrow by NARROWNESS."""
+    square = (centres**2).sum(1)[:, None] + (standardised**2).sum(0) - 2.0 * centres @ standardised
+    return np.asarray(np.exp(-NARROWNESS * square / len(standardised)))
+
+
+def half_width_terms(features: Array, force_n: Array, components: int) -> Array:
+    """What the width of intervals (T,) depends on, (3, T): a constant, force, and motion."""
+    departures = features.reshape(1 + len(LAGS_S), -1, features.shape[-1])[1 + MOTION_LAG, :components]
+    return np.stack([np.ones_like(force_n), force_n, np.sqrt((departures**2).mean(0))])
