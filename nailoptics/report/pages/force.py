@@ -313,7 +313,7 @@ def _calibration_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]
 
 
 def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
-    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels closed)"
+    upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels may be closed)"
     lines = [f"{result.sizes['time']} samples; {upper}"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
