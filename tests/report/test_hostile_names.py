@@ -113,7 +113,9 @@ def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
     result = xr.Dataset(data, {"reading": [name]}, about)
     numbers = ("gain", "gain_stderr", "offset_v", "offset_stderr_v", "residual_rms_v", "noise_v")
     factor = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
-    summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "widening": 1.0, "warnings": [name]}
+    scores = dict.fromkeys(("rms_n", "relative_error", "coverage_95", "half_width_n"), 0.1)
+    summary = {"rms_n": 0.1, "chi2_per_dof": 1.0, "half_width_n": 0.2, "is_held_out": True, "warnings": [name]}
+    summary |= {"quality": {name: scores}}
     summary |= {"parameters": {name: factor}, "readings": {name: dict.fromkeys(numbers, 1.0)}}
     monkeypatch.setattr(force, "calibration_summary", lambda _: summary)
     assert_text_alone(force.calibration_page(result), name)
@@ -126,7 +128,9 @@ def hostile_prediction(name, monkeypatch) -> str:
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
     result = xr.Dataset(data, {"time": np.arange(8.0)}, {"scene": name, "scene_digest": name})
     summary = {"warnings": [name], "consistent": False, "misfit": name, "open_above_n": 1.0, "rms_n": 0.1}
-    summary |= {"coverage_95": 0.9, "baseline_rms_n": {"linear": 0.1, "components": 0.1}}
+    scores = dict.fromkeys(("rms_n", "relative_error", "coverage_95", "half_width_n"), 0.1)
+    summary |= {"coverage_95": 0.9, "touch_rms_n": 0.1, "touches": {name: scores}}
+    summary |= {"baseline_rms_n": {"filter": 0.1, "cubic": 0.1}}
     summary |= {"events": [{"kind": name, "time_s": 1.0, "latency_s": 0.1}]}
     monkeypatch.setattr(force, "prediction_summary", lambda _: summary)
     return force.prediction_page(result)

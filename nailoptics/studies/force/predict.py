@@ -213,7 +213,9 @@ def _dataset(
     touched = known_n >= TOUCH_N
     compared_n["filter"] = estimated.filter_n
     attributes |= {f"touch_rms_{name}_n": rms((series - known_n)[touched]) for name, series in compared_n.items()}
-    coordinates = variable("time", "time", recording.time_s, "time", units="s") | {"kind": list(touches)}
+    coordinates = variable("time", "time", recording.time_s, "time", units="s") | variable(
+        "kind", "kind", list(touches), "kind of touch"
+    )
     return xr.Dataset(data, coordinates, attributes)
 
 
