@@ -81,9 +81,11 @@ def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backe
     """On a board as large as the nail, whose body moves it, with resistors that place fitted."""
     scene = SCENES["placement"]
     rules = scene.placement.model_copy(update={"led_step_mm": 5.0, "photodiodes": 3, "fingers": ()})
-    priors = scene.priors.model_copy(update={"spread": False})
+    # A calibration begins with a finger at rest.
+    touch = scene.touch.model_copy(update={"start_s": 7.0, "release_s": 10.0, "duration_s": 12.0, "site": "proximal"})
+    update = {"placement": rules, "priors": scene.priors.model_copy(update={"spread": False}), "touch": touch}
     try:
-        result = nail.place(scene.model_copy(update={"placement": rules, "priors": priors}), photons=2000, seed=1)
+        result = nail.place(scene.model_copy(update=update), photons=2000, seed=1)
     except nail.NotReachedError as short:
         result = short.result
     PLACEMENT.write(result, tmp_path)

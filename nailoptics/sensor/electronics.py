@@ -24,7 +24,7 @@ MOST_OHM = 22e6
 
 
 class NoiseBudget(NamedTuple):
-    """Variances of one reading by their cause in stage and converter; they add. [V^2]"""
+    """Variances of one reading by their cause in stage and converter, which broadcast; they add. [V^2]"""
 
     shot_v2: Array
     feedback_v2: Array
@@ -169,13 +169,12 @@ def noise_budget(
     gain2, thermal_j = np.asarray(ohm) ** 2, 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
     capacitance_f = 1e-12 * (amplifier.capacitance_pf + _of_each(photodiode, lambda p: p.capacitance_pf))
     charge_noise = 2 * np.pi * capacitance_f * amplifier.noise_nv_per_rt_hz * 1e-9
-    same = np.ones_like(current)
     return NoiseBudget(
         shot_v2=2 * ELEMENTARY_CHARGE_C * (current + _dark_a(photodiode, amplifier)) * bandwidth * gain2,
-        feedback_v2=same * thermal_j * bandwidth * ohm,
-        shunt_v2=same * thermal_j / _of_each(photodiode, lambda p: 1e6 * p.shunt_mohm) * bandwidth * gain2,
-        amplifier_v2=same * charge_noise**2 * bandwidth**3 / 3 * gain2,
-        adc_v2=same * lsb_v(amplifier) ** 2 / 12,
+        feedback_v2=np.asarray(thermal_j * bandwidth * ohm),
+        shunt_v2=np.asarray(thermal_j / _of_each(photodiode, lambda p: 1e6 * p.shunt_mohm) * bandwidth * gain2),
+        amplifier_v2=np.asarray(charge_noise**2 * bandwidth**3 / 3 * gain2),
+        adc_v2=np.asarray(lsb_v(amplifier) ** 2 / 12),
     )
 
 
@@ -188,8 +187,8 @@ def reading_noise(
     bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
     """
     how: dict[str, Any] = {"photodiode": photodiode, "amplifier": amplifier, "feedback_ohm": feedback_ohm}
-    lit, dark = (noise_budget(a, **how) for a in (current_a, np.zeros_like(current_a)))
-    outside_v2 = noise_budget(ambient_a, **how).shot_v2 - noise_budget(0.0, **how).shot_v2
+    lit, dark = (noise_budget(a, **how) for a in (current_a, 0.0))
+    outside_v2 = noise_budget(ambient_a, **how).shot_v2 - dark.shot_v2
     if amplifier.ambient_rejection is None:
         return lit._replace(ambient_v2=outside_v2)
     factor = 1 if amplifier.ambient_rejection == "dark_slot" else 2

@@ -196,7 +196,7 @@ class SampledFrontEnd:
         held = electronics.BOLTZMANN_J_PER_K * amplifier.temperature_k / (1e-12 * self.oximeter.hold_pf)
         return {
             "electronics": (sum(quiet) - quiet.adc_v2) * averaged + held / samples,
-            "converter": quiet.adc_v2 / samples,
+            "converter": np.full_like(current_a, quiet.adc_v2 / samples),
             "ambient light": (bright.shot_v2 - quiet.shot_v2) * averaged,
         }
 
