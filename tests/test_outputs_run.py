@@ -9,7 +9,7 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.report.pages.placement import PLACEMENT
-from nailoptics.scene import Candidate, Scene, load_scene, parse_scene, to_toml
+from nailoptics.scene import Candidate, Scene, Touch, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
@@ -77,13 +77,11 @@ def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, n
 
 @pytest.mark.jit
 @pytest.mark.slow
-def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backend, tmp_path: Path):
+def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backend, tmp_path: Path, capfd):
     """On a board as large as the nail, whose body moves it, with resistors that place fitted."""
     scene = SCENES["placement"]
     rules = scene.placement.model_copy(update={"led_step_mm": 5.0, "photodiodes": 3, "fingers": ()})
-    # A calibration begins with a finger at rest.
-    touch = scene.touch.model_copy(update={"start_s": 7.0, "release_s": 10.0, "duration_s": 12.0, "site": "proximal"})
-    update = {"placement": rules, "priors": scene.priors.model_copy(update={"spread": False}), "touch": touch}
+    update = {"placement": rules, "priors": scene.priors.model_copy(update={"spread": False})}
     try:
         result = nail.place(scene.model_copy(update=update), photons=2000, seed=1)
     except nail.NotReachedError as short:
@@ -91,10 +89,19 @@ def test_the_best_layout_is_recorded_calibrated_predicted_and_explored(jit_backe
     PLACEMENT.write(result, tmp_path)
     best, few = str(tmp_path / "best.toml"), ["--photons", "20000", "--seed", "1"]
     assert all(photodiode.feedback_ohm for photodiode in load_scene(best).photodiodes)
-    recording, subject, page = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "explore.html"))
+    recorded, recording, subject, page = (
+        str(tmp_path / name) for name in ("recorded.toml", "recording.csv", "me.toml", "explore.html")
+    )
     assert run(["check", best]) == 0
-    assert run(["simulate", best, "-o", str(tmp_path / "run"), "--recording", recording, *few]) == 0
-    assert run(["calibrate", best, recording, "-o", subject, *few]) == 0
+    # A calibration takes touches of both sides, with rests between.
+    touch = Touch.model_validate({"profile": "protocol", "sample_rate_hz": 10.0})
+    Path(recorded).write_text(to_toml(load_scene(best).model_copy(update={"touch": touch})))
+    assert run(["simulate", recorded, "-o", str(tmp_path / "run"), "--recording", recording, *few]) == 0
+    # So few photons say nothing of the dimmest photodiode, in words.
+    assert run(["calibrate", recorded, recording, "-o", subject, *few]) == 2
+    assert "trace more photons" in capfd.readouterr().err
+    few[1] = "400000"
+    assert run(["calibrate", recorded, recording, "-o", subject, *few]) == 0
     assert run(["predict", subject, recording, "-o", str(tmp_path / "force")]) == 0
     assert run(["explore", best, "-o", page, "--photons", "50000"]) == 0
 

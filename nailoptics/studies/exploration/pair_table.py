@@ -115,8 +115,8 @@ class PairBasis:
         for axis, x in zip(self.axes, self.coordinates(x_mm, y_mm), strict=True):
             low = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2)
             part = np.clip((x - axis[low]) / (axis[low + 1] - axis[low]), 0.0, 1.0)
-            at = (at[:, :, None] * len(axis) + np.stack([low, low + 1], -1)[:, None]).reshape(count, -1)
-            weight = (weight[:, :, None] * np.stack([1 - part, part], -1)[:, None]).reshape(count, -1)
+            at = (at[:, :, None] * len(axis) + np.stack([low, low + 1], -1)[:, None]).reshape(count, 2 * at.shape[1])
+            weight = (weight[:, :, None] * np.stack([1 - part, part], -1)[:, None]).reshape(at.shape)
         return csr_matrix((weight.ravel(), at.ravel(), 16 * np.arange(count + 1)), shape=(count, self.size))
 
     def penalty(self, softer: float) -> Any:

@@ -151,9 +151,10 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     pairs = [(led, diode) for led in scene.leds for diode in diodes]
     names, noise_v = reading_names(scene), []
-    for name, part, pair in zip(names, near.fraction[..., 0].ravel(), pairs, strict=True):
-        if not part > 0:
-            raise InputError(f"{name}: sees no light in this scene; trace more photons or leave it out.")
+    is_known = np.isfinite(near.change_stderr).all(-1).ravel()
+    for name, part, known, pair in zip(names, near.fraction[..., 0].ravel(), is_known, pairs, strict=True):
+        if not (part > 0 and known):
+            raise InputError(f"{name}: sees too little light for a standard error; trace more photons or leave it out.")
         read = electronics.read(part, *pair, stage)
         if read.saturated:
             raise InputError(
