@@ -132,7 +132,9 @@ def disturbance_lines(result: xr.Dataset) -> list[str]:
     if "false_force_n" in result:
         forces = zip(result.disturbance.values, result.false_force_n.values, strict=True)
         shown = ", ".join(f"{name} {quantity(float(force_n), 'N')}" for name, force_n in forces)
-        lines.append(f"false force at the end of the hold (rms of waves; – where no blood is left to move): {shown}")
+        lines.append(
+            f"false force at the end of the hold (rms of waves; – where little blood is left to move): {shown}"
+        )
     return lines
 
 

@@ -65,7 +65,10 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     usable = ~result.saturated.any("time")
     words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
     names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
-    spreads = (_range(spread.where(usable)) for spread in (result.reading_spread, result.change_spread))
+    spreads = (
+        _range(result[f"{kind}_spread"].where(usable), result[f"{kind}_spread_stderr"])
+        for kind in ("reading", "change")
+    )
     lines = [words.format(*spreads, " and ".join(names))]
     if off := [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE]:
         shift = result.reading_shift.where(usable).values
@@ -101,12 +104,15 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _range(spread: xr.DataArray) -> str:
-    """The range of a standard deviation over the photodiodes."""
-    known = spread.values[np.isfinite(spread.values)]
-    if not known.size:
+def _range(spread: xr.DataArray, stderr: xr.DataArray) -> str:
+    """The range of a standard deviation over the photodiodes, without its lower end where photons hide that."""
+    known = np.isfinite(spread.values)
+    values, errors = spread.values[known], stderr.values[known]
+    if not values.size:
         return "an unknown amount"
-    least, most = (f"{100 * x:.0f}" for x in (known.min(), known.max()))
+    least, most = (f"{100 * x:.0f}" for x in (values.min(), values.max()))
+    if values.min() < errors[values.argmin()]:
+        return f"up to {most} %"
     return f"{least} %" if least == most else f"{least}-{most} %"
 
 

@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 # solvable where a layout sees one, and is nothing beside any reading worth having. [Pa]
 PRIOR_PA = 1e5
 STEP_PA = 100.0
+# Pressures to which blood's change with them holds at most: some arterial pressure, by which vessels are shut. [Pa]
+FAR_PA = 1e4
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
 LIFT_PER_UM = 0.001
@@ -140,16 +142,18 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
 
 def _as_force_n(point: OperatingPoint, blood: Array) -> Array:
     """The force of touch pressures that change the blood of both zones as given, (zones, ...) float, to first order,
-    (...) float; NaN where a pressure moves no blood. [N]
+    (...) float; NaN where pressures move too little blood for that. [N]
     """
     if np.linalg.cond(point.blood_per_pa) > 1 / np.finfo(float).eps:
         return np.full(blood.shape[1:], np.nan)
-    return np.asarray(point.force_per_pa @ np.linalg.lstsq(point.blood_per_pa, blood)[0])
+    pressure_pa = np.linalg.lstsq(point.blood_per_pa, blood)[0]
+    far = np.linalg.norm(pressure_pa.reshape(len(pressure_pa), -1), axis=1).max() > FAR_PA
+    return np.full(blood.shape[1:], np.nan) if far else np.asarray(point.force_per_pa @ pressure_pa)
 
 
 def posture_force_n(scene: Scene, force_n: float) -> float:
     """The false force by the hand's height and venous pressure of a scene while a force is held: what their change of
-    both zones' blood is as a change of both touch pressures, on their areas; NaN where a pressure moves no blood. [N]
+    both zones' blood is as a change of both touch pressures, on their areas; NaN as for `_as_force_n`. [N]
     """
     assert scene.body is not None
     without = scene.body.model_copy(update=POSTURE)
@@ -371,7 +375,7 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
     """False force, rms, by waves of the arterial pressure where light resolves the blood of both zones exactly. [N]
 
     Their blood b is what the pressures B^-1 b would make of it: light from two zones cannot distinguish them, so
-    that no layout resolves finer unless the split of the touch is known. NaN where a pressure moves no blood.
+    that no layout resolves finer unless the split of the touch is known. NaN as for `_as_force_n`.
     """
     return 0.0 if point.body is None else float(np.linalg.norm(_as_force_n(point, point.body.blood)))
 

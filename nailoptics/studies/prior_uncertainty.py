@@ -28,6 +28,8 @@ WEIGHTS = np.array([1, 4, 1]) / 6
 MOST_OFFSET = 1.0
 # Draws from the joint prior, and the part of them in which a sign that holds holds.
 DRAWS, SURELY = 512, 0.975
+# Relative changes of readings as small as this are rounding.
+ROUNDING = 1e-9
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
 OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
@@ -164,7 +166,7 @@ class PriorSensitivity:
         """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool."""
         draws, noise = self.draws(0), np.nan_to_num(jackknife(self.base_answer), nan=np.inf)
         same = (np.sign(draws) == np.sign(self.base_answer[0])).mean(0)
-        return np.asarray((same >= SURELY) & (np.abs(self.base_answer[0]) > Z95 * noise))
+        return np.asarray((same >= SURELY) & (np.abs(self.base_answer[0]) > np.maximum(Z95 * noise, ROUNDING)))
 
     def draws(self, group: int) -> np.ndarray:
         """Answers at draws of the joint priors, without one group of photons (0: by all), (DRAWS, ...) float."""

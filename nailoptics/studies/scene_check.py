@@ -157,7 +157,8 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
         noise = {}
         if at is not None:
             level, *sides = by_state
-            slopes = [(sides[2 * k] - sides[2 * k + 1]) / (2 * BLOOD_STEP * at.blood_fraction[k]) for k in (0, 1)]
+            steps = np.maximum(2 * BLOOD_STEP * at.blood_fraction, np.finfo(float).tiny)  # 0 without blood
+            slopes = [(sides[2 * k] - sides[2 * k + 1]) / steps[k] for k in (0, 1)]
             # The shunted part makes no noise of its own.
             noise = noise_by_cause(np.stack([level, 0 * level, *slopes], -1), scene, i, photodiodes, at, **how)
         for j, element in enumerate(layout.photodiodes):

@@ -103,7 +103,7 @@ def simulate_from(
         volts_stderr = result.volts_stderr.values
         np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
     if false_n := false_forces_n(scene, float(result.force_n[hold_end(result)])):
-        text = "false force at the end of the hold: rms by waves, shift by posture; NaN where a pressure moves no blood"
+        text = "false force at the end of the hold: rms by waves, shift by posture; NaN where touch moves little blood"
         result = result.assign(variable("false_force_n", "disturbance", list(false_n.values()), text, units="N"))
         names = variable("disturbance", "disturbance", list(false_n), "what moves blood beside touch")
         result = result.assign_coords(names)

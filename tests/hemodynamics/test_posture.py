@@ -102,3 +102,10 @@ def test_a_posture_that_cannot_be_is_refused_in_one_line(line: str, words: str) 
     with pytest.raises(InputError, match=words) as error:
         scene_with(f"[body]\n{line}\n")
     assert "\n" not in str(error.value)
+
+
+def test_where_touch_hardly_moves_blood_there_is_no_false_force() -> None:
+    """A vein that is shut at 1.5 N would take hundreds of newtons to first order."""
+    scene = scene_with("[body]\nhand_height_m = 0.3\n[body.heartbeat]\n")
+    assert all(np.isfinite(x) for x in false_forces_n(scene, 0.3).values())
+    assert all(np.isnan(x) for x in false_forces_n(scene, 1.5).values())

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from nailoptics import load_scene, parse_scene, simulate, to_toml
 from nailoptics.assets import data_dir
@@ -15,7 +16,7 @@ from nailoptics.light import ReweightWarning, Transfer, optics, trace
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.options import TraceOptions
-from nailoptics.report.uncertainty_section import spread_section, spread_summary
+from nailoptics.report.uncertainty_section import _range, spread_section, spread_summary
 from nailoptics.scene import Priors, Scene, Touch
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.scene.vessels import Tuning
@@ -318,6 +319,12 @@ def test_every_prior_has_a_source_and_a_field_in_its_range():
         assert prior.source and prior.low <= value_of(scene, prior.field) <= prior.high
     assert {*scene.priors.of_finger(), *scene.priors.of_body(scene.body)} == {*shipped_priors()}
     assert scene.priors.of_body(None) == ()
+
+
+def test_a_range_of_spreads_has_no_end_that_photons_hide():
+    spread = xr.DataArray([0.002, 0.05, 0.21])
+    assert _range(spread, xr.DataArray([0.001, 0.01, 0.01])) == "0-21 %"
+    assert _range(spread, xr.DataArray([0.08, 0.01, 0.01])) == "up to 21 %"
 
 
 def test_the_bones_edge_is_a_prior_where_it_moves_blood():
