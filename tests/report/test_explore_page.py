@@ -189,8 +189,11 @@ def test_resistors_that_fit_a_layout_are_pythons(shown: Any, explored: Explorati
     stage, current_a = explored.scene.electronics, [1e-12, *np.geomspace(1e-8, 1e-3, 40).tolist()]
     displayed = shown.evaluate("currents => currents.map(fittedOhm)", current_a)
     assert displayed == pytest.approx(electronics.fitted_ohm(current_a, stage), rel=1e-12)
-    # On the page every element has the one for its brightest light, and none is saturated.
+    # On the page every element has the one for its brightest light, and none is saturated, or that of the scene.
     rows = shown.evaluate("evaluate(workbench.layout).rows.map(row => [row.element.ohm, row.amplified, row.saturated])")
+    if stage.feedback_ohm != "auto":
+        assert {ohm for ohm, _, _ in rows} == {stage.feedback_ohm}
+        return
     assert len({ohm for ohm, _, _ in rows}) >= min(2, len(explored.scene.layout.photodiodes))
     assert all(volts < electronics.limit_v(stage) / stage.headroom and not full for _, volts, full in rows)
 

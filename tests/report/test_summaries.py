@@ -38,6 +38,7 @@ def with_priors(result, offset):
     """The result with the spread of one prior: the eighth photodiode varies most."""
     pair, spread = ("led", "photodiode"), 0.1 * np.arange(1, 9)[None]
     data = {f"{kind}_{end}": (pair, spread) for kind in ("reading", "change", "signal") for end in ("spread", "shift")}
+    data |= {f"{kind}_spread_stderr": (pair, 0.1 * spread) for kind in ("reading", "change")}
     data |= {
         f"prior_{kind}_spread{end}": (("prior", *pair), spread[None])
         for kind in ("reading", "change")
@@ -99,16 +100,19 @@ def test_a_check_is_reported_in_sentences():
         "LED ir (led_800): 800 nm, 33 nm wide, 2 mW, at (1, 2) mm",
     ]
     pair = {"led": "ir", "photodiode": "a", "distance_mm": 1.5, "volts": 0.25}
+    pair |= {"volts_stderr": 0.01, "feedback_ohm": 1e6, "noise_v": {"shot": 2e-6}}
     diode = {"name": "a", "position_mm": [0.5, -2.0], "size_mm": [1.0, 0.25], "rotation_deg": 90.0}
     found = {"photodiodes": [diode], "not_wired": 2, "board_mm": [2.825, 9.0]}
-    found |= {"pairs": [pair], "warnings": ["hot"]}
+    lit = {"led": "ir", "nail_w_per_m2": 400.0, "eye_w_per_m2": 0.01, "light_j": 1e-6, "charge_c": None}
+    found |= {"pairs": [pair], "warnings": ["hot"], "noise": "shot noise limits", "exposure": [lit]}
     found |= {"ignored": {"x.kicad_pcb": [f"R{i}" for i in range(9)]}}
     found |= {"candidates": [{"name": "mine", "leds": 1, "photodiodes": 4}]}
     lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | found)
     assert "photodiodes: 1, and 2 that are not wired, on a board of 2.83 x 9 mm" in lines
     assert [line.split() for line in lines if "(0.5, -2)" in line] == [
-        ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "0.2500"]
+        ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "1", "0.25", "+-", "0.01"]
     ]
+    assert "noise: shot noise limits" in lines and any("400 W/m^2 right below ir" in line for line in lines)
     assert lines[-1] == "warning: hot"
     assert "layout mine: 1 LEDs, 4 photodiodes" in lines
     assert "ignored: 9 parts of x.kicad_pcb (R0, R1, R2, R3, R4, R5, R6, R7, ...)" in lines

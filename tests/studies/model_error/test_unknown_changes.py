@@ -20,7 +20,7 @@ def scene():
 def test_every_prior_is_a_change_to_the_end_that_is_farther(scene):
     found = {change.name: change for change in changes_of(scene) if change.unknown}
     of_sensor = {"height of dies", "air under the board"}
-    assert found.keys() == {prior.name for prior in scene.priors.of_finger()} | of_sensor
+    assert found.keys() == {prior.name for prior in scene.finger_priors} | of_sensor
     assert found["plate absorption"].changes == {"finger": {"plate_absorption": 2.68}}
     # From 3 % of blood 7.86 % is farther than 1.61 %.
     assert found["blood at rest"].changes == {"blood": {"rest_blood_fraction": 0.0786}}
