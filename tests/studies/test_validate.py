@@ -1,5 +1,6 @@
 """The model beside measurements on people: tables, statistics, and the shipped model with little light."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -182,3 +183,11 @@ def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     assert len(page.lines(summary)) == len(result.tables) + 2
     not_fitted = [one.agrees for one in result.tables.values() if one.basis != "fitted"]
     assert f"of {len(not_fitted)} unfitted quantities {sum(not_fitted)} agree" in page.lines(summary)[-1]
+
+
+def test_the_readme_states_the_counts_of_the_documentation():
+    root = Path(__file__).parents[2]
+    counts = json.loads((root / "docs/validation.json").read_text(encoding="utf-8"))["counts"]
+    (n, count), (fitted, of_fitted) = counts["unfitted"], counts["fitted"]
+    sentence = f"of {count} quantities that were not fitted {n} agree, of {of_fitted} fitted ones {fitted}"
+    assert sentence in " ".join((root / "README.md").read_text(encoding="utf-8").split())
