@@ -222,7 +222,7 @@ def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
         import sys
         from nailoptics.cli import main
         from nailoptics.io import let_dask_in
-        sys.argv[1:] = ["check", "prototype"]
+        sys.argv[1:] = ["protocol", "prototype", "-o", "protocol.csv"]
         try:
             main()
         except SystemExit as ended:
