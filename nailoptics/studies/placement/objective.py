@@ -293,14 +293,18 @@ def score_layouts(
 ) -> tuple[list[CandidateLayout], list[LayoutScore], str | None]:
     """Trace until the best is distinguished from all others, more photons where that is undecided.
 
+    cache : records the light on all their photodiodes, too.
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
 
-    Returns: the layouts that were traced on every finger, their scores, and why the best was not distinguished, if so.
+    Returns: the layouts that were traced on every finger, best first, their scores, and why the best was not
+    distinguished, if so.
 
     Raises: NotReachedError where time ends before one layout is traced.
     """
     count, first = len(layouts), JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
+    for layout in layouts:
+        cache.record(layout.board, layout.scene.layout.photodiode_areas)
     complete = _extend(layouts, cache, first, report_progress)
     layouts = [layout for layout in layouts if cache.photons_of(layout.board)]
     if not layouts:
@@ -308,11 +312,12 @@ def score_layouts(
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
     while True:
         scores = [score_layout(layout, cache, objective) for layout in layouts]
-        highest = min(scores, key=lambda score: float(score.ranked[0])).ranked_interval[1]
+        order = np.argsort([score.ranked[0] for score in scores], kind="stable")
+        layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
         tied = [
             (layout, score.relative_error)
             for layout, score in zip(layouts, scores, strict=True)
-            if score.ranked_interval[0] <= highest
+            if score.ranked_interval[0] <= scores[0].ranked_interval[1]
         ]
         worst = max(error for _, error in tied)
         report_progress("evaluate", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)

@@ -84,6 +84,11 @@ class PhotonMapCache:
         """The fingers of the conditions."""
         return [condition.case for condition in self.conditions]
 
+    def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
+        """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
+        how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
+        return BoardTracer(light_scene(scene), spacing_mm=spacing_mm or self.distance_mm, **how)
+
     def _of(self, board: Scene) -> _Traced:
         """What is held of a board; of a new one nothing."""
         if (key := digest(board)) not in self._traced:
@@ -121,9 +126,7 @@ class PhotonMapCache:
             if case.digit not in tracers:
                 if self.stop():
                     return
-                traced = light_scene(boards.worn_on(board, case, light_only=True))
-                how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
-                tracers[case.digit] = BoardTracer(traced, spacing_mm=self.distance_mm, **how)
+                tracers[case.digit] = self.tracer(boards.worn_on(board, case, light_only=True))
             for led in range(len(board.leds)):
                 self._extend_led(board, tracers[case.digit], case.digit, led, photons)
 

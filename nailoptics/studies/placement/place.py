@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Unpack
 
-import numpy as np
 import xarray as xr
 
 from ...assets import data_dir
@@ -66,19 +65,18 @@ def place(
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
-    rules, base, cases = boards.rules(scene), boards.base_board(scene), boards.fingers(scene)
+    rules, base = boards.rules(scene), boards.base_board(scene)
     if verify_with_mitsuba:
         check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
-    conditions = [finger_condition(base, case, rules) for case in cases]
-    oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
+    conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
+    oxygen = spo2_objective(base, boards.fingers(scene), rules.force_n) if "oxygen" in rules.weights else None
     objective = Objective(rules, [condition.point for condition in conditions], oxygen)
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
-    light = made | {"store": store}
-    searching = PhotonMapCache(conditions, **light, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
+    ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS)
+    searching = replace(ranking, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
-    ranking = PhotonMapCache(conditions, **light, stream=1, blocks=BLOCKS)
     layouts, searched = _candidates(base, objective, searching, report_progress)
     # A search leaves little time to the user's layouts: these and its best are evaluated in any case.
     listed = sum(layout.origin == "given" for layout in layouts)
@@ -86,34 +84,40 @@ def place(
     ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
-    for layout in layouts:
-        ranking.record(layout.board, layout.scene.layout.photodiode_areas)
     layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
-    order = np.argsort([score.ranked[0] for score in scores], kind="stable")
-    layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
     layouts = [replace(layout, scene=ranking.with_resistors(layout.scene, layout.board)) for layout in layouts]
-    closer = light | {"stop": partial(report_progress.is_over, 1.0)}
-    verified, over = xr.Dataset(), xr.Dataset()
-    if (left_s := report_progress.seconds_left) > CHECK_S:
-        limits: dict[str, Any] = {"photons": ranking.photons_of(layouts[0].board), "max_seconds": VERIFY_SHARE * left_s}
-        verified = verify_layout(layouts[0].scene, conditions[0], **limits, **closer)
-    report_progress("check", 1.0, scores[0].relative_error)
-    if scene.priors.spread and report_progress.seconds_left > CHECK_S:
-        over = resolution_over_priors(layouts, rules, ranking, stop=closer["stop"])
-    if verify_with_mitsuba and verified and not report_progress.interrupted:
-        over = over.merge(verify_by_mitsuba(layouts[0].scene, conditions[0], verified, options, progress))
-        report_progress.interrupted = "mitsuba_ratio" not in over
+    report_progress("check", 0.0, scores[0].relative_error)
+    checked, unchecked = _checked(layouts, rules, ranking, report_progress, options if verify_with_mitsuba else None)
     if store is not None:
         store.close()
     made |= {"photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
-    result = as_dataset(scene, layouts, scores, ranking, searched, verified, made).merge(over)
-    spread = "resolution_spread" in over or not scene.priors.spread
-    read = "mitsuba_ratio" in result or not verify_with_mitsuba
-    ways = (verified, "verified"), (spread, "evaluated on other fingers"), (read, "read by stock Mitsuba")
-    for known, what in ways:
-        unmet = unmet or (None if known else f"{report_progress.why} before the best layout was {what}.")
-    return unless_cut_off(result, unmet)
+    result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
+    return unless_cut_off(result, unmet or unchecked)
+
+
+def _checked(
+    layouts: Sequence[CandidateLayout],
+    rules: Placement,
+    cache: PhotonMapCache,
+    report_progress: StageProgress,
+    mitsuba: TraceOptions | None,
+) -> tuple[xr.Dataset, str | None]:
+    """The best layout by its own trace, on other fingers and, with options for it, by stock Mitsuba; and what of these
+    there was no time for, if any."""
+    known, stop, spread = xr.Dataset(), partial(report_progress.is_over, 1.0), layouts[0].board.priors.spread
+    if (left_s := report_progress.seconds_left) > CHECK_S:
+        known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s, stop=stop)
+    if spread and report_progress.seconds_left > CHECK_S:
+        known = known.merge(resolution_over_priors(layouts, rules, cache, stop=stop))
+    if mitsuba and "checked_fraction" in known and not report_progress.interrupted:
+        on = layouts[0].scene, cache.conditions[0]
+        known = known.merge(verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
+        report_progress.interrupted = "mitsuba_ratio" not in known
+    due = [("checked_fraction", True, "verified"), ("resolution_spread", spread, "evaluated on other fingers")]
+    due += [("mitsuba_ratio", mitsuba is not None, "read by stock Mitsuba")]
+    missing = [words for name, is_due, words in due if is_due and name not in known]
+    return known, f"{report_progress.why} before the best layout was {missing[0]}." if missing else None
 
 
 def _candidates(

@@ -37,13 +37,13 @@ def as_dataset(
     scores: Sequence[LayoutScore],
     cache: PhotonMapCache,
     searched: Sequence[SearchedSite],
-    verified: xr.Dataset,
+    checked: xr.Dataset,
     attributes: dict[str, Any],
 ) -> xr.Dataset:
     """Everything of a placement; layouts come best first.
 
     cache : light by which the layouts were evaluated.
-    verified : what `verify_layout` says of the best layout on the first finger.
+    checked : what else is known of the best layout, of which `verify_layout` has the attributes.
     """
     best, conditions, maps = layouts[0].scene, cache.conditions, cache.maps(layouts[0].board)[0]
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
@@ -55,13 +55,13 @@ def as_dataset(
         **({"searched_led": [led.name for led in scene.leds]} if searched else {}),
     }
     result = xr.Dataset(data | _predicted(scores[0].responses[0]), coords=coordinates)
-    result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(verified)
+    result = result.merge(map_dataset([led.name for led in best.leds], maps)).merge(checked)
     result = result.merge(_photodiode_anywhere(best, maps, conditions[0].point))
     traced = {name: attributes[name] for name in ("backend", "photons")}
     made = provenance(scene, engine="photons", seeds=str(attributes["seed"]), **traced)
     more = {"adc_range_v": best.electronics.adc_range_v, "title": "nailoptics: layouts ranked by force resolution"}
     more |= {"bandwidth_hz": best.electronics.bandwidth_hz}
-    result.attrs = made | attributes | verified.attrs | more
+    result.attrs = made | attributes | checked.attrs | more
     return result
 
 

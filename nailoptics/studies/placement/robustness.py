@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
+from ...light.board_map import Arrivals, blood_point, readings
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...sensor.information import (
@@ -118,8 +118,7 @@ class _Resolution:
             batches = cache.recorded(layout.board, case.digit, led)[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
-                how: dict[str, Any] = {"backend": cache.backend, "store": cache.store, "seed": cache.seed}
-                tracer = BoardTracer(shaped, spacing_mm=cache.distance_mm, **how)
+                tracer = cache.tracer(shaped)
                 for i, batch in enumerate(batches):
                     if self.stop():
                         raise Stopped

@@ -9,11 +9,10 @@ import numpy as np
 import xarray as xr
 
 from ...errors import InputError
+from ...light import ProgressCallback
 from ...light import backend as backends
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
-from ...light.identity import light_scene
 from ...light.reference.readings import check_readable, read_leds
-from ...light.tracing.store import LightStore
 from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import ambient_photocurrent, sources_of
@@ -27,8 +26,9 @@ from ...sensor.information import (
 from ...statistics import Z95, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, estimated, variable
 from . import boards
+from .candidates import CandidateLayout
 from .objective import resolution_stderr_n
-from .photon_maps import FingerCondition, Stopped
+from .photon_maps import FingerCondition, PhotonMapCache, Stopped
 
 LEAST_BATCHES = 8
 # The fresh trace has this part of a full batch's photons in each of its batches at least.
@@ -55,16 +55,16 @@ class _Verification:
 
     scene: Scene
     point: OperatingPoint
+    cache: PhotonMapCache
     tracer: BoardTracer
     blood: tuple[BloodPoint, ...]
-    seed: int
     stop: Callable[[], bool]
 
     def next_seed(self, *key: int) -> int:
         """The seed of the next batch; raises `Stopped` where there is no time for it."""
         if self.stop():
             raise Stopped
-        return seed_of(self.seed, *key)
+        return seed_of(self.cache.seed, *key)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
@@ -114,16 +114,15 @@ class _Verification:
         # Means and variances, summed.
         outside = np.zeros((2, len(COVERS), len(sources_of(self.scene)), len(photodiodes)))
         uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
-        bare, usual = self.tracer.scene.model_copy(update={"board": uncovered}), self.tracer
-        how: dict[str, Any] = {"backend": usual.backend.name, "store": usual.store, "seed": usual.seed}
-        tracer = BoardTracer(bare, spacing_mm=OPEN_DISTANCE_MM, **how)
+        bare = self.tracer.scene.model_copy(update={"board": uncovered})
+        tracer = self.cache.tracer(bare, spacing_mm=OPEN_DISTANCE_MM)
         for j in photodiodes:
             _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=self.next_seed(OPEN_BOARD, j))
             outside[:, 1, :, j] = self._from_outside(left, j)
         done = 0
         while done == 0 or (done < rounds and time.perf_counter() < deadline):
             for j in photodiodes:
-                _, left = usual.back(j, 0, photons=BACK_PHOTONS, seed=self.next_seed(BACK, 0, j, done))
+                _, left = self.tracer.back(j, 0, photons=BACK_PHOTONS, seed=self.next_seed(BACK, 0, j, done))
                 outside[:, 0, :, j] += self._from_outside(left, j)
             done += 1
         current, error = outside[0], np.sqrt(outside[1])
@@ -161,31 +160,22 @@ def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
 
 
 def verify_layout(
-    best: Scene,
-    condition: FingerCondition,
-    *,
-    photons: int,
-    seed: int,
-    backend: str,
-    max_seconds: float,
-    stop: Callable[[], bool] = lambda: False,
-    store: LightStore | None = None,
+    layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds: float, stop: Callable[[], bool]
 ) -> xr.Dataset:
-    """Everything about a layout on one finger that the map of its bare board does not contain.
+    """Everything about a layout on the first finger that the map of its bare board does not contain.
 
-    photons : from each LED in the fresh trace, unless time runs out; some are traced in any case.
+    cache : has evaluated the layout; the fresh trace has as many photons, unless time runs out, and some in any case.
     max_seconds : half of it for the fresh trace, the rest for light from outside. [s]
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
-    store : the cache of traced light.
     """
-    begin, point = time.perf_counter(), condition.point
-    scene = boards.worn_on(best, condition.case)
-    tracer = BoardTracer(light_scene(scene), backend=backend, store=store, seed=seed)
+    begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.photons_of(layout.board)
+    scene, point = boards.worn_on(layout.scene, condition.case), condition.point
+    tracer = cache.tracer(scene)
     at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": point.blood_fraction}
     blood = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
-    verification = _Verification(scene, point, tracer, blood, seed, stop)
+    verification = _Verification(scene, point, cache, tracer, blood, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
-    # As many photons as the layout's evaluation had; where time is short, the batches that must be are small ones.
+    # Where time is short, the batches that must be are small ones.
     least = round(LEAST_PART * tracer.batch_photons)
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
@@ -211,13 +201,16 @@ def check_mitsuba(scenes: Sequence[Scene], backend: str) -> None:
 
 
 def verify_by_mitsuba(
-    best: Scene, condition: FingerCondition, verified: xr.Dataset, options: TraceOptions, progress: Any
+    best: Scene,
+    condition: FingerCondition,
+    verified: xr.Dataset,
+    options: TraceOptions,
+    progress: ProgressCallback | None,
 ) -> xr.Dataset:
     """The readings of a layout on one finger by stock Mitsuba, over those of the fresh trace; empty if interrupted.
 
     verified : what `verify_layout` says of the layout.
     options : seed, backend, and whether batches are stored and taken from the store.
-    progress : called after every batch, if not None.
     """
     options = replace(options, photons=MITSUBA_PATHS, relative_error=None, max_seconds=None)
     scene = boards.worn_on(best, condition.case)

@@ -6,11 +6,13 @@ import pytest
 from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.errors import NotReachedError
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.tracing import StageProgress
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, Scene, parse_scene
 from nailoptics.studies.placement import boards, place, search, verification
 from nailoptics.studies.placement.objective import JUDGE_PHOTONS
+from nailoptics.studies.placement.photon_maps import PhotonMapCache
 
 
 @pytest.fixture(scope="module")
@@ -54,16 +56,16 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
 def test_a_look_at_the_best_layout_ends_within_a_batch(chosen_jit, scene, monkeypatch, stage):
     """Expected: no batch begins once there is no time, and the half that was traced is not reported."""
     layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
-    condition = place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))
+    conditions = [place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))]
+    cache = PhotonMapCache(conditions, seed=0, stream=1, backend="auto", blocks=1)
     looks, batches = itertools.count(), []
     for name in ("detected", "back"):
-        traced = getattr(verification.BoardTracer, name)
+        traced = getattr(BoardTracer, name)
         monkeypatch.setattr(
-            verification.BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
+            BoardTracer, name, lambda *at, _traced=traced, **how: batches.append(1) or _traced(*at, **how)
         )
     last = 3 if stage == "fresh" else verification.LEAST_BATCHES + 2
-    limits = {"photons": 1 << 15, "max_seconds": 1.0, "stop": lambda: next(looks) >= last}
-    assert not verification.verify_layout(layout.scene, condition, seed=0, backend="auto", **limits)
+    assert not verification.verify_layout(layout, cache, max_seconds=1.0, stop=lambda: next(looks) >= last)
     assert len(batches) <= last
 
 
