@@ -13,7 +13,8 @@ from .. import geometry as finger_geometry
 from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
-from .reference.mitsuba_scene import rectangle, stock_mitsuba
+from .reference.mitsuba_scene import rectangle
+from .reference.rendering import stock_mitsuba
 from .walk.nail_reflectance import as_seen
 
 Array = NDArray[np.float64]

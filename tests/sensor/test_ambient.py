@@ -10,7 +10,7 @@ from watertight import check_watertight
 
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
-from nailoptics.light.reference import mitsuba_scene
+from nailoptics.light.reference import mitsuba_scene, rendering
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, parse_scene
 from nailoptics.sensor.ambient import (
@@ -100,16 +100,14 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     v = np.linspace(low - 0.2, high + 0.2, 101)
     bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
     with (
-        mitsuba_scene.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
+        rendering.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
         tempfile.TemporaryDirectory() as folder,
     ):
         sensor = shape.photodiodes[0].region
         made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         loaded = mi.load_dict(made, optimize=False)
-        theirs = (
-            np.array([mitsuba_scene._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
-        )
+        theirs = np.array([rendering._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours

@@ -1,9 +1,7 @@
-"""The independent engine: Mitsuba's stock volpath, traced from the LED back to the photodiode.
+"""Phantoms and fingers as scenes for Mitsuba's stock volpath, which traces from the LED back to the photodiode.
 
-It shares nothing with the photon walk but the scene: absorption acts along the way through real participating media,
-and up to three blood states travel as channels of one path, so that their difference carries little noise.
 Roles are swapped: the LED is the sensor and the photodiode the emitter, which by reciprocity gives the same reading
-with less noise.
+with less noise. Up to three blood states travel as channels of one path, so that their difference carries little noise.
 
 A spectral variant's four wavelengths per path are four channels: its axis of wavelengths holds the LED's line four
 times, one after the other. Mitsuba draws the four a quarter of all light apart, which is the same wavelength of the
@@ -12,40 +10,29 @@ the scalar variant does the main job, at the line's peak; its three channels are
 """
 
 import math
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...assets import WAVELENGTH_RANGE_NM
 from ...errors import InputError
 from ...geometry import Face, Geometry
-from ...scene import Led, Phantom, Scene
-from ..backend import Backend, Name, activate, choose
+from ...scene import Led, Phantom
 from ..optics import Media
 
-# The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
-RGB: dict[Name, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
-SPECTRAL: dict[Name, str] = {"cuda": "cuda_ad_spectral", "llvm": "llvm_ad_spectral", "scalar": "scalar_rgb"}
 # Wavelengths on which a line is given, and how far it reaches to both sides, in widths: 0.04 % lies beyond.
 LINE_POINTS, LINE_REACH = 41, 1.5
 # The first wavelength on a spectral variant's axis, on which they lie 1 apart. [nm]
 AXIS_START = 400.0
 # The least interaction of a medium that is clear at some wavelengths of a line; volpath divides by it. [mm^-1]
 CLEAR_PER_MM = 1e-9
-MAX_SPP = 10_000
-# Mitsuba's seeds have 32 bits.
-SEEDS = 1 << 32
 # The film adds up in float32, which loses counts past about 1e4 samples per pixel; so many pixels, few samples.
 FILM = 16
-PIXELS = FILM * FILM
 # Half-size of "laterally infinite" planes. [mm]
 INFINITE_MM = 1e3
 # Mitsuba leaves a surface by 9e-5 (1 + |p|); what lies above a face must stay clear of that.
@@ -103,9 +90,9 @@ def _on_axis(values: Spectrum, first: int = 0) -> dict[str, Any]:
 
 def spectral(part: Any) -> Any:
     """A part of an rgb scene for a spectral variant: colours and values along a line as spectra on its axis."""
-    if isinstance(part, np.ndarray):
+    if isinstance(part, list):
         # Mitsuba takes no spectrum of zeros, such as the albedo of a film that only absorbs.
-        return _on_axis(np.tile(part, 4)) if part.any() else {"type": "uniform", "value": 0.0}
+        return _on_axis(np.tile(part, 4)) if any(part) else {"type": "uniform", "value": 0.0}
     if not isinstance(part, dict):
         return part
     if part.get("type") == "hdrfilm":
@@ -124,17 +111,20 @@ def _line_film() -> dict[str, Any]:
     return {name: value for name, value in RGB_FILM.items() if name != "pixel_format"} | {"type": "specfilm"} | channels
 
 
-def medium(*, mu_a: float | Spectrum, mu_s: float | Spectrum, g: float) -> dict[str, Any] | None:
-    """A homogeneous medium, or None where light meets nothing. mu_a, mu_s in mm^-1, numbers or both along a line."""
-    mu_t = mu_a + mu_s
-    if np.max(mu_t) == 0:
+def medium(*, mu_a: ArrayLike, mu_s: ArrayLike, g: float) -> dict[str, Any] | None:
+    """A homogeneous medium, or None where light meets nothing.
+
+    mu_a, mu_s : numbers, or both (LINE_POINTS,) float. [mm^-1]
+    """
+    mu_t = np.add(mu_a, mu_s)
+    if not mu_t.any():
         return None
-    if np.ndim(mu_t):
+    if mu_t.ndim:
         mu_t = np.maximum(mu_t, CLEAR_PER_MM)
     return {
         "type": "homogeneous",
-        "sigma_t": mu_t,
-        "albedo": mu_s / mu_t,
+        "sigma_t": mu_t.tolist(),
+        "albedo": np.divide(mu_s, mu_t).tolist(),
         "phase": {"type": "hg", "g": g},
         # Shadow rays through an index-matched boundary to an emitter close behind it are lost.
         "sample_emitters": False,
@@ -360,21 +350,15 @@ def _inside(
     scene: dict[str, Any] = {"type": "scene", "integrator": integrator(mu_a=mu_a[clear], mu_s=media.mu_s[clear])}
     refs: list[str | None] = []
     for region in range(len(geometry.regions)):
-        made = None
+        made, scattering = None, {"mu_s": media.mu_s[region], "g": media.g[region].item()}
         if region == bed_region and bed is not None:
-            optics: dict[str, Any] = {"mu_s": _plain(media.mu_s[region]), "g": float(media.g[region])}
-            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **optics)
+            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **scattering)
         elif clear[region]:
-            made = medium(mu_a=_plain(mu_a[region]), mu_s=_plain(media.mu_s[region]), g=float(media.g[region]))
+            made = medium(mu_a=mu_a[region], **scattering)
         refs.append(f"medium_{region}" if made else None)
         if made:
             scene[f"medium_{region}"] = made
     return scene, refs
-
-
-def _plain(value: Any) -> float | Spectrum:
-    """A number, or values along a line."""
-    return np.asarray(value) if np.ndim(value) else float(value)
 
 
 def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
@@ -399,100 +383,3 @@ def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:
     mesh = trimesh.Trimesh(geometry.vertices, triangles, process=False)
     mesh.remove_unreferenced_vertices()
     mesh.export(file)
-
-
-@contextmanager
-def stock_mitsuba(backend: Backend | None, variants: Mapping[Name, str] = RGB) -> Iterator[Any]:
-    """Mitsuba in one of the variants that this engine needs; the one that was set before returns afterwards."""
-    backend = backend or choose(volpath=True)
-    if "volpath" not in backend.engines:
-        raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
-    # Dr.Jit loads its library at import, so only `activate`, which knows the right one, may import it.
-    loaded = sys.modules.get("mitsuba")
-    before = loaded.variant() if loaded else None
-    mi = activate(backend, variants)
-    try:
-        yield mi
-    finally:
-        if before and mi.variant() != before:
-            mi.set_variant(before)
-
-
-def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
-    """Mean of each channel over some paths, (channels,) float."""
-    spp = max(1, math.ceil(paths / PIXELS))
-    if spp > MAX_SPP:
-        raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
-    image = np.array(mi.render(scene, spp=spp, seed=seed % SEEDS), dtype=np.float64)
-    mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
-    if not np.isfinite(mean).all():
-        raise FloatingPointError(f"volpath gave {mean}")
-    return np.asarray(mean)
-
-
-class Paths:
-    """Traces one LED's light to up to four readings at once, three by the scalar backend.
-
-    made : the scene of a Mitsuba, which may write meshes to a folder; channel k of its film is reading k.
-    scale : (channels,) float. Fraction of the LED's power per channel.
-    """
-
-    def __init__(
-        self, made: Callable[[Any, Path], dict[str, Any]], scale: Sequence[float], backend: Backend | None
-    ) -> None:
-        self._backend, self._scale = backend or choose(volpath=True), np.array(scale)
-        folder = tempfile.TemporaryDirectory(prefix="nailoptics-")
-        with stock_mitsuba(self._backend, SPECTRAL) as mi, folder as meshes:
-            scene = made(mi, Path(meshes))
-            self._scene = mi.load_dict(spectral(scene) if self._backend.jit else scene, optimize=False)
-
-    def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
-        """Fractions of the LED's power from one batch, (channels,) float; kernels cannot be interrupted."""
-        with stock_mitsuba(self._backend, SPECTRAL) as mi:
-            return np.asarray(_render(mi, self._scene, paths=paths, seed=seed)[: len(self._scale)] * self._scale)
-
-
-def phantom_paths(scene: Scene, windows: Sequence[Window], *, led: int = 0, backend: Backend | None = None) -> Paths:
-    """An LED's light that leaves a phantom through up to three windows.
-
-    Raises: InputError for an LED with a measured pattern.
-    """
-    assert scene.phantom is not None
-    phantom, source = scene.phantom, scene.leds[led]
-    # What is reciprocal is radiance over n squared. A beam reads the radiance that leaves along it; a die reads
-    # irradiance, pi times as much.
-    below = (phantom.n_below / phantom.n_above) ** 2
-    read = 1.0 if source.pattern == "pencil" else math.pi
-    scale = [(1.0 if window.top else below) / read for window in windows]
-    return Paths(lambda mi, _: phantom_scene(mi, phantom, source, windows), scale, backend)
-
-
-def finger_paths(
-    geometry: Geometry,
-    media: Media,
-    *,
-    bed: BedAbsorption,
-    led: int,
-    photodiodes: tuple[int, ...],
-    backend: Backend | None = None,
-) -> Paths:
-    """An LED's light on one photodiode of a finger in up to three blood states, or on as many as there are channels.
-
-    media : optics of its regions, mu_a and mu_s (r,) float, or (r, LINE_POINTS) along the LED's line where the backend
-        is not scalar; the bed's own mu_a is not used.
-    bed : absorption of the bed along the nail in each state.
-    led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
-        several only with one state.
-    """
-    channels, die = max(len(bed.mu_a_per_mm), len(photodiodes)), geometry.leds[led]
-    backend = backend or choose(volpath=True)
-    colour = np.eye(channel_count(SPECTRAL[backend.name]))
-    colours = {geometry.photodiodes[p].region: colour[i].tolist() for i, p in enumerate(photodiodes)}
-    if len(photodiodes) == 1:
-        colours = dict.fromkeys(colours, [1.0] * len(colour))
-
-    def made(mi: Any, folder: Path) -> dict[str, Any]:
-        return finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)
-
-    # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
-    return Paths(made, [1 / math.pi] * channels, backend)

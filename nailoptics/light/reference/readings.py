@@ -22,8 +22,8 @@ from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_t
 from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
-from . import mitsuba_scene
-from .mitsuba_scene import LEAVING, BedAbsorption, Paths, Window
+from .mitsuba_scene import LEAVING, BedAbsorption, Window, channel_count, check_pattern, line_wavelengths_nm
+from .rendering import SPECTRAL, Paths, finger_paths, phantom_paths, stock_mitsuba
 
 # Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
 # stopping whenever they do favours low ones. So none stops before so many, and few rounds decide what is still needed.
@@ -216,13 +216,13 @@ def finger_states(
     """
     check_readable(scene)
     backend = choose(options.backend, volpath=True)
-    paths = partial(mitsuba_scene.finger_paths, geometry, media, bed=bed, led=led, backend=backend)
+    paths = partial(finger_paths, geometry, media, bed=bed, led=led, backend=backend)
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
-    together = 1 if states > 1 else mitsuba_scene.channel_count(mitsuba_scene.SPECTRAL[backend.name])
+    together = 1 if states > 1 else channel_count(SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     lights = _lights(scene, led, backend.name, options, [*vars(media).values(), bed.v_mm, bed.mu_a_per_mm])
     # One change of Mitsuba's variant for all batches.
-    with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
+    with stock_mitsuba(backend, SPECTRAL):
         groups = [_Group(paths(photodiodes=part), [names[i] for i in part], lights) for part in parts]
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
     return _readings(groups, reason, interrupted, states=states)
@@ -231,7 +231,7 @@ def finger_states(
 def check_readable(scene: Scene) -> None:
     """Raise InputError for an LED with a measured pattern, or a photodiode with an angular response."""
     for led in scene.leds:
-        mitsuba_scene.check_pattern(led)
+        check_pattern(led)
     check_flat(scene.photodiodes, "volpath")
 
 
@@ -249,8 +249,8 @@ def phantom_readings(
 ) -> StateReadings:
     """Read one LED over a phantom, and where its light went."""
     backend = choose(options.backend, volpath=True)
-    paths = partial(mitsuba_scene.phantom_paths, scene, led=led, backend=backend)
-    with mitsuba_scene.stock_mitsuba(backend, mitsuba_scene.SPECTRAL):
+    paths = partial(phantom_paths, scene, led=led, backend=backend)
+    with stock_mitsuba(backend, SPECTRAL):
         groups = [_Group(paths([Window(p.position_mm, p.size_mm)]), [p.name]) for p in scene.photodiodes]
         leaving = _Group(paths(LEAVING), [])
         ended = _sample([*groups, leaving], scene.leds[led].name, options, seed_of(options.seed, led), progress)
@@ -302,7 +302,7 @@ def line_optics(
     """
     source, zones = scene.leds[led], optics.zones(scene)
     media, is_line = optics.finger_media(scene, finger.regions, source.wavelength_nm), along_line and source.fwhm_nm > 0
-    wavelength_nm = mitsuba_scene.line_wavelengths_nm(source) if is_line else np.array([source.wavelength_nm])
+    wavelength_nm = line_wavelengths_nm(source) if is_line else np.array([source.wavelength_nm])
     if is_line:
         each = [optics.finger_media(scene, finger.regions, nm) for nm in wavelength_nm.tolist()]
         mu_a, mu_s = (np.stack([getattr(one, name) for one in each], axis=-1) for name in ("mu_a", "mu_s"))
