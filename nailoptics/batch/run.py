@@ -70,37 +70,47 @@ class BatchProgress:
     news: str = ""
 
 
-def run_batch(
-    sweep: Sweep,
-    folder: str | Path,
-    *,
-    workers: int | None = None,
-    threads: int | None = None,
-    scheduler: str | None = None,
-    shard: str | None = None,
-    retry_failed: bool = False,
-    progress: Callable[[BatchProgress], None] | None = None,
-    **requested: Unpack[Requested],
-) -> Outcome:
-    """Run the remaining scenes of a sweep in a folder; what is there is kept, or continued if it is not good enough.
+class BatchRequested(Requested, total=False):
+    """What can be requested of `run_batch`.
 
     workers : processes on this machine; one per core (on CUDA: one) if not given.
     threads : threads of each; the cores divided among the workers if not given.
     scheduler : address of a Dask scheduler in place of local workers; its workers must see the folder.
+    """
+
+    workers: int | None
+    threads: int | None
+    scheduler: str | None
+
+
+def run_batch(
+    sweep: Sweep,
+    folder: str | Path,
+    *,
+    shard: str | None = None,
+    retry_failed: bool = False,
+    progress: Callable[[BatchProgress], None] | None = None,
+    **requested: Unpack[BatchRequested],
+) -> Outcome:
+    """Run the remaining scenes of a sweep in a folder; what is there is kept, or continued if it is not good enough.
+
     shard : I/N, to run the I-th of N parts.
     retry_failed : retry scenes that failed before.
-    max_seconds : wall time after which the run stops; what was traced stays, and the next run resumes from there.
+    requested : `BatchRequested`, and fields of `TraceOptions`; max_seconds is the wall time after which the run stops:
+        what was traced stays, and the next run resumes from there.
 
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
     """
+    workers, threads = requested.pop("workers", None), requested.pop("threads", None)
+    scheduler = requested.pop("scheduler", None)
     for name, value in (("workers", workers), ("threads", threads)):
         if value is not None and not value > 0:
             raise InputError(f"{name} = {value}; must be above 0.")
     if workers is not None and scheduler is not None:
         raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
-    settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)
+    settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)  # type: ignore[misc]
     place, part = Folder(settings.folder), parse_shard(shard)
     planned = plan(sweep, settings)
     damage = check_same(place, planned, settings)

@@ -35,6 +35,10 @@ class Html(str):
     """Text that is HTML already; any other is escaped where it comes onto a page."""
 
 
+class Script(str):
+    """JavaScript that runs at the end of a page; no other does, nor does a page load anything."""
+
+
 def document(
     *,
     kicker: str,
@@ -44,15 +48,15 @@ def document(
     attributes: Mapping[str, Any],
     warnings: str | Iterable[str] = (),
     cards: Sequence[tuple[str, str]] = (),
-    scripts: Sequence[str] = (),
 ) -> str:
-    """A whole page as text; body is HTML, everything else plain words.
+    """A whole page as text; body is HTML and scripts, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
-    scripts : JavaScript that runs at the end of the page; no other does, nor does the page load anything.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    body = list(body)
+    scripts = [part for part in body if isinstance(part, Script)]
     # A file keeps a list of one text as that text.
     warnings = [warnings] if isinstance(warnings, str) else warnings
     cut_off = [f"Cut off: {attributes['cut_off']}"] if attributes.get("cut_off") else []
@@ -63,7 +67,7 @@ def document(
         *(paragraph(line, kind="warning") for line in (*cut_off, *warnings)),
         *(["<ul class='findings'>", *items, "</ul>"] if items else []),
         "</header>",
-        *body,
+        *(part for part in body if not isinstance(part, Script)),
         _provenance(attributes),
         *(f"<script>{script}</script>" for script in scripts),
     ]

@@ -64,14 +64,10 @@ def trace(
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
         trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
         ending = take_batches(source, trigger, progress)
-        reason = trigger.unmet_reason()
+        complaint = complaint or trigger.unmet_reason(ending)
         if ending is Ending.INTERRUPTED:
-            interrupted = True
-            so_far = f"{trigger.photons} photons, relative error {trigger.error:.3g}"
-            reason = f'interrupted: LED "{trigger.name}" has {so_far}.'
             # What is there is of use only with something from every LED: one batch each, then the end.
-            required = Accuracy(photons=engine.full)
-        complaint = complaint or reason
+            interrupted, required = True, Accuracy(photons=engine.full)
         reused += source.reused
         traces.append(trigger.trace())
     for store in stores:

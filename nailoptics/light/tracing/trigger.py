@@ -248,8 +248,10 @@ class LedTrigger:
             return 0
         return self.full if self.required.photons is None else min(self.full, self.required.photons - self.photons)
 
-    def unmet_reason(self) -> str | None:
-        """Why what was traced falls short of what is required, if it does."""
+    def unmet_reason(self, ending: Ending = Ending.MET) -> str | None:
+        """Why what was traced falls short of what is required, if it does, or ended by the user."""
+        if ending is Ending.INTERRUPTED:
+            return f'interrupted: LED "{self.name}" has {self.photons} photons, relative error {self.error:.3g}.'
         target, photons = self.required.relative_error, self.required.photons
         if (target and self.error <= target) or (photons is not None and self.photons >= photons):
             return None

@@ -26,7 +26,7 @@ from ....studies.exploration.explore import (
     Exploration,
 )
 from ....studies.exploration.pair_table import NEAREST_MM
-from ...html import Html, document, escaped, section, small, subheading
+from ...html import Html, Script, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
@@ -55,13 +55,13 @@ def page(exploration: Exploration) -> str:
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
     code = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
+    scripts = [Script(text) for text in (*(_library(file) for _, file, _ in LIBRARIES), code)]
     return document(
         kicker="explore",
         title="Drag LEDs and photodiodes on the nail",
         lead="All readings update at once, from light that was traced over the whole board.",
-        body=[Html(style + _text("workbench.html")), _licences(), Html(data)],
+        body=[Html(style + _text("workbench.html")), _licences(), Html(data), *scripts],
         attributes=exploration.attributes,
-        scripts=[*(_library(name, file) for name, file, _ in LIBRARIES), code],
     )
 
 
@@ -69,7 +69,7 @@ def _text(*name: str) -> str:
     return resources.files(__package__).joinpath(*name).read_text(encoding="utf-8")
 
 
-def _library(name: str, file: str) -> str:
+def _library(file: str) -> str:
     """A library as a script; one that is a CommonJS module becomes a global of its file's name."""
     code = _text("vendor", file)
     if not file.endswith(".cjs"):
