@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -178,24 +178,6 @@ def noise_budget(
     )
 
 
-def reading_noise(
-    current_a: ArrayLike, photodiode: Photodiodes, amplifier: Electronics, ambient_a: ArrayLike, *, feedback_ohm: Ohm
-) -> NoiseBudget:
-    """Noise of one reading of a photocurrent by an LED beside that by light from outside [A], with its rejection.
-
-    A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
-    bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
-    """
-    how: dict[str, Any] = {"photodiode": photodiode, "amplifier": amplifier, "feedback_ohm": feedback_ohm}
-    lit, dark = (noise_budget(a, **how) for a in (current_a, 0.0))
-    outside_v2 = noise_budget(ambient_a, **how).shot_v2 - dark.shot_v2
-    if amplifier.ambient_rejection is None:
-        return lit._replace(ambient_v2=outside_v2)
-    factor = 1 if amplifier.ambient_rejection == "dark_slot" else 2
-    both = (np.asarray(factor * (a + b)) for a, b in zip(lit, dark, strict=True))
-    return NoiseBudget(*both)._replace(ambient_v2=2 * factor * outside_v2)
-
-
 def flicker_gain(flicker_hz: float, amplifier: Electronics) -> float:
     """What a reading has of ambient light's modulation, rms, relative to that in the stage's input.
 
@@ -238,6 +220,9 @@ def read(
     ambient_a : array that broadcasts with it. Photocurrent by light from outside. [A]
     feedback_ohm : that of the photodiode's stage if not given. [ohm]
 
+    A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
+    bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
+
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
     ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
@@ -245,9 +230,15 @@ def read(
     dark_a = _dark_a(photodiode, amplifier)
     amplified = np.asarray((lit_a + outside_a + dark_a) * ohm)
     volts, saturated = converted(amplified, amplifier)
+    lit, outside, dark = (
+        noise_budget(current_a, photodiode, amplifier, feedback_ohm=ohm) for current_a in (lit_a, outside_a, 0.0)
+    )
+    noise = lit._replace(ambient_v2=outside.shot_v2 - dark.shot_v2)
     if amplifier.ambient_rejection is not None:
         volts = volts - converted(np.asarray((outside_a + dark_a) * ohm), amplifier)[0]
-    noise = reading_noise(lit_a, photodiode, amplifier, outside_a, feedback_ohm=ohm)
+        factor = 1 if amplifier.ambient_rejection == "dark_slot" else 2
+        unlit = dark._replace(ambient_v2=noise.ambient_v2)
+        noise = NoiseBudget(*(np.asarray(factor * (a + b)) for a, b in zip(noise, unlit, strict=True)))
     return Output(amplified_v=amplified, volts=volts, noise=noise, saturated=saturated)
 
 
@@ -257,8 +248,7 @@ def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiod
     return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
 
 
-def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None) -> Array:
+def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics) -> Array:
     """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
-    () or (photodiodes,) float, or of the shape of feedback_ohm. [V]"""
-    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
-    return np.asarray(photocurrent_a(1.0, led, photodiode) * ohm)
+    () or (photodiodes,) float. [V]"""
+    return np.asarray(photocurrent_a(1.0, led, photodiode) * stage_ohm(photodiode, amplifier))

@@ -9,7 +9,7 @@ still add up one by one.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,14 +48,17 @@ class PhysiologicalNoise:
     blood : (2, 2) float. Excursions of the proximal and distal zone's blood, in columns: two independent ones, each
         as large as its standard deviation. Their outer products add up to the covariance of both zones' blood. [1]
     led_gain : (leds, leds) float. Relative changes of all readings of an LED, a row for each LED, in columns likewise.
-    reading_gain : float. Relative change of each reading, independent of all others, rms.
-    gain_by_cause : relative change of a reading by drift, lift and slide, rms.
+    reading_gain : float. Relative change of each reading, independent of all others, rms: its drift.
+    led_drift, lift : their parts in led_gain: of an LED by itself, and of all readings alike, rms.
+    slide : relative change of a reading by a slide along the nail, rms, which is in neither gain.
     """
 
     blood: Array
     led_gain: Array
     reading_gain: float
-    gain_by_cause: dict[str, float] = field(default_factory=dict)
+    led_drift: float = 0.0
+    lift: float = 0.0
+    slide: float = 0.0
 
     def shapes_v(self, zone_v: Array, light_v: Array, led: int) -> Array:
         """What each of the body's shapes adds, rms, to readings of an LED, (..., k) float. [V]
@@ -70,8 +73,7 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
 
     since_rest_s : for so long readings have drifted. [s]
 
-    Drift and lift of the sensor move all readings of an LED alike, as parts of themselves. A slide along the nail is
-    in `gain_by_cause` alone.
+    Drift and lift of the sensor move all readings of an LED alike, as parts of themselves.
     """
     body = scene.body
     if body is None or not (body.moves or body.drift or body.motion):
@@ -83,7 +85,9 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
         blood=covariance_root(_blood_covariance(scene, force_n, body) if body.moves else np.zeros((2, 2))),
         led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),
         reading_gain=reading_drift,
-        gain_by_cause={"drift": math.hypot(led_drift, reading_drift), "lift": lift, "slide": slide},
+        led_drift=led_drift,
+        lift=lift,
+        slide=slide,
     )
 
 
@@ -191,6 +195,8 @@ class Response:
         `unsaturated`; None without a body. [V]
     independent_v2 : what the body adds to each reading by itself. [V^2]
     unsaturated : (...) float. Probability that the converter is below its limit, at which a reading has no information.
+    light_v : (...) float. What the LED's light gives of it. [V]
+    noise : the causes of noise_v2.
     """
 
     volts: Array
@@ -201,6 +207,8 @@ class Response:
     body_v: Array | None = None
     independent_v2: Array | float = 0.0
     unsaturated: Array | float = 1.0
+    light_v: Array | float = 0.0
+    noise: electronics.NoiseBudget | None = None
 
     @property
     def noise_v(self) -> Array:
@@ -245,9 +253,8 @@ def response(
     if feedback_ohm is None:
         brightest_a = brightest_current_a(values[0] if replicates else values, source, photodiode, point)
         feedback_ohm = electronics.stage_ohm(photodiode, amplifier, largest_a=brightest_a)
-    stage: dict[str, Any] = {"feedback_ohm": feedback_ohm}
-    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a, **stage)
-    per_fraction = electronics.volts_per_fraction(source, photodiode, amplifier, **stage)
+    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a, feedback_ohm=feedback_ohm)
+    per_fraction = electronics.photocurrent_a(1.0, source, photodiode) * feedback_ohm
     zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
@@ -267,33 +274,24 @@ def response(
         body_v=None if point.body is None else point.body.shapes_v(zone, light_v, led) * weight,
         independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
         unsaturated=unsaturated,
+        light_v=light_v,
+        noise=read.noise,
     )
 
 
-def noise_by_cause(
-    values: Array,
-    scene: Scene,
-    led: int,
-    photodiode: Photodiode | Sequence[Photodiode],
-    point: OperatingPoint,
-    *,
-    ambient_a: float | Array = 0.0,
-) -> dict[str, Array]:
+def noise_by_cause(read: Response, body: PhysiologicalNoise | None) -> dict[str, Array]:
     """The noise budget of one sample of readings, rms, (...) float for each cause. [V]
 
-    values, photodiode, ambient_a : as of `response`.
-
     Returns: by the names of `NoiseBudget` what stage and converter make of each reading, whose squares add up to its
-        electronic noise; drift, lift, slide and waves of the body, which readings share, 0 where it is still.
+        electronic noise; drift, lift, slide and waves of a body, which readings share.
     """
-    detected, amplifier = np.maximum(values[..., 0], 0.0), scene.electronics
-    read = electronics.read(detected, scene.leds[led], photodiode, amplifier, ambient_a=ambient_a)
-    per_fraction = electronics.volts_per_fraction(scene.leds[led], photodiode, amplifier)
-    budget = {name.removesuffix("_v2"): np.sqrt(v2) + 0.0 * detected for name, v2 in read.noise._asdict().items()}
-    body = point.body or PhysiologicalNoise(np.zeros((2, 2)), np.zeros((0, 0)), 0.0)
-    waves = np.linalg.norm(values[..., 2:] @ body.blood, axis=-1)
-    relative = {name: body.gain_by_cause.get(name, 0.0) * detected for name in ("drift", "lift", "slide")}
-    return budget | {name: change * per_fraction for name, change in (relative | {"waves": waves}).items()}
+    assert read.noise is not None
+    causes = {name.removesuffix("_v2"): np.sqrt(v2) for name, v2 in read.noise._asdict().items()}
+    if body is not None:
+        drift, waves = math.hypot(body.led_drift, body.reading_gain), np.linalg.norm(read.zone_v @ body.blood, axis=-1)
+        relative = {"drift": drift, "lift": body.lift, "slide": body.slide}
+        causes |= {name: part * read.light_v for name, part in relative.items()} | {"waves": waves}
+    return {name: np.broadcast_to(rms_v, read.volts.shape) for name, rms_v in causes.items()}
 
 
 def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint, **how: Any) -> list[Response]:

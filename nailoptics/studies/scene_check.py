@@ -14,7 +14,7 @@ from ..sensor import electronics
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
 from ..sensor.front_end import ambient_bound_a, rough_readings, with_fitted_resistors
-from ..sensor.information import noise_by_cause, operating_point, posture_force_n
+from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, posture_force_n, scene_responses
 from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the
@@ -134,39 +134,47 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
     blood_fraction : (t, zones) float. Over the touch, from rest on.
     """
     layout, stage, rules, pairs = scene.layout, scene.electronics, boards.rules(scene), list[dict[str, Any]]()
-    photodiodes, ambient_a = [element.photodiode for element in layout.photodiodes], ambient_bound_a(scene)
-    at, near, how = None, blood_fraction[:0], {"ambient_a": ambient_a}
+    at, near, ambient_a = None, blood_fraction[:0], ambient_bound_a(scene)
     if len(scene.zone_edges_mm) == 1:
         at = operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s)
         near = at.blood_fraction * (1 + BLOOD_STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
     read = rough_readings(scene, np.concatenate([blood_fraction, near]))
-    fitting: dict[str, Any] = {"electronics": stage.model_copy(update={"feedback_ohm": "auto"})}
-    fitting |= {"photodiodes": tuple(p.model_copy(update=boards.UNFITTED) for p in scene.photodiodes)}
-    fitted_scene = with_fitted_resistors(scene.model_copy(update=fitting))
-    fitted_ohm = electronics.stage_ohm([e.photodiode for e in fitted_scene.layout.photodiodes], stage)
-    ohm = electronics.stage_ohm(photodiodes, stage)
+    over_touch, nearby = np.split(read.fraction, [len(blood_fraction)], axis=-1)
+    noise = [{}] * len(scene.leds) if at is None else _noise(scene, at, nearby, ambient_a)
+    auto = {"electronics": stage.model_copy(update={"feedback_ohm": "auto"})}
+    auto |= {"photodiodes": tuple(p.model_copy(update=boards.UNFITTED) for p in scene.photodiodes)}
+    fitted_layout = with_fitted_resistors(scene.model_copy(update=auto)).layout
+    photodiodes, fitted = ([e.photodiode for e in one.photodiodes] for one in (layout, fitted_layout))
+    ohm, fitted_ohm = (electronics.stage_ohm(one, stage) for one in (photodiodes, fitted))
     for i, (led, die) in enumerate(zip(scene.leds, layout.leds, strict=True)):
-        touched, by_state = np.split(read.fraction[i].T, [len(blood_fraction)])
-        output = electronics.read(touched, led, photodiodes, stage, **how)
-        fitted = electronics.read(touched[0], led, photodiodes, stage, feedback_ohm=fitted_ohm, **how)
-        gain = output.volts_noise_rms[0] / ohm * fitted_ohm / fitted.volts_noise_rms
-        most_v = output.amplified_v.max(0)
-        columns = {"volts": output.volts[0], "most_volts": most_v, "feedback_ohm": ohm, "fitted_ohm": fitted_ohm}
+        now, then = (
+            electronics.read(over_touch[i].T, led, one, stage, ambient_a=ambient_a) for one in (photodiodes, fitted)
+        )
+        most_v = now.amplified_v.max(0)
+        columns = {"volts": now.volts[0], "most_volts": most_v, "feedback_ohm": ohm, "fitted_ohm": fitted_ohm}
         columns["volts_stderr"] = electronics.volts_per_fraction(led, photodiodes, stage) * read.stderr[i, :, 0]
-        columns |= {"fitted_noise_gain": gain, "may_be_saturated": most_v > MAY_BE_FULL * stage.adc_range_v}
-        noise = {}
-        if at is not None:
-            level, *sides = by_state
-            steps = np.maximum(2 * BLOOD_STEP * at.blood_fraction, np.finfo(float).tiny)  # 0 without blood
-            slopes = [(sides[2 * k] - sides[2 * k + 1]) / steps[k] for k in (0, 1)]
-            # The shunted part makes no noise of its own.
-            noise = noise_by_cause(np.stack([level, 0 * level, *slopes], -1), scene, i, photodiodes, at, **how)
+        columns["fitted_noise_gain"] = now.volts_noise_rms[0] / ohm * fitted_ohm / then.volts_noise_rms[0]
+        columns["may_be_saturated"] = most_v > MAY_BE_FULL * stage.adc_range_v
         for j, element in enumerate(layout.photodiodes):
-            names = {"led": led.name, "photodiode": element.name}
-            pair = {"distance_mm": math.dist(die.center_mm, element.area.center_mm)}
+            pair = {"led": led.name, "photodiode": element.name}
+            pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm)}
             pair |= {name: column[j].item() for name, column in columns.items()}
-            pairs.append(names | pair | {"noise_v": {cause: float(rms_v[j]) for cause, rms_v in noise.items()}})
+            pairs.append(pair | {"noise_v": {cause: rms_v[j].item() for cause, rms_v in noise[i].items()}})
     return pairs
+
+
+def _noise(
+    scene: Scene, at: OperatingPoint, fraction: np.ndarray, ambient_a: np.ndarray
+) -> list[dict[str, np.ndarray]]:
+    """Noise of one sample at a touch by cause, (photodiodes,) float each, for every LED. [V]
+
+    fraction : (leds, photodiodes, 5) float. Detected there, and with `BLOOD_STEP` more and less blood in either zone.
+    """
+    steps = np.maximum(2 * BLOOD_STEP * at.blood_fraction, np.finfo(float).tiny)  # 0 without blood
+    slopes = (fraction[..., 1::2] - fraction[..., 2::2]) / steps
+    # The shunted part makes no noise of its own.
+    values = np.concatenate([fraction[..., :1], np.zeros_like(fraction[..., :1]), slopes], -1)
+    return [noise_by_cause(read, at.body) for read in scene_responses(scene, values, at, ambient_a=ambient_a)]
 
 
 def _saturation(scene: Scene, pairs: list[dict[str, Any]]) -> list[str]:

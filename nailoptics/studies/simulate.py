@@ -168,7 +168,7 @@ def _ambient(scene: Scene, options: TraceOptions) -> Variables:
         ):
             how = {"units": unit, "stderr": factor * error}
             on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
-    shot_v2 = electronics.reading_noise(0.0, diodes, stage, current, feedback_ohm=None).ambient_v2
+    shot_v2 = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
     text = "shot noise of ambient light in one reading, rms"
     return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(shot_v2), text, units="V")
 

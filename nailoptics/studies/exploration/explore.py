@@ -32,7 +32,7 @@ from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
 from ...sensor.ambient import SOURCES, photocurrents_a
-from ...sensor.information import LIFT_PER_UM, PRIOR_PA, operating_point
+from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import seed_of
 from ..placement import boards, candidates
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
@@ -341,19 +341,17 @@ def touch_table(scene: Scene) -> dict[str, Any]:
     _, per_n, force_per_pa = contact_at(scene, 1.0)
     points = [operating_point(scene, float(force), since_rest_s=since_rest_s) for force in force_n]
     rest = scene.blood.rest_blood_fraction
-    waves = [np.zeros((2, 2)) if p.body is None else p.body.blood @ p.body.blood.T for p in points]
-    body, minutes = scene.body, since_rest_s / 60
-    drift, motion = (body.drift, body.motion) if body else (None, None)
+    bodies = [p.body or PhysiologicalNoise(np.zeros((2, 2)), np.zeros((0, 0)), 0.0) for p in points]
     return {
         "force_n": force_n,
         "blood": np.array([p.blood_fraction for p in points]) / rest,
         "blood_per_pa": np.array([p.blood_per_pa for p in points]) / rest,
-        "waves": np.array(waves) / rest**2,
+        "waves": np.array([body.blood @ body.blood.T for body in bodies]) / rest**2,
         "force_per_pa": force_per_pa,
         "pressure_per_n": per_n,
         "prior_pa": PRIOR_PA,
         "has_body": points[0].body is not None,
-        "led_drift": drift.led_per_rt_min * np.sqrt(minutes) if drift else 0.0,
-        "reading_drift": drift.reading_per_rt_min * np.sqrt(minutes) if drift else 0.0,
-        "lift": LIFT_PER_UM * motion.lift_um if motion else 0.0,
+        "led_drift": bodies[0].led_drift,
+        "reading_drift": bodies[0].reading_gain,
+        "lift": bodies[0].lift,
     }

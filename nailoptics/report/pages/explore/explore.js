@@ -122,20 +122,20 @@ function stateAt(force, rest, so2) {
 
 /** The largest E24 resistor that holds a photocurrent [A] below the converter's limit by the headroom. [ohm] */
 function fittedOhm(largestA) {
-  const { headroom, mostOhm, e24, rangeV, lsbV } = tables.stage, most = Math.min(mostOhm, (rangeV - lsbV) / headroom / largestA) * (1 + 1e-9);
+  const { headroom, mostOhm, e24, limitV } = tables.stage, most = Math.min(mostOhm, limitV / headroom / largestA) * (1 + 1e-9);
   const step = 10 ** (Math.floor(Math.log10(most)) - 1);
   return e24.findLast((x) => x * step <= most) * step;
 }
 
 /** Noise variance of one reading at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
 function stage(kind, lit, ambient, ohm) {
-  const { rangeV, lsbV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { adcV2, perOhm, perOhm2, perOhm2A } = kind.noise;
+  const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { adcV2, perOhm, perOhm2, perOhm2A } = kind.noise;
   return {
     volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * ohm, rangeV) : 0),
     amplified,
     // What rejection subtracts has the noise of ambient light, too.
     noiseV2: adcV2 + ohm * (perOhm + ohm * (perOhm2 + perOhm2A * (lit + (rejects ? 2 : 1) * ambient))),
-    saturated: amplified >= rangeV - lsbV,
+    saturated: amplified >= limitV,
   };
 }
 

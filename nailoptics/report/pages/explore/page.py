@@ -32,8 +32,6 @@ from ...html import Html, Script, document, escaped, section, small, subheading
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
 # Rules of Gauss quadrature up to so many points.
 MOST_POINTS = 6
-# The smallest current at which the slope of the noise's variance is taken. [A]
-TEST_CURRENT_A = 1e-6
 # More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
 MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
 LIBRARIES = (
@@ -97,8 +95,6 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
     leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
     (nodes_u, nodes_v), rest = exploration.ambient_nodes, scene.blood.rest_blood_fraction
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
-    # Photodiodes that move need other resistors than those that fit them where they lay.
-    stage, fixed = scene.electronics, all(photodiode.feedback_ohm is None for photodiode in scene.photodiodes)
     return {
         "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
         "basis": {
@@ -127,15 +123,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
-        "stage": {
-            "feedbackOhm": stage.feedback_ohm if fixed and stage.feedback_ohm != "auto" else None,
-            "headroom": stage.headroom,
-            "mostOhm": electronics.MOST_OHM,
-            "e24": electronics.E24,
-            "rangeV": stage.adc_range_v,
-            "lsbV": electronics.lsb_v(stage),
-            "rejects": stage.ambient_rejection is not None,
-        },
+        "stage": _stage(scene),
         "touch": exploration.touch,
         "board": _board(scene),
         "layout": _layout(scene, diodes, leds),
@@ -219,22 +207,37 @@ def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
     return kinds
 
 
+def _stage(scene: Scene) -> dict[str, Any]:
+    """Gain and converter; photodiodes that move need other resistors than those that fit them where they lay."""
+    stage, fixed = scene.electronics, all(photodiode.feedback_ohm is None for photodiode in scene.photodiodes)
+    return {
+        "feedbackOhm": stage.feedback_ohm if fixed and stage.feedback_ohm != "auto" else None,
+        "headroom": stage.headroom,
+        "mostOhm": electronics.MOST_OHM,
+        "e24": electronics.E24,
+        "rangeV": stage.adc_range_v,
+        "limitV": electronics.limit_v(stage),
+        "rejects": stage.ambient_rejection is not None,
+    }
+
+
 def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
     """What makes volts and noise of a photodiode's light: the variance is linear in the current, and apart from that of
     converter and feedback it goes as the square of the feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    dark, lit = (electronics.reading_noise(a, photodiode, stage, 0.0, feedback_ohm=1.0) for a in (0.0, TEST_CURRENT_A))
+    # At 1 ohm and by 1 A from outside, of which rejection subtracts as much again with noise of its own.
+    noise = electronics.read(0.0, scene.leds[0], photodiode, stage, ambient_a=1.0, feedback_ohm=1.0).noise
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
         "responsivity": electronics.photodiode_responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "noise": {
-            "adcV2": float(dark.adc_v2),
-            "perOhm": float(dark.feedback_v2),
-            "perOhm2": float(dark.shot_v2 + dark.shunt_v2 + dark.amplifier_v2),
-            "perOhm2A": float(lit.shot_v2 - dark.shot_v2) / TEST_CURRENT_A,
+            "adcV2": float(noise.adc_v2),
+            "perOhm": float(noise.feedback_v2),
+            "perOhm2": float(noise.shot_v2 + noise.shunt_v2 + noise.amplifier_v2),
+            "perOhm2A": float(noise.ambient_v2) / (2 if stage.ambient_rejection else 1),
         },
     }
 
