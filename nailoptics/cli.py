@@ -426,7 +426,11 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
 
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
-    """Validate a scene and list its LEDs, photodiodes, separations, ignored fields and errors."""
+    """Validate a scene and list its LEDs, photodiodes, separations, ignored fields and errors.
+
+    Readings and their noise are those of a short trace, stored as any other; without a backend that compiles kernels
+    they are a rough estimate.
+    """
     from .report.scene_description import blood_words, body_words, check_lines, touch_words
     from .scene import load_scene
     from .studies.scene_check import check_scene
@@ -713,7 +717,8 @@ def doctor(*, json_: Json = False) -> None:
 
 
 def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
-    """A scene and the engine that will trace it; says in one line what would be faster if it is the slow one."""
+    """A scene and the engine that will trace it; says if that is the slow one, or if vessels are far off the list."""
+    from .hemodynamics.for_scene import far_from_list
     from .light import backend as backends
     from .light.detect import engine_for
     from .scene import load_scene
@@ -721,6 +726,8 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     scene, chosen = load_scene(name), backends.choose(options.backend)
     if chosen.name == "scalar" and chosen.advice and options.backend == "auto":
         say(chosen.advice)
+    for line in far_from_list(scene):
+        say(line)
     return scene, engine_for(scene, chosen)
 
 

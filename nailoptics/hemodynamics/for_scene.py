@@ -1,5 +1,6 @@
 """Touch to blood: what a scene's touch makes of the blood under the nail, over time or held until nothing moves."""
 
+import math
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from ..scene import Blood, Body, Scene, Touch
 from ..scene.touch import CONTACT, value_at
 from ..variables import precision, variable
 from .arterioles import Arterioles, arterioles_of
-from .parameters import PerBed, each_bed
+from .parameters import PerBed, beds, bounds, each_bed
 from .respond import Model, touch_variables
 from .touch_course import TouchCourse, touch_course
 from .waves import fastest_hz, waves_pressure
@@ -30,6 +31,8 @@ KNOTS_PER_PERIOD = 128
 SAMPLES_PER_BEAT = 64
 # Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
 PA_PER_M_OF_BLOOD = 1.04e4
+# The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
+FAR_FROM_LIST = 100.0
 
 
 def vessels(scene: Scene) -> hemodynamics.Parameters:
@@ -64,6 +67,16 @@ def vessels(scene: Scene) -> hemodynamics.Parameters:
 def _scaled(constants: hemodynamics.Parameters, factors: Mapping[str, PerBed]) -> hemodynamics.Parameters:
     scaled = {name: each_bed(operator.mul, getattr(constants, name), factor) for name, factor in factors.items()}
     return constants.replace(**scaled)
+
+
+def far_from_list(scene: Scene) -> list[str]:
+    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`."""
+    far, constants = dict[str, None](), vessels(scene)
+    for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
+        outside = [value for value in beds(getattr(constants, name)) if not low <= value <= high]
+        far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
+    text = f"more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right"
+    return [f"blood.tuning: {text}: {', '.join(far)}"] if far else []
 
 
 def with_posture(parameters: hemodynamics.Parameters, body: Body | None) -> hemodynamics.Parameters:

@@ -4,7 +4,7 @@ from typing import Any
 
 from ..scene import Scene
 from ..scene.vessels import FACTORS
-from ..sensor.exposure import EYE_W_PER_M2, SKIN_W_PER_M2
+from ..sensor.exposure import EYE_M, EYE_W_PER_M2, SKIN_M, SKIN_W_PER_M2
 from .numbers import aligned
 
 # What single causes of noise are called.
@@ -84,52 +84,54 @@ def _exposure_words(exposures: list[dict[str, Any]]) -> str:
     skin, eye_w_per_m2 = worst["nail_w_per_m2"] / SKIN_W_PER_M2, sum(row["eye_w_per_m2"] for row in exposures)
     charge = "" if worst["charge_c"] is None else f" and {1e6 * worst['charge_c']:.2g} uC"
     return (
-        f"exposure (IEC 62471): {worst['nail_w_per_m2']:.3g} W/m^2 right below {worst['led']}, {100 * skin:.2g} % of "
-        f"skin's limit for 10 s; {eye_w_per_m2:.2g} W/m^2 at 0.2 m, of {EYE_W_PER_M2:g} in the exempt group; a reading "
-        f"takes {1e6 * worst['light_j']:.2g} uJ of light{charge}"
+        f"exposure (IEC 62471): {worst['nail_w_per_m2']:.3g} W/m^2 below {worst['led']}, over {1e3 * SKIN_M:g} mm, "
+        f"{100 * skin:.2g} % of skin's limit for 10 s; {eye_w_per_m2:.2g} W/m^2 at {EYE_M:g} m, of {EYE_W_PER_M2:g} in "
+        f"the exempt group; a reading takes {1e6 * worst['light_j']:.2g} uJ of light{charge}"
     )
+
+
+def _led_line(led: dict[str, Any]) -> str:
+    part, width = f" ({led['part']})" if "part" in led else "", f", {led['fwhm_nm']:g} nm wide"
+    at = "at ({:g}, {:g}) mm".format(*led["position_mm"])
+    at += f", rotated by {led['rotation_deg']:g} deg" if led.get("rotation_deg") else ""
+    light = f"{led['wavelength_nm']:g} nm{width if led['fwhm_nm'] else ''}, {led['flux_mw']:g} mW"
+    return f"LED {led['name']}{part}: {light}, {at}"
+
+
+def _board_lines(report: dict[str, Any]) -> list[str]:
+    """The photodiodes, their readings and the noise of these."""
+    u, v = report["board_mm"]
+    of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
+    places = {
+        diode["name"]: {
+            "part": diode.get("part", ""),
+            "place (u, v) [mm]": "({:.3g}, {:.3g})".format(*diode["position_mm"]),
+            "size [mm]": "{:.3g} x {:.3g}".format(*diode["size_mm"]),
+            "rotation [deg]": f"{diode['rotation_deg']:g}",
+        }
+        for diode in report["photodiodes"]
+    }
+    readings, noise = [], []
+    for pair in report["pairs"]:
+        names = {"LED": pair["led"], "photodiode": pair["photodiode"]}
+        readings.append(
+            {**names, **places[pair["photodiode"]], "distance [mm]": f"{pair['distance_mm']:.2f}"}
+            | {"gain [Mohm]": f"{1e-6 * pair['feedback_ohm']:.3g}"}
+            | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"}
+        )
+        rms = {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
+        noise += [names | rms] if rms else []
+    lines = [f"photodiodes: {len(places)}{of}, on a board of {u:.3g} x {v:.3g} mm"]
+    for title, rows in (("reading at rest:", readings), ("noise of one sample, rms:", noise)):
+        lines += [title, *(f"  {line}" for line in aligned(rows))] if rows else []
+    lines += [f"noise: {report['noise']}"] if report["noise"] else []
+    return [*lines, _exposure_words(report["exposure"])]
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:
     """The report of `check` on a scene."""
-    lines = [f"{report['scene']}: the scene is valid"]
-    for led in report.get("leds", ()):
-        part, width = f" ({led['part']})" if "part" in led else "", f", {led['fwhm_nm']:g} nm wide"
-        at = "at ({:g}, {:g}) mm".format(*led["position_mm"])
-        at += f", rotated by {led['rotation_deg']:g} deg" if led.get("rotation_deg") else ""
-        light = f"{led['wavelength_nm']:g} nm{width if led['fwhm_nm'] else ''}, {led['flux_mw']:g} mW"
-        lines.append(f"LED {led['name']}{part}: {light}, {at}")
-    if "photodiodes" in report:
-        u, v = report["board_mm"]
-        of = f", and {report['not_wired']} that are not wired" if report["not_wired"] else ""
-        lines.append(f"photodiodes: {len(report['photodiodes'])}{of}, on a board of {u:.3g} x {v:.3g} mm")
-        lines.append("reading at rest by a short trace:")
-        places = {
-            diode["name"]: {
-                "part": diode.get("part", ""),
-                "place (u, v) [mm]": "({:.3g}, {:.3g})".format(*diode["position_mm"]),
-                "size [mm]": "{:.3g} x {:.3g}".format(*diode["size_mm"]),
-                "rotation [deg]": f"{diode['rotation_deg']:g}",
-            }
-            for diode in report["photodiodes"]
-        }
-        rows = [
-            {"LED": pair["led"], "photodiode": pair["photodiode"], **places[pair["photodiode"]]}
-            | {"distance [mm]": f"{pair['distance_mm']:.2f}", "gain [Mohm]": f"{1e-6 * pair['feedback_ohm']:.3g}"}
-            | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"}
-            for pair in report["pairs"]
-        ]
-        lines += [f"  {line}" for line in aligned(rows)]
-        noise = [
-            {"LED": pair["led"], "photodiode": pair["photodiode"]}
-            | {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
-            for pair in report["pairs"]
-            if pair["noise_v"]
-        ]
-        if noise:
-            lines += ["noise of one sample, rms:", *(f"  {line}" for line in aligned(noise))]
-        lines += [f"noise: {report['noise']}"] if report["noise"] else []
-        lines.append(_exposure_words(report["exposure"]))
+    lines = [f"{report['scene']}: the scene is valid", *map(_led_line, report.get("leds", ()))]
+    lines += _board_lines(report) if "photodiodes" in report else []
     if assumed := report.get("assumed"):
         words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())
         lines.append(f"assumed of the board, as neither its file nor the scene says it: {words}")

@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene, load_scene
-from nailoptics.sensor.exposure import SKIN_W_PER_M2, exposures
+from nailoptics.sensor.exposure import SKIN_M, SKIN_W_PER_M2, exposures
 from nailoptics.studies.scene_check import check_scene
 
 
@@ -21,13 +21,15 @@ def test_the_limit_of_skin_is_that_of_the_standard():
 
 @pytest.mark.parametrize("size_mm", [0.05, 0.25, 1.0])
 def test_irradiance_below_a_die_is_the_integral_over_it(size_mm):
-    """A Lambertian face of radiance P / (pi A) gives cos^4 / h^2 of it from each of its places."""
+    """A Lambertian place of the die gives cos^4 / (pi h^2) of its light to each place of the nail; both are summed."""
     lit = scene(size_mm=(size_mm, size_mm))
-    (one,), height_mm = exposures(lit), lit.board.height_mm
-    u, v = np.meshgrid(*2 * [size_mm * ((np.arange(200) + 0.5) / 200 - 0.5)])
-    cos2 = height_mm**2 / (height_mm**2 + u**2 + v**2)
-    expected = np.mean(cos2**2) / height_mm**2 * lit.leds[0].flux_mw * 1e-3 / np.pi * 1e6
-    # The formula's disc is no square.
+    (one,), height_mm, radius_mm = exposures(lit), lit.board.height_mm, 500 * SKIN_M
+    middles = (np.arange(300) + 0.5) / 300 - 0.5
+    u, v = np.meshgrid(2 * radius_mm * middles, 2 * radius_mm * middles)
+    inside, die = np.hypot(u, v) < radius_mm, size_mm * (np.arange(5) - 2) / 5
+    cos2 = [height_mm**2 / (height_mm**2 + (u[inside] - x) ** 2 + (v[inside] - y) ** 2) for x in die for y in die]
+    expected = np.mean(np.square(cos2)) / height_mm**2 * lit.leds[0].flux_mw * 1e-3 / np.pi * 1e6
+    # The formula's die is a point.
     assert one["nail_w_per_m2"] == pytest.approx(expected, rel=0.02)
 
 
@@ -45,5 +47,5 @@ def test_leds_that_are_lit_in_turn_share_the_time():
 
 
 def test_check_warns_of_a_led_too_bright_for_skin(jit_backend):
-    dim, bright = (check_scene(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (1.0, 5.0))
+    dim, bright = (check_scene(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (30.0, 50.0))
     assert not any("exposure" in line for line in dim) and any("exposure" in line for line in bright)

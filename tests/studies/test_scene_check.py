@@ -51,8 +51,7 @@ def test_it_warns_of_readings_that_may_be_saturated():
     assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
 
 
-def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend, monkeypatch):
-    monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 12)
+def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend):
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
     leds = tuple(led.model_copy(update={"flux_mw": 0.5 * led.flux_mw}) for led in prototype.leds)
 
@@ -73,6 +72,18 @@ def test_a_scene_in_ambient_light_is_checked_without_a_compiling_backend(monkeyp
     usual = load_scene(data_dir("scenes") / "prototype.toml")
     report, dark = check_scene(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)})), check_scene(usual)
     assert report["pairs"] == dark["pairs"] and any("[ambient] is left out" in line for line in report["warnings"])
+    assert any("layered diffusion" in line and "[ambient]" not in line for line in dark["warnings"])
+
+
+def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capfd):
+    text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
+    tuned = text.replace("so2 = 0.97", "so2 = 0.97\ntuning = { capillary_stiffness_n_per_m = 1e-9 }")
+    (tmp_path / "far.toml").write_text(tuned.replace("[light]", '[light]\nengine = "photons"'), encoding="utf-8")
+    (line,) = (w for w in check_scene(parse_scene(tuned))["warnings"] if w.startswith("blood.tuning"))
+    assert "capillary_stiffness_n_per_m = 1e-09 (listed" in line
+    # Ends before it traces: an engine that the backend cannot run.
+    assert run(["simulate", str(tmp_path / "far.toml"), "-o", str(tmp_path), "--backend", "scalar"]) == 2
+    assert line in capfd.readouterr().err
 
 
 def test_a_phantom_is_checked_without_a_finger():
