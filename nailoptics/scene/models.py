@@ -69,12 +69,6 @@ class Layer(Table):
     n: Annotated[float, Field(ge=1, le=4)] = 1.0
     """Refractive index."""
 
-    @model_validator(mode="after")
-    def _not_nan(self) -> Self:
-        if math.isnan(self.thickness_mm):
-            raise ValueError("thickness_mm is NaN; give a positive number or inf")
-        return self
-
 
 class Phantom(Table):
     """A laterally infinite stack of layers instead of the finger, its top face at z = 0."""

@@ -65,7 +65,7 @@ def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Ar
     Steps are equal, so that the sum is the integral.
     """
     wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
-    responsivity = electronics.photodiode_responsivity_a_per_w(photodiode, wavelength_nm)
+    responsivity = electronics.responsivity_a_per_w(photodiode, wavelength_nm)
     return wavelength_nm, 1e-6 * STEP_NM * spectral_irradiance(ambient, wavelength_nm) * responsivity
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import Array, fraction, not_negative
+from ..checks import Array, not_negative
 from ..errors import InputError
 from ..scene import Scene
 from ..scene.base import PHOTON_NM_PER_V
@@ -60,26 +60,19 @@ class Output:
         return np.sqrt(self.noise_v2)
 
 
-def responsivity_a_per_w(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> Array:
-    """The photocurrent per watt of light: quantum efficiency times wavelength / 1240 nm. [A/W]
+def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Array:
+    """A photodiode's photocurrent per watt of light, by its own table or quantum efficiency times wavelength / 1240 nm,
+    of the wavelength's shape. [A/W]
 
     For a line of some width take the mean of this with the line's weights.
 
-    Raises: InputError for a wavelength that is negative or not finite, or an efficiency outside 0 to 1.
-    """
-    wavelength = not_negative("wavelength_nm", wavelength_nm)
-    return np.asarray(fraction("quantum_efficiency", quantum_efficiency) * wavelength / PHOTON_NM_PER_V)
-
-
-def photodiode_responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Array:
-    """A photodiode's photocurrent per watt of light, by its own table or its quantum efficiency. [A/W]
-
     Raises: InputError for a wavelength that is negative or not finite.
     """
+    wavelength = not_negative("wavelength_nm", wavelength_nm)
     if photodiode.responsivity is None:
-        return responsivity_a_per_w(wavelength_nm, photodiode.quantum_efficiency)
+        return np.asarray(photodiode.quantum_efficiency * wavelength / PHOTON_NM_PER_V)
     at_nm, value = np.asarray(photodiode.responsivity, float).T
-    return np.asarray(np.interp(not_negative("wavelength_nm", wavelength_nm), at_nm, value, left=0.0, right=0.0))
+    return np.asarray(np.interp(wavelength, at_nm, value, left=0.0, right=0.0))
 
 
 def _of_each(photodiodes: Photodiodes, value: Callable[[Photodiode], float]) -> Array:
@@ -244,7 +237,7 @@ def read(
 
 def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiodes) -> Array:
     """The photocurrent of a part of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
-    per_w = _of_each(photodiode, lambda p: float(photodiode_responsivity_a_per_w(p, led.wavelength_nm)))
+    per_w = _of_each(photodiode, lambda p: float(responsivity_a_per_w(p, led.wavelength_nm)))
     return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
 
 

@@ -27,23 +27,14 @@ def exposures(scene: Scene) -> list[dict[str, Any]]:
     circle of radius a right below it, and P / (pi r^2) at a distance r. Without an [oximeter] LEDs are lit in turn, and
     a reading takes 1 / (2 bandwidth), of which ambient rejection lights a half.
     """
-    stage, rows = scene.electronics, []
-    lit_part = 1.0 if stage.ambient_rejection is None else 0.5
-    lit_s = dict.fromkeys((led.name for led in scene.leds), lit_part / (2 * stage.bandwidth_hz))
-    duty = dict.fromkeys(lit_s, lit_part / len(scene.leds))
-    if scene.oximeter is not None:
-        slots = scene.oximeter.schedule(scene.leds)
-        lit_s = dict.fromkeys(lit_s, 0.0) | {slot.light: 1e-3 * slot.length_ms for slot in slots}
-        duty = {name: lit_s[name] * scene.oximeter.frame_hz for name in duty}
+    stage, oximeter, rows = scene.electronics, scene.oximeter, []
+    frame_hz = 2 * stage.bandwidth_hz / len(scene.leds) if oximeter is None else oximeter.frame_hz
+    length_s = {slot.light: 1e-3 * slot.length_ms for slot in oximeter.schedule(scene.leds)} if oximeter else {}
+    usual_s = (0.5 if stage.ambient_rejection else 1.0) / (2 * stage.bandwidth_hz)
     for led in scene.leds:
-        mean_w, height_m = 1e-3 * led.flux_mw * duty[led.name], 1e-3 * scene.board.height_mm - 1e-6 * led.height_um
-        rows.append(
-            {
-                "led": led.name,
-                "nail_w_per_m2": mean_w / (math.pi * (SKIN_M**2 / 4 + height_m**2)),
-                "eye_w_per_m2": mean_w / (math.pi * EYE_M**2),
-                "light_j": 1e-3 * led.flux_mw * lit_s[led.name],
-                "charge_c": None if led.current_ma is None else 1e-3 * led.current_ma * lit_s[led.name],
-            }
-        )
+        lit_s = usual_s if oximeter is None else length_s.get(led.name, 0.0)
+        light_j, height_m = 1e-3 * led.flux_mw * lit_s, 1e-3 * scene.board.height_mm - 1e-6 * led.height_um
+        row = {"led": led.name, "nail_w_per_m2": light_j * frame_hz / (math.pi * (SKIN_M**2 / 4 + height_m**2))}
+        row |= {"eye_w_per_m2": light_j * frame_hz / (math.pi * EYE_M**2), "light_j": light_j}
+        rows.append(row | {"charge_c": None if led.current_ma is None else 1e-3 * led.current_ma * lit_s})
     return rows

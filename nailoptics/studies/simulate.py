@@ -207,7 +207,7 @@ def _read_volts(
         change[i, j] = read.volts - read.volts[0]
         volts_stderr[i, j] = stderr[i, j] * per_fraction_v
         change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
-        responsivity_a_per_w[i, j] = electronics.photodiode_responsivity_a_per_w(diode, led.wavelength_nm)
+        responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
     absorbers = list(optics.absorbers(scene))
     pair = ("led", "photodiode")
     over, paths = (*pair, "time"), (*pair, "absorber")

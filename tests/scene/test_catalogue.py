@@ -7,7 +7,7 @@ from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.catalogue import LedPart, ModulePart, PhotodiodePart, load_part
-from nailoptics.sensor.electronics import photodiode_responsivity_a_per_w
+from nailoptics.sensor.electronics import responsivity_a_per_w
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
 LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'
@@ -104,11 +104,11 @@ def test_real_parts_have_what_their_data_sheets_say():
     )
     # 50 uA at 1 mW/cm2 of 950 nm on 7.5 mm2.
     area = bpw34.size_mm[0] * bpw34.size_mm[1]
-    current_ua = 10 * area * photodiode_responsivity_a_per_w(bpw34, 950.0)
+    current_ua = 10 * area * responsivity_a_per_w(bpw34, 950.0)
     assert area == pytest.approx(7.5, abs=0.02) and current_ua == pytest.approx(50, rel=0.01)
     # 34 uA on 4.84 mm2, and nothing of red light through its filter.
-    assert 48.4 * photodiode_responsivity_a_per_w(bp104, 950.0) == pytest.approx(34, rel=0.01)
-    assert photodiode_responsivity_a_per_w(bp104, [660.0, 865.0, 1200.0]).tolist() == pytest.approx([0, 0.385, 0])
+    assert 48.4 * responsivity_a_per_w(bp104, 950.0) == pytest.approx(34, rel=0.01)
+    assert responsivity_a_per_w(bp104, [660.0, 865.0, 1200.0]).tolist() == pytest.approx([0, 0.385, 0])
     # Its Fig. 1 has 40 nA at 60 degrees.
     assert bpw34.dark_current_a(298.15) == 2e-9 and bpw34.dark_current_a(333.15) == pytest.approx(40e-9, rel=0.05)
     assert scene.Photodiode(name="a", position_mm=(0.0, 0.0)).dark_current_a(400.0) == pytest.approx(1e-10)
@@ -123,7 +123,7 @@ def test_a_module_is_a_package_of_leds_and_photodiodes():
     assert module.leds[0].scene_fields()["wavelength_nm"] == 660
     # The maker's table: quantum efficiency above 30 % from 640 to 980 nm.
     diode = scene.Photodiode.model_validate(module.photodiodes[0].scene_fields() | {"name": "a", "position_mm": (0, 0)})
-    efficiency = photodiode_responsivity_a_per_w(diode, [640.0, 980.0]) * 1239.84 / [640.0, 980.0]
+    efficiency = responsivity_a_per_w(diode, [640.0, 980.0]) * 1239.84 / [640.0, 980.0]
     assert np.all(efficiency > 0.3) and efficiency[1] == pytest.approx(0.31, abs=0.015)
 
 

@@ -231,7 +231,7 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
-        "responsivity": electronics.photodiode_responsivity_a_per_w(photodiode, wavelengths),
+        "responsivity": electronics.responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "noise": {
             "adcV2": float(noise.adc_v2),
