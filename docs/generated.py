@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import nailoptics
 from nailoptics.light.identity import light_digest
 from nailoptics.report.pages import validate as validation_page
@@ -20,7 +18,6 @@ from nailoptics.scene.catalogue import LedPart, ModuleLed, ModulePart, ModulePho
 from nailoptics.scene.files import json_schema, schema_of
 from nailoptics.scene.priors import shipped_priors
 from nailoptics.scene.sweep import sweep_json_schema
-from nailoptics.studies.validate import Comparison
 
 HERE = Path(__file__).parent
 OUTPUTS = HERE / "output_variables.json"
@@ -369,46 +366,16 @@ def validation() -> str:
     """What was measured on people beside the model, what disagrees first: counts, a table, and a figure each."""
     made = json.loads((HERE / "validation.json").read_text(encoding="utf-8"))
     ranked = sorted(made["tables"].values(), key=lambda one: one["agrees"])
-    counts = [f"of {count} {words} quantities {n} agree" for words, (n, count) in made["counts"].items()]
-    rows = [f"{', '.join(counts).capitalize()}.", ""]
-    rows += ["| quantity | basis | people | model | statistic | agrees |", "|---|---|---|---|---|---|"]
-    for one in ranked:
-        statistic = "z" if "z" in one else "coverage"
-        cells = [one["quantity"] + ("" if one["units"] == "1" else f" [{one['units']}]"), one["basis"]]
-        for side in ("people", "model"):
-            ends = (
-                [one[side]["low"], one[side]["high"]]
-                if "over" not in one
-                else [min(one[side]["middle"]), max(one[side]["middle"])]
-            )
-            cells.append(f"{ends[0]:.3g} to {ends[1]:.3g}")
-        rows.append(
-            f"| {' | '.join([*cells, f'{statistic} {one[statistic]:.2g}', 'yes' if one['agrees'] else 'no'])} |"
-        )
-    return "\n".join([*rows, "", *(_compared(one) for one in ranked)]) + "\n"
+    rows = [validation_page.row(one) for one in ranked]
+    cells = [[*rows[0]], ["---"] * len(rows[0]), *(row.values() for row in rows)]
+    table = [f"| {' | '.join(map(str, line))} |" for line in cells]
+    return "\n".join([f"{validation_page.counted(made).capitalize()}.", "", *table, "", *map(_compared, ranked)]) + "\n"
 
 
 def _compared(one: Mapping[str, Any]) -> str:
     """A heading and the figure of one quantity."""
-    x_label, x = next(iter(one.get("over", {"": [0.0]}).items()))
-    sides = {
-        side: np.array([np.atleast_1d(one[side][end]) for end in ("low", "middle", "high")])
-        for side in ("people", "model")
-    }
-    statistic = "z" if "z" in one else "coverage"
-    texts = {name: one.get(name, "") for name in ("quantity", "units", "source", "basis", "fit", "counted", "remark")}
-    comparison = Comparison(
-        **texts,
-        **sides,
-        bands=tuple(one["bands"]),
-        statistic=statistic,
-        value=one[statistic],
-        accepted=tuple(one["accepted"]),
-        x=np.array(x),
-        x_label=x_label,
-    )
     # A blank line would end the HTML.
-    figure = re.sub(r"\n\s*\n", "\n", validation_page.figure_of(comparison))
+    figure = re.sub(r"\n\s*\n", "\n", validation_page.figure_of(one))
     return f"**{one['quantity'][0].upper()}{one['quantity'][1:]}**\n\n{figure}\n\n{one.get('remark', '')}\n"
 
 

@@ -13,7 +13,7 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
 from nailoptics.studies import validate
-from nailoptics.studies.validate import COLUMNS, read_people
+from nailoptics.studies.people_tables import COLUMNS, read_people, slope_within_days
 
 PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
 
@@ -74,6 +74,13 @@ def test_a_wrong_table_is_refused_in_one_line(tmp_path, name, change, words):
     assert "\n" not in str(caught.value) and f"{name}.csv" in str(caught.value)
 
 
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path):
+    (tmp_path / f"{WAVES}.csv").write_text("a,b\n1,2\n1,2,3\n", encoding="utf-8")
+    with pytest.raises(InputError, match="cannot be read as a table") as caught:
+        read_people(WAVES, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
 def test_wrong_tables_are_refused_before_light_and_with_code_2(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(validate, "trace", lambda *a, **k: pytest.fail("traced"))
     assert run(["validate", "--data", str(own(tmp_path, WAVES, lambda t: t[:1])), "-o", str(tmp_path / "out")]) == 2
@@ -96,12 +103,12 @@ def test_a_table_of_one_place_is_read_with_its_path_as_source(tmp_path, place):
 def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):
     about = np.ones(6), np.ones(6)
     shipped = validate._colours(read_people(PHOTOS), *about)["nail_L"]
-    assert shipped.basis == "held out" and "53 people" in shipped.quantity
+    assert shipped.texts["basis"] == "held out" and "53 people" in shipped.texts["quantity"]
     theirs = validate._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
     assert (
-        theirs.basis == "prediction"
-        and "160 people" in theirs.quantity
-        and theirs.source == str(tmp_path / f"{PHOTOS}.csv")
+        theirs.texts["basis"] == "prediction"
+        and "160 people" in theirs.texts["quantity"]
+        and theirs.texts["source"] == str(tmp_path / f"{PHOTOS}.csv")
     )
 
 
@@ -115,7 +122,7 @@ def test_slopes_within_days_ignore_exposure_between_days():
     rng = np.random.default_rng(1)
     photos = read_people("nail_photos")
     values = 0.03 * photos["hb_g_per_l"].to_numpy() + 50 * photos["day"].to_numpy() + rng.normal(0, 1, len(photos))
-    slope, stderr = validate.slope_within_days(photos, values)
+    slope, stderr = slope_within_days(photos, values)
     assert abs(slope - 0.3) < 4 * stderr and 0 < stderr < 0.15
 
 
@@ -127,30 +134,30 @@ def test_nails_carried_over_to_measured_skin_are_pink():
 
 
 def test_statistics_agree_and_disagree_where_they_should():
-    about = {"quantity": "length", "units": "mm", "source": "a table", "basis": "prediction", "fit": "none"}
-    bands = {"bands": ("of people", "of the model")}
-    assert validate._z((1.0, 0.1), (1.1, 0.1), 0.0, **about, **bands).agrees
+    assert validate._z({}, (1.0, 0.1), (1.1, 0.1), 0.0).agrees
     # A spread over the priors is shown, and excuses nothing.
-    wide = validate._z((1.0, 0.1), (1.5, 0.1), 3.0, **about, **bands)
+    wide = validate._z({}, (1.0, 0.1), (1.5, 0.1), 3.0)
     assert not wide.agrees and wide.model[0, 0] < -4
     people, model = np.random.default_rng(2).normal(0, 1, 400), np.array([[-1.96], [0.0], [1.96]])
-    covered = validate._coverage(people, model, **about)
+    covered = validate._coverage({}, people, model)
     assert covered.agrees and covered.value == pytest.approx(0.95, abs=0.03)
-    assert not validate._coverage(people + 2, model, **about).agrees
+    assert not validate._coverage({}, people + 2, model).agrees
     # An interval that holds everybody states too much.
-    assert not validate._coverage(people, 10 * model, **about).agrees
+    assert not validate._coverage({}, people, 10 * model).agrees
+    # That it holds all of a few people is no sign of that.
+    assert not validate._coverage({}, people[:59] / 10, model).agrees
+    assert validate._coverage({}, people[:58] / 10, model).agrees
 
 
 def test_a_w_that_is_too_deep_disagrees():
     """Expected: from medians of two groups, 1.041 and 1.029, a model of 1.14 is many standard errors off."""
     fingers = read_people(SKIN)[lambda t: t.place == "ring finger"]
-    about = {"source": "a table", "basis": "fitted", "fit": "all"}
-    (deep,) = validate._w_depth("ring finger", fingers, [np.array([[1.0], [1.14], [1.3]])] * 2, **about).values()
+    (deep,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2).values()
     assert deep.people[1, 0] == pytest.approx(1.035, abs=1e-3)
     assert deep.value > 10 and not deep.agrees and deep.model[0, 0] < 1.01
-    (flat,) = validate._w_depth("ring finger", fingers, [np.array([[1.0], [1.036], [1.1]])] * 2, **about).values()
+    (flat,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2).values()
     assert flat.agrees
-    assert not validate._w_depth("ring finger", fingers[fingers.group == "JP"], [np.ones((3, 1))], **about)
+    assert not validate._w_depth("w_of_ring_finger", fingers[fingers.group == "JP"], [np.ones(3)])
 
 
 def test_waves_and_pulse_without_light_agree_with_people():
@@ -160,6 +167,19 @@ def test_waves_and_pulse_without_light_agree_with_people():
     assert shape.x[shape.model[1].argmax()] == 50
     fall = 1 - shape.model[1, -1] / shape.model[1].max()
     assert 0.15 < fall < 0.4
+
+
+def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
+    """Expected: a line of one of the wavelengths, 5 nm apart, counts for a third there, and none 10 nm off."""
+    spectrum = np.zeros((1, 77))
+    spectrum[0, validate.WAVELENGTHS_NM == 560] = 1.0
+    monkeypatch.setattr(validate._Skin, "__init__", lambda self: None)
+    monkeypatch.setattr(validate._Skin, "read", lambda self, scene, rays, gloss: spectrum)
+    (seen,) = validate._Skin().spectrum(None)
+    assert seen[validate.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and seen.sum() == pytest.approx(100 / 3)
+    # A level part of a spectrum, and its ends, are what they are.
+    spectrum[:] = 0.5
+    assert validate._Skin().spectrum(None) == pytest.approx(50.0)
 
 
 @pytest.mark.long
@@ -181,7 +201,7 @@ def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     summary = page.summary(result)
     assert {"quantity", "people", "model", "agrees"} <= {*summary["tables"]["nail_L"]}
     assert len(page.lines(summary)) == len(result.tables) + 2
-    not_fitted = [one.agrees for one in result.tables.values() if one.basis != "fitted"]
+    not_fitted = [one.agrees for one in result.tables.values() if one.texts["basis"] != "fitted"]
     assert f"of {len(not_fitted)} unfitted quantities {sum(not_fitted)} agree" in page.lines(summary)[-1]
 
 

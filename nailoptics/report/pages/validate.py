@@ -1,10 +1,11 @@
 """The page of `validate`: the model compared with tables measured on people, the largest disagreement first."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...studies.validate import Comparison, Validation
+from ...studies.validate import Validation
 from .. import style
 from ..files import Report
 from ..html import Html, document, figure, section, small, table
@@ -25,7 +26,7 @@ NOTE = (
 
 def page(result: Validation) -> str:
     """The page of a validation."""
-    ranked = sorted(result.tables.values(), key=lambda comparison: comparison.agrees)
+    ranked = sorted(summary(result)["tables"].values(), key=lambda one: one["agrees"])
     return document(
         kicker="validation",
         title="Comparison with measurements on people",
@@ -34,91 +35,103 @@ def page(result: Validation) -> str:
         body=[
             section(
                 "All quantities, what disagrees first",
-                table([_row(one) for one in ranked], kind="compared"),
+                table([row(one) for one in ranked], kind="compared"),
                 small(NOTE),
                 *(f"No data: {name}." for name in result.no_data),
             ),
-            *(section(one.quantity, figure_of(one), small(one.remark)) for one in ranked),
+            *(section(one["quantity"], figure_of(one), small(one.get("remark", ""))) for one in ranked),
         ],
         attributes=result.attributes,
     )
 
 
-def figure_of(comparison: Comparison) -> Html:
-    """The figure of a quantity with its statistic, what was fitted, and its source."""
-    agrees = "agrees" if comparison.agrees else "disagrees"
-    counted = f" of {comparison.counted}" if comparison.counted else ""
+def figure_of(one: Mapping[str, Any]) -> Html:
+    """The figure of a quantity of a summary with its statistic, what was fitted, and its source."""
+    agrees = "agrees" if one["agrees"] else "disagrees"
+    counted = f" of {one['counted']}" if "counted" in one else ""
     caption = (
-        f"{comparison.statistic} {significant(comparison.value, 2)}{counted}: {agrees}. "
-        f"{comparison.basis.capitalize()}: {comparison.fit}. People: {comparison.source}"
+        f"{_statistic(one)}{counted}: {agrees}. {one['basis'].capitalize()}: {one['fit']}. People: {one['source']}"
     )
-    return figure(draw(comparison), caption, narrow=True)
+    return figure(draw(one), caption, narrow=True)
 
 
-def _range(rows: np.ndarray) -> str:
-    """A middle with its interval; of a curve, over all its points."""
-    if rows.shape[1] > 1:
-        return f"{significant(float(rows[1].min()), 3)} to {significant(float(rows[1].max()), 3)}"
-    low, middle, high = (significant(float(value), 3) for value in rows[:, 0])
-    return f"{middle} ({low} to {high})"
-
-
-def _row(comparison: Comparison) -> dict[str, object]:
-    low, high = comparison.accepted
+def row(one: Mapping[str, Any]) -> dict[str, object]:
+    """A quantity of a summary as a row of a table."""
+    low, high = one["accepted"]
     return {
-        "Quantity": comparison.quantity + _units(comparison),
-        "Basis": comparison.basis,
-        "Agrees": "yes" if comparison.agrees else "no",
-        "Statistic": f"{comparison.statistic} {significant(comparison.value, 2)}",
+        "Quantity": one["quantity"] + _units(one),
+        "Basis": one["basis"],
+        "Agrees": "yes" if one["agrees"] else "no",
+        "Statistic": _statistic(one),
         "Accepted": f"{low:g} to {high:g}",
-        "People": _range(comparison.people),
-        "Model": _range(comparison.model),
+        "People": _range(_ends(one, "people")),
+        "Model": _range(_ends(one, "model")),
     }
 
 
-def _units(comparison: Comparison) -> str:
-    return "" if comparison.units == "1" else f" [{comparison.units}]"
+def _statistic(one: Mapping[str, Any]) -> str:
+    name = "z" if "z" in one else "coverage"
+    return f"{name} {significant(one[name], 2)}"
+
+
+def _units(one: Mapping[str, Any]) -> str:
+    return "" if one["units"] == "1" else f" [{one['units']}]"
+
+
+def _ends(one: Mapping[str, Any], side: str) -> np.ndarray:
+    """Lower end, middle and upper end of a side, (3, n) float."""
+    return np.array([np.atleast_1d(one[side][end]) for end in ("low", "middle", "high")])
+
+
+def _range(ends: np.ndarray) -> str:
+    """A middle with its interval; of a curve, over all its points."""
+    if ends.shape[1] > 1:
+        return f"{significant(float(ends[1].min()), 3)} to {significant(float(ends[1].max()), 3)}"
+    low, middle, high = (significant(float(value), 3) for value in ends[:, 0])
+    return f"{middle} ({low} to {high})"
 
 
 @style.drawing()
-def draw(comparison: Comparison) -> "Figure":
+def draw(one: Mapping[str, Any]) -> "Figure":
     """People and model with their intervals: side by side, or over what the quantity is measured over."""
-    of_people, of_model = comparison.bands
-    both = (
-        (f"people: {of_people}", comparison.people, style.MUTED),
-        (f"model: {of_model}", comparison.model, style.ZONES[0]),
-    )
-    if not comparison.x_label:
-        drawing, axes = style.panels(5.5, 1.3)
-        for row, (name, values, colour) in enumerate(both):
-            low, middle, high = values[:, 0]
-            axes.plot([low, high], [row, row], color=colour, lw=2.2)
-            axes.plot(middle, row, "o", color=colour, label=name)
+    labels, colours = zip(("people", "model"), one["bands"], strict=True), (style.MUTED, style.ZONES[0])
+    sides = [
+        (f"{side}: {band}", _ends(one, side), colour) for (side, band), colour in zip(labels, colours, strict=True)
+    ]
+    over: dict[str, Any] = one.get("over", {})
+    drawing, axes = style.panels(5.5, 3.0 if over else 1.3)
+    for k, (label, (low, middle, high), colour) in enumerate(sides):
+        for x in over.values():
+            axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+            axes.plot(x, middle, color=colour, label=label)
+        if not over:
+            axes.plot([*low, *high], [k, k], color=colour, lw=2.2)
+            axes.plot(middle, k, "o", color=colour, label=label)
+    units = _units(one).strip(" []")
+    if over:
+        axes.set(xlabel=next(iter(over)), ylabel=units)
+    else:
         axes.set_yticks([0, 1], ["people", "model"])
-        axes.set(ylim=(1.6, -0.6), xlabel=_units(comparison).strip(" []"))
-        style.legend_above(drawing, axes, ncols=1)
-        return drawing
-    drawing, axes = style.panels(5.5, 3.0)
-    for name, values, colour in both:
-        axes.fill_between(comparison.x, values[0], values[2], color=colour, alpha=0.2, linewidth=0)
-        axes.plot(comparison.x, values[1], color=colour, label=name)
-    axes.set(xlabel=comparison.x_label, ylabel=_units(comparison).strip(" []"))
+        axes.set(ylim=(1.6, -0.6), xlabel=units)
     style.legend_above(drawing, axes, ncols=1)
     return drawing
 
 
-def lines(summary: dict[str, Any]) -> list[str]:
+def lines(summary: Mapping[str, Any]) -> list[str]:
     """Every table's verdict for the terminal, what disagrees first."""
     rows = []
     for name, one in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
-        statistic, row = "z" if "z" in one else "coverage", {"quantity": name, "basis": one["basis"]}
+        line = {"quantity": name, "basis": one["basis"]}
         for side in ("people", "model"):
             values = np.atleast_1d(one[side]["middle"])
-            row[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
-        row |= {"statistic": f"{statistic} {one[statistic]:.2g}", "verdict": "agrees" if one["agrees"] else "DISAGREES"}
-        rows.append(row)
-    counts = [f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items()]
-    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), ", ".join(counts)]
+            line[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
+        rows.append(line | {"statistic": _statistic(one), "verdict": "agrees" if one["agrees"] else "DISAGREES"})
+    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counted(summary)}."]
+
+
+def counted(summary: Mapping[str, Any]) -> str:
+    """How many quantities of a summary agree, in words."""
+    return ", ".join(f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items())
 
 
 def summary(result: Validation) -> dict[str, Any]:
