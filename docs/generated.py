@@ -369,7 +369,10 @@ def validation() -> str:
     rows = [validation_page.row(one) for one in ranked]
     cells = [[*rows[0]], ["---"] * len(rows[0]), *(row.values() for row in rows)]
     table = [f"| {' | '.join(map(str, line))} |" for line in cells]
-    return "\n".join([f"{validation_page.counted(made).capitalize()}.", "", *table, "", *map(_compared, ranked)]) + "\n"
+    return (
+        "\n".join([f"{validation_page.counts_in_words(made).capitalize()}.", "", *table, "", *map(_compared, ranked)])
+        + "\n"
+    )
 
 
 def _compared(one: Mapping[str, Any]) -> str:

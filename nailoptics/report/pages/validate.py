@@ -20,7 +20,7 @@ LEAD = (
 )
 NOTE = (
     "z: difference over its standard error, which agrees between -2 and 2. Coverage: the part of what each figure "
-    "states; an interval of the model that holds more than 99 % of many people does not agree either."
+    "states; an interval of the model that holds more than 99 % of 59 people or more does not agree either."
 )
 
 
@@ -70,8 +70,7 @@ def row(one: Mapping[str, Any]) -> dict[str, object]:
 
 
 def _statistic(one: Mapping[str, Any]) -> str:
-    name = "z" if "z" in one else "coverage"
-    return f"{name} {significant(one[name], 2)}"
+    return f"z {significant(one['z'], 2)}" if "z" in one else f"coverage {significant(one['coverage'], 3)}"
 
 
 def _units(one: Mapping[str, Any]) -> str:
@@ -94,31 +93,26 @@ def _range(ends: np.ndarray) -> str:
 @style.drawing()
 def draw(one: Mapping[str, Any]) -> "Figure":
     """People and model with their intervals: side by side, or over what the quantity is measured over."""
-    labels, colours = zip(("people", "model"), one["bands"], strict=True), (style.MUTED, style.ZONES[0])
-    sides = [
-        (f"{side}: {band}", _ends(one, side), colour) for (side, band), colour in zip(labels, colours, strict=True)
-    ]
-    over: dict[str, Any] = one.get("over", {})
+    over, units = one.get("over", {}), _units(one).strip(" []")
     drawing, axes = style.panels(5.5, 3.0 if over else 1.3)
-    for k, (label, (low, middle, high), colour) in enumerate(sides):
-        for x in over.values():
+    for k, (side, colour) in enumerate({"people": style.MUTED, "model": style.ZONES[0]}.items()):
+        (low, middle, high), label = _ends(one, side), f"{side}: {one['bands'][k]}"
+        if over:
+            ((x_label, x),) = over.items()
             axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(x, middle, color=colour, label=label)
-        if not over:
+            axes.set(xlabel=x_label, ylabel=units)
+        else:
             axes.plot([*low, *high], [k, k], color=colour, lw=2.2)
             axes.plot(middle, k, "o", color=colour, label=label)
-    units = _units(one).strip(" []")
-    if over:
-        axes.set(xlabel=next(iter(over)), ylabel=units)
-    else:
-        axes.set_yticks([0, 1], ["people", "model"])
-        axes.set(ylim=(1.6, -0.6), xlabel=units)
+            axes.set_yticks([0, 1], ["people", "model"])
+            axes.set(ylim=(1.6, -0.6), xlabel=units)
     style.legend_above(drawing, axes, ncols=1)
     return drawing
 
 
 def lines(summary: Mapping[str, Any]) -> list[str]:
-    """Every table's verdict for the terminal, what disagrees first."""
+    """Every quantity's verdict for the terminal, what disagrees first."""
     rows = []
     for name, one in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
         line = {"quantity": name, "basis": one["basis"]}
@@ -126,23 +120,21 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
             values = np.atleast_1d(one[side]["middle"])
             line[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
         rows.append(line | {"statistic": _statistic(one), "verdict": "agrees" if one["agrees"] else "DISAGREES"})
-    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counted(summary)}."]
+    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
 
 
-def counted(summary: Mapping[str, Any]) -> str:
+def counts_in_words(summary: Mapping[str, Any]) -> str:
     """How many quantities of a summary agree, in words."""
     return ", ".join(f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items())
 
 
 def summary(result: Validation) -> dict[str, Any]:
-    """Every table as plain numbers and texts."""
-    made: dict[str, Any] = {"tables": {name: table.as_dict() for name, table in result.tables.items()}}
+    """Every quantity as plain numbers and texts."""
+    made: dict[str, Any] = {"tables": {name: one.as_dict() for name, one in result.tables.items()}}
     made |= {"counts": result.counts(), "no_data": [*result.no_data]}
     return made | dict(result.attributes)
 
 
-def _files(result: Validation) -> tuple[Any, ...]:
-    return (lambda _: page(result),)
-
-
-VALIDATION = Report(("validation.html",), _files, summary, lambda result, summary: lines(summary))
+VALIDATION = Report(
+    ("validation.html",), lambda result: (lambda _: page(result),), summary, lambda result, summary: lines(summary)
+)
