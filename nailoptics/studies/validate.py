@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -54,8 +55,7 @@ SCALED_TO = ("CA", "CN")
 # Of a ring finger's pulp, what a spectrophotometer measures: light from all sides (CIE 15, d:8), gloss included, falls
 # through a port of 11 mm onto the skin, of which 8 mm are seen (Konica Minolta CM-700d; that it was that is judgement).
 PAD = Patch((0.0, 0.0), (7.1, 7.1), port_mm=11.0)
-# Its bandwidth is some 10 nm at half height: the variance of a triangle of that, and of the mean of three of
-# `WAVELENGTHS_NM`.
+# Its bandwidth is some 10 nm at half height: the mean of three of `WAVELENGTHS_NM` has the variance of such a triangle.
 BAND = 3
 # Of the module MAXM86161 that recorded the finger; judgement, its data sheet was not at hand. Red is 660 nm as here.
 MODULE_INFRARED_NM = 880.0
@@ -130,8 +130,8 @@ class Validation:
     def counts(self) -> dict[str, tuple[int, int]]:
         """How many quantities agree, and of how many: of those that were not fitted, and of the fitted ones."""
         sides: dict[str, list[bool]] = {"unfitted": [], "fitted": []}
-        for one in self.tables.values():
-            sides["fitted" if one.texts["basis"] == "fitted" else "unfitted"].append(one.agrees)
+        for comparison in self.tables.values():
+            sides["fitted" if comparison.texts["basis"] == "fitted" else "unfitted"].append(comparison.agrees)
         return {words: (sum(agree), len(agree)) for words, agree in sides.items()}
 
 
@@ -443,8 +443,8 @@ class _Skin(_Reflectance):
             return np.log(np.column_stack([spectrum, _w(spectrum)]))
 
         answers = self.over_priors(scene, fields, quantities)
-        (middle, spread, _), own = _moments(answers), answers.base_answer[0]
-        both = np.exp(np.stack([middle - Z95 * spread, own, middle + Z95 * spread]))
+        middle, spread, _ = _moments(answers)
+        both = np.exp([middle - Z95 * spread, answers.base_answer[0], middle + Z95 * spread])
         return both[:, :-1], both[:, -1]
 
     def fingers(self, table: "pd.DataFrame") -> dict[str, Comparison]:
@@ -459,13 +459,11 @@ class _Skin(_Reflectance):
         """Hands of each group with the melanin and the blood that come nearest to its median, and their W."""
         few, depths, result = self.few(self.scene), list[Array](), dict[str, Comparison]()
         more = self.spectrum(self.scene)[0] / self.spectrum(self.scene, few)[0]
-        skins = [
-            (blood, melanin, scene, more * self.spectrum(scene, few)[0])
-            for blood in SKIN_BLOOD.tolist()
-            for melanin in MELANIN.tolist()
-            for bled in [at_value(self.scene, "blood.pulp_blood_fraction", blood)]
-            for scene in [at_value(bled, "finger.melanin_fraction", melanin)]
-        ]
+        skins = []
+        for blood, melanin in product(SKIN_BLOOD.tolist(), MELANIN.tolist()):
+            scene = at_value(self.scene, "blood.pulp_blood_fraction", blood)
+            scene = at_value(scene, "finger.melanin_fraction", melanin)
+            skins.append((blood, melanin, scene, more * self.spectrum(scene, few)[0]))
         for group, rows in table.groupby("group", sort=False):
             people = np.stack([percentile(rows, percent) for percent in people_tables.PERCENTILES["back of hand"]])
             blood, melanin, scene, _ = min(skins, key=lambda skin: float((np.log(skin[3] / people[1]) ** 2).sum()))

@@ -175,8 +175,8 @@ def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
     spectrum[0, validate.WAVELENGTHS_NM == 560] = 1.0
     monkeypatch.setattr(validate._Skin, "__init__", lambda self: None)
     monkeypatch.setattr(validate._Skin, "read", lambda self, scene, rays, gloss: spectrum)
-    (seen,) = validate._Skin().spectrum(None)
-    assert seen[validate.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and seen.sum() == pytest.approx(100 / 3)
+    (measured,) = validate._Skin().spectrum(None)
+    assert measured[validate.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and measured.sum() == pytest.approx(100 / 3)
     # A level part of a spectrum, and its ends, are what they are.
     spectrum[:] = 0.5
     assert validate._Skin().spectrum(None) == pytest.approx(50.0)

@@ -26,7 +26,7 @@ NOTE = (
 
 def page(result: Validation) -> str:
     """The page of a validation."""
-    ranked = sorted(summary(result)["tables"].values(), key=lambda one: one["agrees"])
+    ranked = sorted(summary(result)["tables"].values(), key=lambda quantity: quantity["agrees"])
     return document(
         kicker="validation",
         title="Comparison with measurements on people",
@@ -35,51 +35,55 @@ def page(result: Validation) -> str:
         body=[
             section(
                 "All quantities, what disagrees first",
-                table([row(one) for one in ranked], kind="compared"),
+                table([row(quantity) for quantity in ranked], kind="compared"),
                 small(NOTE),
                 *(f"No data: {name}." for name in result.no_data),
             ),
-            *(section(one["quantity"], figure_of(one), small(one.get("remark", ""))) for one in ranked),
+            *(
+                section(quantity["quantity"], figure_of(quantity), small(quantity.get("remark", "")))
+                for quantity in ranked
+            ),
         ],
         attributes=result.attributes,
     )
 
 
-def figure_of(one: Mapping[str, Any]) -> Html:
+def figure_of(quantity: Mapping[str, Any]) -> Html:
     """The figure of a quantity of a summary with its statistic, what was fitted, and its source."""
-    agrees = "agrees" if one["agrees"] else "disagrees"
-    counted = f" of {one['counted']}" if "counted" in one else ""
-    caption = (
-        f"{_statistic(one)}{counted}: {agrees}. {one['basis'].capitalize()}: {one['fit']}. People: {one['source']}"
-    )
-    return figure(draw(one), caption, narrow=True)
+    agrees = "agrees" if quantity["agrees"] else "disagrees"
+    counted = f" of {quantity['counted']}" if "counted" in quantity else ""
+    fit = f"{quantity['basis'].capitalize()}: {quantity['fit']}"
+    caption = f"{_statistic(quantity)}{counted}: {agrees}. {fit}. People: {quantity['source']}"
+    return figure(draw(quantity), caption, narrow=True)
 
 
-def row(one: Mapping[str, Any]) -> dict[str, object]:
+def row(quantity: Mapping[str, Any]) -> dict[str, object]:
     """A quantity of a summary as a row of a table."""
-    low, high = one["accepted"]
+    low, high = quantity["accepted"]
     return {
-        "Quantity": one["quantity"] + _units(one),
-        "Basis": one["basis"],
-        "Agrees": "yes" if one["agrees"] else "no",
-        "Statistic": _statistic(one),
+        "Quantity": quantity["quantity"] + _units(quantity),
+        "Basis": quantity["basis"],
+        "Agrees": "yes" if quantity["agrees"] else "no",
+        "Statistic": _statistic(quantity),
         "Accepted": f"{low:g} to {high:g}",
-        "People": _range(_ends(one, "people")),
-        "Model": _range(_ends(one, "model")),
+        "People": _range(_ends(quantity, "people")),
+        "Model": _range(_ends(quantity, "model")),
     }
 
 
-def _statistic(one: Mapping[str, Any]) -> str:
-    return f"z {significant(one['z'], 2)}" if "z" in one else f"coverage {significant(one['coverage'], 3)}"
+def _statistic(quantity: Mapping[str, Any]) -> str:
+    return (
+        f"z {significant(quantity['z'], 2)}" if "z" in quantity else f"coverage {significant(quantity['coverage'], 3)}"
+    )
 
 
-def _units(one: Mapping[str, Any]) -> str:
-    return "" if one["units"] == "1" else f" [{one['units']}]"
+def _units(quantity: Mapping[str, Any]) -> str:
+    return "" if quantity["units"] == "1" else f" [{quantity['units']}]"
 
 
-def _ends(one: Mapping[str, Any], side: str) -> np.ndarray:
+def _ends(quantity: Mapping[str, Any], side: str) -> np.ndarray:
     """Lower end, middle and upper end of a side, (3, n) float."""
-    return np.array([np.atleast_1d(one[side][end]) for end in ("low", "middle", "high")])
+    return np.array([np.atleast_1d(quantity[side][end]) for end in ("low", "middle", "high")])
 
 
 def _range(ends: np.ndarray) -> str:
@@ -91,12 +95,12 @@ def _range(ends: np.ndarray) -> str:
 
 
 @style.drawing()
-def draw(one: Mapping[str, Any]) -> "Figure":
+def draw(quantity: Mapping[str, Any]) -> "Figure":
     """People and model with their intervals: side by side, or over what the quantity is measured over."""
-    over, units = one.get("over", {}), _units(one).strip(" []")
+    over, units = quantity.get("over", {}), _units(quantity).strip(" []")
     drawing, axes = style.panels(5.5, 3.0 if over else 1.3)
     for k, (side, colour) in enumerate({"people": style.MUTED, "model": style.ZONES[0]}.items()):
-        (low, middle, high), label = _ends(one, side), f"{side}: {one['bands'][k]}"
+        (low, middle, high), label = _ends(quantity, side), f"{side}: {quantity['bands'][k]}"
         if over:
             ((x_label, x),) = over.items()
             axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
@@ -114,12 +118,14 @@ def draw(one: Mapping[str, Any]) -> "Figure":
 def lines(summary: Mapping[str, Any]) -> list[str]:
     """Every quantity's verdict for the terminal, what disagrees first."""
     rows = []
-    for name, one in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
-        line = {"quantity": name, "basis": one["basis"]}
+    for name, quantity in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
+        line = {"quantity": name, "basis": quantity["basis"]}
         for side in ("people", "model"):
-            values = np.atleast_1d(one[side]["middle"])
+            values = np.atleast_1d(quantity[side]["middle"])
             line[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
-        rows.append(line | {"statistic": _statistic(one), "verdict": "agrees" if one["agrees"] else "DISAGREES"})
+        rows.append(
+            line | {"statistic": _statistic(quantity), "verdict": "agrees" if quantity["agrees"] else "DISAGREES"}
+        )
     return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
 
 
@@ -130,7 +136,7 @@ def counts_in_words(summary: Mapping[str, Any]) -> str:
 
 def summary(result: Validation) -> dict[str, Any]:
     """Every quantity as plain numbers and texts."""
-    made: dict[str, Any] = {"tables": {name: one.as_dict() for name, one in result.tables.items()}}
+    made: dict[str, Any] = {"tables": {name: quantity.as_dict() for name, quantity in result.tables.items()}}
     made |= {"counts": result.counts(), "no_data": [*result.no_data]}
     return made | dict(result.attributes)
 
