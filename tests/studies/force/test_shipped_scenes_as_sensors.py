@@ -8,7 +8,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
-from nailoptics.scene import Touch, to_toml
+from nailoptics.scene import Body, Touch, to_toml
 from nailoptics.studies.force.predict import CSV_COLUMNS
 
 # Differ from the two that stay in the side of the touch alone.
@@ -28,8 +28,10 @@ def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
     recording, subject, out = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "out"))
     loaded, own = load_scene(scene), ("contact_area_mm2", "distal_relaxation_s", "creep", "creep_s")
     touch = {"profile": "protocol", "sample_rate_hz": 10.0} | {name: getattr(loaded.touch, name) for name in own}
+    # A recorded body is as long as the touch that it was recorded with.
+    body = loaded.body if loaded.body.file is None else Body()
     scene = tmp_path / "scene.toml"
-    scene.write_text(to_toml(loaded.model_copy(update={"touch": Touch.model_validate(touch)})))
+    scene.write_text(to_toml(loaded.model_copy(update={"touch": Touch.model_validate(touch), "body": body})))
     assert run(["simulate", str(scene), "-o", str(tmp_path / "run"), "--recording", recording, *PHOTONS]) == 0
     assert run(["calibrate", str(scene), recording, "-o", subject, *PHOTONS]) == 0
     assert run(["predict", subject, recording, "-o", out]) == 0
