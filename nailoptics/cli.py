@@ -516,12 +516,12 @@ def figures(
         people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and check what the paper says of people;
             their light is traced, a minute of processor time.
     """
-    from .paper.claims import as_rows, as_text
-    from .report.pages.paper import write_figures
+    from .paper.claims import as_rows
+    from .report.pages.paper import lines, write_figures
 
     claims_by_set, pictures = write_figures(output, sets, colour=colour, people=people)
     claims = {"claims": as_rows(claims_by_set), "pictures": list(map(str, pictures))}
-    _finish(claims, [*as_text(claims_by_set).splitlines(), *pictures], {}, json_)
+    _finish(claims, [*lines(claims_by_set), *pictures], {}, json_)
 
 
 @app.command

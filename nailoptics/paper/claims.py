@@ -2,20 +2,22 @@
 
 Every rule stands for a sentence of the paper, in our words, and is evaluated under that figure's own touch. Where the
 paper gives a number it is used; where it gives a word ("much more slowly", "nearly linear") the bound is a choice,
-spelled out with the rule. Readings follow Taylor (9): they fall with (D+x)^2, the blood under the photodiode.
+spelled out with the rule (assets/paper_claims.toml). Readings follow Taylor (9): they fall with (D+x)^2, the blood
+under the photodiode.
 """
 
 import dataclasses
 import math
-import textwrap
-from collections.abc import Callable, Iterable, Mapping
+import tomllib
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from ..assets import asset_path
 from ..hemodynamics.blood import white_band_mm
 from ..statistics import jackknife, t95
-from .protocols import CURVE_PA, EVEN_N, FINGER_ZONES, LOADING_S, N_PER_CM2, PHASE_S, SHEARED, UNLOADING_S
+from .protocols import CURVE_PA, EVEN_N, FINGER_ZONES, N_PER_CM2, PHASE_S, SHEARED
 from .responses import PeopleReadings, Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
@@ -187,121 +189,75 @@ def _varies_more(change: np.ndarray) -> np.ndarray:
     return np.asarray(spread[0] / np.maximum(spread[1], 1e-6))
 
 
-_WIDEN = "Pressing the proximal pulp narrows the vein and widens the capillaries."
-_REDDEN = "From some 0.3 N blood pools under the nail, which reddens, fully at about 1 N."
-_FIG_11 = "With both pressures the proximal reading falls, the distal one rises."
-_SMOOTH = "It goes from level to level; no overshoot is mentioned."
-_DISTAL_BOTH_WAYS = "The distal reading is nearly linear, and loads and unloads in equal times."
-_V_P1 = "V_P1 falls roughly linearly and levels off near 1 N/cm^2."
-_V_P2 = "V_P2 rises steeply to 0.1 N/cm^2, then linearly, and levels off just past 1."
-_FIG_15 = "Force on the proximal pulp: a linear fall to about 1 N, then level, in some a slight rise."
-_FIG_16 = "The proximal reading is no slower than the force: 0.16 s on loading, 0.12 s on unloading."
-_FIG_17 = "Force on the distal pulp: linear to about 1 N, then a small positive slope as the white band widens."
-_FIG_18 = "The distal reading takes 0.18 s on loading and 0.36 s on unloading."
-_BAND = "Past 1 N the tip whitens, in a band that widens until some 4 N."
-_THRESHOLD = "Below some 0.3 N a touch changes hardly anything."
-_ENTIRE = "The entire nail reddens up to 1 N."
-_NO_MORE = "Past 4 N nothing changes."
-_REAR = "The rear of the bed, which the bone shields, is not touched by the whitening."
-_SHEAR = "Shear widens the white band, and is more effective than normal force."
-_VARIES = "The range of the proximal reading varies among subjects, that of the distal one is consistent."
-_DROP = "The drop of pressure in the veins is negligible until they are pressed."
-_SKIN = "The subjects' skin does not matter."
-_SHUT = "Veins are blocked at 1 N."
-_MAGNIFIES = "Capillaries that widen let more in: the change of R_A magnifies their rise."
+# What is measured, by its name in assets/paper_claims.toml, which has the sentences and the bounds.
+MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
+    "vein_node_pressure": lambda r: r.pressure[2, ..., 0],
+    "pressure_magnification": _magnification,
+    "vein_outflow": _outflow,
+    "capillary_step": lambda r: _smallest_step(r.proximal[0]),
+    "vein_step": lambda r: _smallest_step(-r.proximal[2]),
+    "proximal_growth": lambda r: r.alone[0][..., _at(1.0)] - 1.0,
+    "capillary_off_chord": lambda r: _off_chord(r.proximal[0]),
+    "capillary_slower_at_low_pressure": lambda r: (
+        _time_constant(r.proximal_on[0][..., 0, :]) / _time_constant(r.proximal_on[0][..., -1, :])
+    ),
+    "capillary_release_over_loading": lambda r: _release_over_loading(r.proximal_on[0], r.proximal_off[0]),
+    "vein_time_difference": lambda r: _difference(r.proximal_on[2], r.proximal_off[2]),
+    "vein_overshoot": lambda r: _overshoot(r.proximal_on[2], r.proximal_off[2]),
+    "proximal_step": lambda r: _smallest_step(r.both[0]),
+    "distal_step": lambda r: _smallest_step(-r.both[1]),
+    "proximal_overshoot": lambda r: _overshoot(r.both_on[0], r.both_off[0]),
+    "distal_overshoot": lambda r: _overshoot(r.both_on[1], r.both_off[1]),
+    "proximal_off_chord": lambda r: _off_chord(r.both[0]),
+    "distal_off_chord": lambda r: _off_chord(r.both[1]),
+    "distal_release_over_loading": lambda r: _release_over_loading(r.both_on[1], r.both_off[1]),
+    "v_p1_off_chord": lambda r: _off_chord(r.alone[0], end=0.9),
+    "v_p1_level": lambda r: _level_from(r.alone[0]),
+    "v_p2_steeper_at_first": lambda r: _steeper_at_first(-r.alone[1]),
+    "v_p2_off_chord": lambda r: _off_chord(r.alone[1], start=0.1),
+    "v_p2_level": lambda r: _level_from(r.alone[1]),
+    "proximal_cycle_off_chord": lambda r: _off_chord(r.cycle[0].mean(axis=-2)),
+    "proximal_past_the_knee": lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)),
+    "proximal_loading_time": lambda r: _time_constant(r.press_on[0]),
+    "proximal_unloading_time": lambda r: _release_time(r.press_on[0], r.press_off[0]),
+    "distal_cycle_off_chord": lambda r: _off_chord(r.cycle[1].mean(axis=-2)),
+    "distal_late_slope": lambda r: _late_slope(r.cycle[1].mean(axis=-2)),
+    "distal_loading_time": lambda r: _time_constant(r.press_on[1]),
+    "distal_unloading_time": lambda r: _release_time(r.press_on[1], r.press_off[1]),
+    "spread_over_stiffness": lambda r: _varies_more(r.people - 1.0),
+    "threshold": lambda r: _change_by(r, 0.3) / np.maximum(_change_by(r, 1.0), _TINY),
+    "least_change": lambda r: r.even[..., _touch(1.0)].min(axis=0) - 1.0,
+    "band_at_1_n": lambda r: _band(r, 1.0)[..., 0],
+    "band_growth": lambda r: np.ptp(_band(r, 1.0, 4.0), axis=-1),
+    "band_smallest_growth": lambda r: np.diff(_band(r, 1.0, 2.0, 3.0, 4.0), axis=-1).min(axis=-1),
+    "band_growth_past_4_n": lambda r: np.diff(_band(r, 4.0, 16.0), axis=-1)[..., 0],
+    "rear_change": lambda r: (r.even[:4, ..., _touch(1.0) : -1] - r.even[:4, ..., [_touch(1.0)]]).min(axis=(0, -1)),
+    "shear_over_normal": _shear_over_normal,
+}
+PEOPLE_MEASURES: dict[str, Callable[[PeopleReadings], np.ndarray]] = {
+    "people_who_rise": lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) > 0.0,
+    "spread_over_people": lambda r: _varies_more(r.cycle[..., 0, -1].T),
+    "skin_effect": lambda r: np.abs(r.skin_effect).max(axis=(0, 2)),
+}
 
-# fmt: off
-RULES = (
-    Rule("8", _DROP, "pressure at the vein node at rest over P_H", lambda r: r.pressure[2, ..., 0], high=0.1),
-    Rule("8", _MAGNIFIES, "rise of capillary pressure to 0.1 N/cm^2 over that of a fixed R_A",
-         _magnification, low=1.1),
-    Rule("10", _SHUT, "outflow through the vein at 1 N/cm^2 over that at rest", _outflow, high=0.1, given="1 N"),
-    Rule("10", _WIDEN, "smallest step of a capillary over its range",
-         lambda r: _smallest_step(r.proximal[0]), low=0.0),
-    Rule("10", _WIDEN, "smallest step of the vein over its range, inwards",
-         lambda r: _smallest_step(-r.proximal[2]), low=0.0),
-    Rule("10", _REDDEN, "growth of proximal blood to 1 N/cm^2",
-         lambda r: r.alone[0][..., _at(1.0)] - 1.0, low=0.1),
-    Rule("10", "Steady diameters are not linear in pressure.", "capillary off its chord to 1 N/cm^2, of the change",
-         lambda r: _off_chord(r.proximal[0]), low=0.05),
-    Rule("10", "Capillaries are slower at low pressure.", "time constant at 0.1 over that at 1 N/cm^2",
-         lambda r: _time_constant(r.proximal_on[0][..., 0, :]) / _time_constant(r.proximal_on[0][..., -1, :]), low=1.5),
-    Rule("10", "Capillaries are much slower on release than on loading.", "time constants, off over on, 0.5 to 1",
-         lambda r: _release_over_loading(r.proximal_on[0], r.proximal_off[0]), low=1.75),
-    Rule("10", "The vein is equally fast both ways.", "largest difference of its time constants",
-         lambda r: _difference(r.proximal_on[2], r.proximal_off[2]),
-         "s", high=0.05),
-    Rule("10", _SMOOTH, "overshoot of the vein, of its largest change",
-         lambda r: _overshoot(r.proximal_on[2], r.proximal_off[2]), high=0.05),
-    Rule("11", _FIG_11, "smallest step of the proximal reading over its range, downwards",
-         lambda r: _smallest_step(r.both[0]), low=0.0),
-    Rule("11", _FIG_11, "smallest step of the distal reading over its range, upwards",
-         lambda r: _smallest_step(-r.both[1]), low=0.0),
-    Rule("11", _SMOOTH, "overshoot of the proximal reading, of its largest change",
-         lambda r: _overshoot(r.both_on[0], r.both_off[0]), high=0.05),
-    Rule("11", _SMOOTH, "overshoot of the distal reading, of its largest change",
-         lambda r: _overshoot(r.both_on[1], r.both_off[1]), high=0.05),
-    Rule("11", "The proximal reading is not linear.", "proximal reading off its chord to 1 N/cm^2, of the change",
-         lambda r: _off_chord(r.both[0]), low=0.05),
-    Rule("11", _DISTAL_BOTH_WAYS, "distal reading off its chord to 1 N/cm^2, of the change",
-         lambda r: _off_chord(r.both[1]), high=0.1),
-    Rule("11", _DISTAL_BOTH_WAYS, "distal time constants, unloading over loading, 0.5 to 1",
-         lambda r: _release_over_loading(r.both_on[1], r.both_off[1]), low=0.8, high=1.25),
-    Rule("12", _V_P1, "V_P1 off its chord to 0.9 N/cm^2, of the change",
-         lambda r: _off_chord(r.alone[0], end=0.9), high=0.15),
-    Rule("12", _V_P1, "pressure at which 95 % of V_P1's change has come", lambda r: _level_from(r.alone[0]),
-         "N/cm2", low=0.85, high=1.15, given="1 N/cm2"),
-    Rule("12", _V_P2, "slope of V_P2 to 0.1 over that from 0.1 to 1 N/cm^2",
-         lambda r: _steeper_at_first(-r.alone[1]), low=1.5, given="0.1 N/cm2"),
-    Rule("12", _V_P2, "V_P2 off its chord from 0.1 to 1 N/cm^2, of the change",
-         lambda r: _off_chord(r.alone[1], start=0.1), high=0.1),
-    Rule("12", _V_P2, "pressure at which 95 % of V_P2's change has come", lambda r: _level_from(r.alone[1]),
-         "N/cm2", low=1.0, high=1.3, given="1 N/cm2"),
-    Rule("15", _FIG_15, "proximal reading off its chord to 1 N, of the change",
-         lambda r: _off_chord(r.cycle[0].mean(axis=-2)), high=0.15),
-    Rule("15", _FIG_15, "change from 1.2 to 2 N over that to 1.2 N",
-         lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)), low=-0.03, high=0.1),
-    Rule("16", _FIG_16, "proximal time constant on loading (a quarter more at most)",
-         lambda r: _time_constant(r.press_on[0]), "s", high=1.25 * LOADING_S, given="0.16 s"),
-    Rule("16", _FIG_16, "proximal time constant on unloading (likewise)",
-         lambda r: _release_time(r.press_on[0], r.press_off[0]), "s", high=1.25 * UNLOADING_S, given="0.12 s"),
-    Rule("17", _FIG_17, "distal reading off its chord to 1 N, of the change",
-         lambda r: _off_chord(r.cycle[1].mean(axis=-2)), high=0.15),
-    Rule("17", _FIG_17, "slope from 1.2 to 2 N over that to 1 N",
-         lambda r: _late_slope(r.cycle[1].mean(axis=-2)), low=0.005, high=0.3),
-    Rule("18", _FIG_18, "distal time constant on loading (within a quarter)",
-         lambda r: _time_constant(r.press_on[1]), "s", low=0.135, high=0.225, given="0.18 s"),
-    Rule("18", _FIG_18, "distal time constant on unloading (within a quarter)",
-         lambda r: _release_time(r.press_on[1], r.press_off[1]), "s", low=0.27, high=0.45, given="0.36 s"),
-    Rule("15", _VARIES, "its spread over people over the distal one's, k_C and k_V 0.7 and 1.4 times",
-         lambda r: _varies_more(r.people - 1.0), low=1.5),
-    Rule("2", _THRESHOLD, "part at 0.3 N of the bed's reddening to 1 N",
-         lambda r: _change_by(r, 0.3) / np.maximum(_change_by(r, 1.0), _TINY), high=0.25, given="0.3 N"),
-    Rule("2", _ENTIRE, "least change of any zone's blood at 1 N", lambda r: r.even[..., _touch(1.0)].min(axis=0) - 1.0,
-         low=0.0, given="1 N"),
-    Rule("2", _BAND, "width of the band at 1 N over the bed's length", lambda r: _band(r, 1.0)[..., 0],
-         high=0.0, given="1 N"),
-    Rule("2", _BAND, "growth of the band from 1 to 4 N over the bed's length",
-         lambda r: np.ptp(_band(r, 1.0, 4.0), axis=-1), low=0.1, given="4 N"),
-    Rule("2", _BAND, "its smallest growth from force to force, 1 to 4 N",
-         lambda r: np.diff(_band(r, 1.0, 2.0, 3.0, 4.0), axis=-1).min(axis=-1), low=0.0, given="4 N"),
-    Rule("2", _NO_MORE, "growth of the band from 4 to 16 N over the bed's length",
-         lambda r: np.diff(_band(r, 4.0, 16.0), axis=-1)[..., 0], high=0.05, given="4 N"),
-    Rule("2", _REAR, "least change of the blood of the rear half from 1 to 16 N",
-         lambda r: (r.even[:4][..., _touch(1.0):-1] - r.even[:4][..., [_touch(1.0)]]).min(axis=(0, -1)), low=-0.02),
-    Rule("II", _SHEAR, "blood driven from the tip by 0.5 N more, shear over normal", _shear_over_normal, low=1.1),
-)
-# Those of people, evaluated by their mean.
-PEOPLE_RULES = (
-    *(rule for rule in RULES if rule.figure in ("15", "16", "17", "18") and rule.sentence != _VARIES),
-    Rule("15", _FIG_15, "part of people whose proximal reading rises from 1.2 to 2 N",
-         lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) > 0.0, low=0.05, high=0.95),
-    Rule("15", _VARIES, "range over people of its change to 2 N, of the mean, over the distal one's",
-         lambda r: _varies_more(r.cycle[..., 0, -1].T), low=1.5),
-    Rule("15", _SKIN, "largest part of a reading, or of its change by 2 N, between lightest and darkest skin",
-         lambda r: np.abs(r.skin_effect).max(axis=(0, 2)), high=0.01),
-)
-# fmt: on
+
+def _rules(measures: Mapping[str, Callable[[Any], np.ndarray]]) -> tuple[Rule, ...]:
+    """The rules of some measures, in the order of the file."""
+    with asset_path("paper_claims.toml").open("rb") as file:
+        statements = tomllib.load(file)["statements"]
+    return tuple(
+        Rule(statement["figure"], statement["sentence"], measure=measures[name], **bounds)
+        for statement in statements
+        for name, bounds in statement["measures"].items()
+        if name in measures
+    )
+
+
+RULES = _rules(MEASURES)
+# Those of people, evaluated by their mean; how the paper's subjects vary is measured on them.
+_OF_SETS_ALONE = MEASURES["spread_over_stiffness"]
+_READINGS = tuple(rule for rule in RULES if rule.figure in ("15", "16", "17", "18") and rule.measure != _OF_SETS_ALONE)
+PEOPLE_RULES = _READINGS + _rules(PEOPLE_MEASURES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -346,7 +302,7 @@ def bounds_in_words(rule: Rule) -> str:
 
 
 def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
-    """The table as plain rows: one for each rule, with value and verdict of each set that it applies to."""
+    """Claims as plain rows: one for each rule, with value and verdict of each set that it applies to."""
     claims = {(name, claim.rule): claim for name, claims in claims_by_set.items() for claim in claims}
     rows = []
     for rule in dict.fromkeys((*RULES, *PEOPLE_RULES)):
@@ -361,39 +317,3 @@ def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
 def _number(rule: Rule) -> str:
     """Whose the number in a rule is."""
     return f"the sentence gives {rule.given}, the tolerance is our choice" if rule.given else "our choice"
-
-
-def as_text(claims_by_set: Mapping[str, list[Claim]]) -> str:
-    """The table as text: below each sentence its rules, with the value of each set and whether it is met.
-
-    A star marks a bound that is our choice alone. Of people, +- is half of the 95 % interval over them.
-    """
-    rows = as_rows(claims_by_set)
-    rules = [
-        row["rule"] + (f" {row['unit']}" if row["unit"] != "1" else "") + ("" if "gives" in row["number"] else " *")
-        for row in rows
-    ]
-    measure_width = max(len(row["measure"]) for row in rows) + 2
-    rule_width = max(map(len, rules)) + 2
-    width = max(26 if "people" in claims_by_set else 18, *(len(name) + 1 for name in claims_by_set))
-
-    def line(measure: str, rule: str, cells: Iterable[object]) -> str:
-        return f"  {measure:<{measure_width}}{rule:<{rule_width}}" + "".join(f"{cell!s:>{width}}" for cell in cells)
-
-    lines, said = [line("measure", "rule", claims_by_set)], ""
-    for row, rule in zip(rows, rules, strict=True):
-        sentence = f"{'Sec.' if row['figure'] == 'II' else 'Fig.'} {row['figure']}: {row['sentence']}"
-        if sentence != said:
-            lines += textwrap.wrap(sentence, 118)
-            said = sentence
-        # A negative zero reads as 0.
-        verdicts = {
-            name: f"{one['value'] or 0.0:.3g}"
-            + (f" +- {one['half_95']:.1g}" if one["half_95"] is not None else "")
-            + (" met    " if one["met"] else " not met")
-            for name, one in row["sets"].items()
-        }
-        lines.append(line(row["measure"], rule, [verdicts.get(name, "-       ") for name in claims_by_set]))
-    met = [f"{sum(claim.met for claim in claims)} of {len(claims)}" for claims in claims_by_set.values()]
-    star = "* the bound is our choice; of the others the sentence gives the number, and the tolerance is our choice"
-    return "\n".join([*lines, line("rules met", "", met), star])

@@ -23,7 +23,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters
 from nailoptics.hemodynamics.parameters import beds, each_bed
 from nailoptics.paper import protocols
-from nailoptics.paper.claims import RULES, as_rows, as_text, evaluate
+from nailoptics.paper.claims import RULES, as_rows, evaluate
 from nailoptics.paper.protocols import (
     CURVE_PA,
     N_PER_CM2,
@@ -36,6 +36,7 @@ from nailoptics.paper.protocols import (
     subject_force,
 )
 from nailoptics.paper.responses import Responses, simulate_responses
+from nailoptics.report.pages import paper as page
 
 V_P2_LEVEL = "pressure at which 95 % of V_P2's change has come"
 
@@ -229,7 +230,7 @@ def test_table_is_plain_rows_and_readable_text(evaluated):
         assert row["sentence"] and row["rule"] and row["number"]
         # Each of the two sets is evaluated by its own figures, all others by all.
         assert set(NAMES) - set(row["sets"]) == set(NAMES) & {"simulation", "subject"} - {row["applies_to"]}
-    lines = as_text(evaluated).splitlines()
+    lines = page.lines(evaluated)
     assert all(name in lines[0] for name in NAMES)
     assert lines[-2].strip().startswith("rules met") and lines[-1].startswith("* the bound is our choice")
     ours = sum("given" not in row["number"] and "gives" not in row["number"] for row in rows)
@@ -251,13 +252,11 @@ def test_subjects_force_has_their_time_constants():
 
 
 def test_figures_are_drawn_for_any_set(tmp_path, responses):
-    from nailoptics.report.pages.paper import draw
-
     for name, shown in (
         ("mine", (10, 11, 12, 15, 16, 17, 18)),
         ("simulation", (10, 11, 12)),
         ("subject", range(15, 19)),
     ):
-        paths = draw(tmp_path / "new", responses["listed"], name=name)
+        paths = page.draw(tmp_path / "new", responses["listed"], name=name)
         assert [path.name for path in paths] == [f"hemodynamics_{name}_fig{n}.png" for n in shown]
         assert all(path.stat().st_size > 20_000 for path in paths)

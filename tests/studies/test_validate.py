@@ -15,6 +15,7 @@ from nailoptics.report.pages import validate as page
 from nailoptics.studies import validate
 from nailoptics.studies.people_tables import COLUMNS, read_people, slope_within_days
 
+DOCUMENTS = "README.md", "docs/trust.md", "docs/validation.md"
 PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
 
 
@@ -205,9 +206,20 @@ def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
     assert f"of {len(not_fitted)} unfitted quantities {sum(not_fitted)} agree" in page.lines(summary)[-1]
 
 
-def test_the_readme_states_the_counts_of_the_documentation():
+def test_the_documents_state_the_results_of_the_documentation():
+    """Expected: counts of the README, and of trust.md and validation.md how much of skin and nails agrees."""
     root = Path(__file__).parents[2]
-    counts = json.loads((root / "docs/validation.json").read_text(encoding="utf-8"))["counts"]
-    (n, count), (fitted, of_fitted) = counts["unfitted"], counts["fitted"]
+    words = {name: " ".join((root / name).read_text(encoding="utf-8").split()) for name in DOCUMENTS}
+    made = json.loads((root / "docs/validation.json").read_text(encoding="utf-8"))
+    (n, count), (fitted, of_fitted) = made["counts"]["unfitted"], made["counts"]["fitted"]
     sentence = f"of {count} quantities that were not fitted {n} agree, of {of_fitted} fitted ones {fitted}"
-    assert sentence in " ".join((root / "README.md").read_text(encoding="utf-8").split())
+    assert sentence in words["README.md"]
+    skin = made["tables"]["ring_finger"]
+    inside = f"{round(skin['coverage'] * len(skin['people']['low']))} of {len(skin['people']['low'])} wavelengths"
+    assert inside in words["docs/trust.md"] and inside in words["docs/validation.md"]
+    lightness, redness, yellowness = (round(100 * made["tables"][f"nail_{k}"]["coverage"]) for k in "Lab")
+    assert f"{lightness} % have an L*, {redness} % an a* and {yellowness} % a b*" in words["docs/trust.md"]
+    rises = [
+        100 * made["tables"][f"w_of_{place}"]["model"]["middle"] - 100 for place in ("ring_finger", "back_of_hand")
+    ]
+    assert "it rises, by {:.0f} and {:.0f} %".format(*rises) in words["docs/validation.md"]

@@ -1,7 +1,9 @@
 """The paper's figures, drawn from any set's responses and from people, and its claims evaluated on them."""
 
 import logging
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
+from itertools import groupby, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +12,14 @@ import numpy as np
 from ... import hemodynamics, tissue
 from ...io import make_folder
 from ...light import backend as backends
-from ...paper.claims import Claim, evaluate, evaluate_people, is_shown_by
+from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
 from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
 from ...paper.responses import PeopleReadings, Responses, simulate_responses
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
 from .. import style
+from ..numbers import aligned
 from .colour import draw_fig2
 
 if TYPE_CHECKING:
@@ -62,6 +65,37 @@ def write_figures(
     elif colour:
         log.warning("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     return claims_by_set, pictures
+
+
+def lines(claims_by_set: Mapping[str, list[Claim]]) -> list[str]:
+    """The claims for the terminal: below each sentence its rules, with the value of each set and whether it is met.
+
+    A star marks a bound that is our choice alone. Of people, +- is half of the 95 % interval over them.
+    """
+    rows = as_rows(claims_by_set)
+    met = {name: f"{sum(one.met for one in claims)} of {len(claims)}" for name, claims in claims_by_set.items()}
+    cells = [*map(_cells, rows, repeat([*claims_by_set])), {"measure": "  rules met", "rule": ""} | met]
+    head, *shown, last = aligned(cells)
+    text = [head]
+    for sentence, group in groupby(zip(rows, shown, strict=True), key=lambda both: _sentence(both[0])):
+        text += [*textwrap.wrap(sentence, 118), *(line for _, line in group)]
+    star = "* the bound is our choice; of the others the sentence gives the number, and the tolerance is our choice"
+    return [*text, last, star]
+
+
+def _sentence(row: Mapping[str, Any]) -> str:
+    return f"{'Sec.' if row['figure'] == 'II' else 'Fig.'} {row['figure']}: {row['sentence']}"
+
+
+def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+    """One rule: what is measured, its bounds, and the value and verdict of each set."""
+    unit, star = "" if row["unit"] == "1" else f" {row['unit']}", "" if "gives" in row["number"] else " *"
+    cells = {"measure": f"  {row['measure']}", "rule": f"{row['rule']}{unit}{star}"} | dict.fromkeys(names, "-")
+    for name, one in row["sets"].items():
+        half = "" if one["half_95"] is None else f" +- {one['half_95']:.1g}"
+        # A negative zero reads as 0; words of one width keep the numbers below each other.
+        cells[name] = f"{one['value'] or 0.0:.3g}{half} {'met' if one['met'] else 'not met':7}"
+    return cells
 
 
 @style.drawing()
