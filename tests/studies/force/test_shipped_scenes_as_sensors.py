@@ -29,7 +29,7 @@ def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
     loaded, own = load_scene(scene), ("contact_area_mm2", "distal_relaxation_s", "creep", "creep_s")
     touch = {"profile": "protocol", "sample_rate_hz": 10.0} | {name: getattr(loaded.touch, name) for name in own}
     # A recorded body is as long as the touch that it was recorded with.
-    body = loaded.body if loaded.body.file is None else Body()
+    body = Body() if loaded.body is not None and loaded.body.file is not None else loaded.body
     scene = tmp_path / "scene.toml"
     scene.write_text(to_toml(loaded.model_copy(update={"touch": Touch.model_validate(touch), "body": body})))
     assert run(["simulate", str(scene), "-o", str(tmp_path / "run"), "--recording", recording, *PHOTONS]) == 0
