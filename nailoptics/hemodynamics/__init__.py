@@ -1,6 +1,6 @@
 """Touch to blood: the paper's network of vessels under the nail, eq. (1)-(4), and the blood of eq. (7)."""
 
-from .blood import blood_fraction, saturation, saturation_over_time, tissue_volume_m3, white_band_mm
+from .blood import blood_fraction, saturation, saturation_over_time, white_band_mm
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .respond import respond
@@ -14,7 +14,6 @@ from .touch import (
     side_areas_mm2,
     spreading_pressure,
     with_shear,
-    zones,
     zones_between,
 )
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure

@@ -1,7 +1,6 @@
-"""Eq. (7): blood fraction of the nail bed from capillary diameters, and the tissue volume that it implies."""
+"""Eq. (7): blood fraction of the nail bed from capillary diameters, and the saturation of that blood."""
 
 import functools
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +9,7 @@ from ..checks import finite, number
 from ..errors import InputError
 from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
-from .parameters import Parameters, PerBed, each_bed
+from .parameters import Parameters
 from .steady import steady_state
 from .touch import PAPER_ZONES, Zones
 
@@ -139,22 +138,6 @@ def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, f
         width = np.where(ends_here, ends_mm[1] - v_mm[k] - step, width)
         white &= ~ends_here
     return width
-
-
-def tissue_volume_m3(parameters: Parameters, *, rest_blood_fraction: float = USUAL_BLOOD_FRACTION) -> PerBed:
-    """The volume of one half of the nail bed, V_tissue of eq. (7), from its blood fraction at rest. [m^3]
-
-    Raises: InputError if the fraction is not between 0 and 1.
-    """
-    fraction = _rest_fraction(rest_blood_fraction)
-    if fraction == 0.0:
-        raise InputError("rest_blood_fraction must be greater than 0 for a volume by eq. (7), got 0; give 0.03.")
-
-    def volume(count: float, length_m: float, rest_m: float) -> float:
-        return count * length_m * math.pi * rest_m**2 / 4.0 / fraction
-
-    p, rest_m = parameters, steady_state(parameters).capillary_diameter_m.tolist()
-    return each_bed(volume, p.capillary_count, p.capillary_length_m, tuple(rest_m) if p.has_two_beds else rest_m[0])
 
 
 def _constants(parameters: Parameters, zones: Zones, unit: int | None, axes: int) -> tuple[np.ndarray, ...]:

@@ -3,9 +3,11 @@
 import dataclasses
 import difflib
 import math
+import tomllib
 from collections.abc import Callable
 from typing import Any
 
+from ..assets import asset_path
 from ..checks import number
 from ..errors import InputError
 
@@ -111,76 +113,7 @@ def _checked(name: str, given: Any) -> float:
     return value
 
 
-# By tests/benchmarks/parameter_search.py: some 1e4 pairs of evolutions, from a start where the feedback of R_A on D_C
-# has a loop gain below 1; rounded to three digits. Dampings then moved: steps end within 2 s, masses do not matter.
-_SIMULATION: dict[str, Any] = {
-    "capillary_stiffness_n_per_m": (1.49e5, 6.17e4),
-    "vein_stiffness_n_per_m": 424.0,
-    "capillary_damping_n_s_per_m": (3.27e4, 6.0e3),
-    "vein_damping_n_s_per_m": 30.6,
-    "capillary_area_m2": (1.63e-4, 4.87e-5),
-    "vein_area_m2": 4.42e-5,
-    "capillary_diameter_m": (9.33e-6, 1.43e-5),
-    "vein_diameter_m": 1.19e-4,
-    "capillary_count": (2.38e4, 3.56e4),
-    "vein_count": 261.0,
-    "venule_resistance_pa_s_per_m3": (1.18e11, 3.51e11),
-    "venular_share": (0.0, 0.0318),
-}
-_SETS: dict[str, dict[str, Any]] = {
-    "listed": {},
-    "simulation": _SIMULATION,
-    "subject": _SIMULATION
-    | {
-        "capillary_stiffness_n_per_m": (7.19e5, 5.32e4),
-        "vein_stiffness_n_per_m": 982.0,
-        "capillary_damping_n_s_per_m": (1.33e3, 1.2e3),
-        "vein_damping_n_s_per_m": 47.0,
-    },
-    "figures": {
-        "capillary_diameter_m": 6.5e-6,
-        "capillary_stiffness_n_per_m": 1.5e5,
-        "capillary_damping_n_s_per_m": 1.5e4,
-        "capillary_count": 7.5e4,
-        "vein_diameter_m": 1.5e-4,
-        "vein_count": 200.0,
-    },
-    "compromise": {
-        "capillary_stiffness_n_per_m": 1.2e5,
-        "capillary_damping_n_s_per_m": 1.2e4,
-        "vein_stiffness_n_per_m": 4e3,
-        "capillary_count": 1.4e4,
-    },
-    # Both by tests/benchmarks/parameter_search.py: evolutions from several starts, some 6e4 sets, rounded to three
-    # digits. Linear programs on the measures of its rules then moved the values of "best" by at most 45 %.
-    "best": {
-        "capillary_stiffness_n_per_m": 7.69e4,
-        "vein_stiffness_n_per_m": 2.57e3,
-        "capillary_damping_n_s_per_m": 1e3,
-        "vein_damping_n_s_per_m": 10.0,
-        "capillary_area_m2": 1.27e-5,
-        "vein_area_m2": 1.35e-5,
-        "capillary_diameter_m": 2.94e-6,
-        "vein_diameter_m": 2.8e-5,
-        "capillary_count": 8.97e5,
-        "vein_count": 608.0,
-        "venule_resistance_pa_s_per_m3": 1e10,
-    },
-    "sluggish": {
-        "capillary_stiffness_n_per_m": 1.71e5,
-        "vein_stiffness_n_per_m": 1.52e3,
-        "capillary_damping_n_s_per_m": 1.78e3,
-        "vein_damping_n_s_per_m": 308.0,
-        "capillary_area_m2": 4.61e-5,
-        "vein_area_m2": 1e-5,
-        "capillary_diameter_m": 4.13e-6,
-        "vein_diameter_m": 2.32e-5,
-        "capillary_count": 3.77e4,
-        "vein_count": 70.0,
-        "venule_resistance_pa_s_per_m3": 1.06e10,
-    },
-}
-
+_SETS: dict[str, dict[str, Any]] = tomllib.loads(asset_path("vessels.toml").read_text(encoding="utf-8"))
 NAMES = tuple(_SETS)
 
 

@@ -272,26 +272,6 @@ def named_pressures(parameters: Parameters, zones: Zones, pressures: Pressures) 
     return given | {f"pressure_pa[{i}]": row for i, row in enumerate(rows)}
 
 
-def zones(count: int, *, decay_length: float | None = None) -> Zones:
-    """Cut the nail bed into equal units with the paper's two inputs, proximal and distal.
-
-    count : Number of units, 2 or more. Two units without decay are the paper's model.
-    decay_length : As for `zones_between`. None: the distal half feels the distal pressure in full, the proximal half
-        nothing (the paper). [1]
-
-    Raises: InputError if the count is under 2, is odd without decay, or the length is not positive.
-    """
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 2:
-        raise InputError(f"zones.count must be an integer of 2 or more, got {count!r}; use 2 for the paper's model.")
-    if decay_length is not None:
-        return zones_between(np.arange(1, count) / count, decay_length=decay_length)
-    if count % 2:
-        raise InputError(f"zones.count must be even without decay_length, got {count}; the bed has two halves.")
-    half = count // 2
-    reach = ((0.0, 0.0),) * half + ((0.0, 1.0),) * half
-    return Zones(share=(2.0 / count,) * int(count), reach=reach, vein_reach=(1.0, 0.0))
-
-
 def zones_between(
     edges: Sequence[float] | np.ndarray,
     *,

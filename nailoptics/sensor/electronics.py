@@ -21,6 +21,8 @@ BOLTZMANN_J_PER_K = 1.380649e-23
 # Preferred numbers of the series E24 (IEC 60063), and the largest chip resistor in common series of them. [ohm]
 E24 = np.array([10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30, 33, 36, 39, 43, 47, 51, 56, 62, 68, 75, 82, 91])
 MOST_OHM = 22e6
+# A recorded reading of so much of the converter's range is at its limit: its last codes cannot be distinguished.
+RECORDED_LIMIT = 0.998
 
 
 class NoiseBudget(NamedTuple):
@@ -194,6 +196,11 @@ def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArra
     limit; of any shape."""
     within = np.clip(amplified_v, 0.0, amplifier.adc_range_v)
     return np.asarray(within), np.asarray(amplified_v >= limit_v(amplifier))
+
+
+def recorded_at_limit(volts: Array, range_v: float) -> NDArray[np.bool_]:
+    """Saturation: where recorded readings [V] of a converter of some range are at its limit, of their shape."""
+    return np.asarray(volts >= RECORDED_LIMIT * range_v)
 
 
 def read(

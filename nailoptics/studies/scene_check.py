@@ -127,7 +127,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
     read = rough_readings(scene, np.concatenate([blood_fraction, near]))
     over_touch, nearby = np.split(read.fraction, [len(blood_fraction)], axis=-1)
     noise = [{}] * len(scene.leds) if at is None else _noise(scene, at, nearby, ambient_a)
-    auto = {"electronics": stage.model_copy(update={"feedback_ohm": "auto"})}
+    auto: dict[str, Any] = {"electronics": stage.model_copy(update={"feedback_ohm": "auto"})}
     auto |= {"photodiodes": tuple(p.model_copy(update=boards.UNFITTED) for p in scene.photodiodes)}
     fitted_layout = with_fitted_resistors(scene.model_copy(update=auto)).layout
     photodiodes, fitted = ([e.photodiode for e in one.photodiodes] for one in (layout, fitted_layout))
@@ -142,7 +142,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
         columns["fitted_noise_gain"] = now.volts_noise_rms[0] / ohm * fitted_ohm / then.volts_noise_rms[0]
         columns["may_be_saturated"] = most_v > MAY_BE_FULL * stage.adc_range_v
         for j, element in enumerate(layout.photodiodes):
-            pair = {"led": led.name, "photodiode": element.name}
+            pair: dict[str, Any] = {"led": led.name, "photodiode": element.name}
             pair |= {"distance_mm": math.dist(die.center_mm, element.area.center_mm)}
             pair |= {name: column[j].item() for name, column in columns.items()}
             pairs.append(pair | {"noise_v": {cause: rms_v[j].item() for cause, rms_v in noise[i].items()}})

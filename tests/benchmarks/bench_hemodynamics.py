@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from nailoptics.hemodynamics import cardiac_pressure, parameters, respond, steady_state, zones
+from nailoptics.hemodynamics import cardiac_pressure, parameters, respond, steady_state, zones_between
 
 sys.path.append(str(Path(__file__).parents[1]))
 
@@ -63,7 +63,7 @@ def measure() -> dict[str, float]:
     touch = {"proximal_pressure_pa": press, "distal_pressure_pa": press}
     many = np.random.default_rng(0).uniform(0.0, 2e4, (2, 10_000))
     two = seconds(lambda: respond(p, time_s, **touch), 15)
-    band = zones(8, decay_length=0.3)  # with a white band that moves
+    band = zones_between(np.arange(1, 8) / 8, decay_length=0.3)  # with a white band that moves
     eight = seconds(lambda: respond(p, time_s, zones=band, **touch), 15)
     long_s = np.arange(20_000) * 1e-3
     noisy = 5e3 + np.random.default_rng(0).normal(0.0, 200.0, long_s.size)

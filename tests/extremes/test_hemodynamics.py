@@ -4,9 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from equal_zones import equal_zones
 
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.hemodynamics import NAMES, massless, parameters, respond, steady_state, zones
+from nailoptics.hemodynamics import NAMES, massless, parameters, respond, steady_state
 from nailoptics.hemodynamics.parameters import beds
 
 TIME = np.arange(0.0, 4.0, 1e-3)
@@ -197,7 +198,7 @@ def test_eight_zones_hold_where_two_do():
             TIME,
             proximal_pressure_pa=held(touch),
             distal_pressure_pa=held(touch),
-            zones=zones(8, decay_length=0.15),
+            zones=equal_zones(8, decay_length=0.15),
             rtol=1e-5,
         )
         assert_sound(run)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from equal_zones import equal_zones
 from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import PAPER_ZONES, zones
+from nailoptics.hemodynamics import PAPER_ZONES
 from nailoptics.hemodynamics.for_scene import (
     blood_model,
     blood_over_touch,
@@ -136,7 +137,7 @@ def zoned(text="", zone_text="zones = 8"):
 
 def test_two_zones_are_the_papers_and_eight_are_equal_parts_of_the_nail():
     assert capillary_zones(scene_with("")) is PAPER_ZONES
-    eight, equal = capillary_zones(zoned(zone_text="zones = 8\ndecay_length = 0.4")), zones(8, decay_length=0.4)
+    eight, equal = capillary_zones(zoned(zone_text="zones = 8\ndecay_length = 0.4")), equal_zones(8, decay_length=0.4)
     assert np.allclose(eight.share, equal.share, rtol=1e-12) and np.allclose(eight.reach, equal.reach, rtol=1e-12)
     assert zoned().zone_edges_mm == pytest.approx([-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5])
     assert scene_with("zones = 2").zone_edges_mm == (0.0,)

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from equal_zones import equal_zones
 from printed_equations import coefficients, resistances, state_matrices
 
-from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state, zones
+from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state
 from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls, inertial_pressures
 
 
@@ -74,7 +75,7 @@ def test_listed_resistances_are_of_the_order_of_the_venules():
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_eliminations_agree_with_kirchhoff_for_any_number_of_units(count):
     rng = np.random.default_rng(count)
-    walls = build_walls(parameters("listed"), zones(count, decay_length=0.3))
+    walls = build_walls(parameters("listed"), equal_zones(count, decay_length=0.3))
     n = count + 1
     for _ in range(100):
         width = walls.diameter * 10.0 ** rng.uniform(-1, 0.5, n)  # narrower, the direct solution loses digits

@@ -3,9 +3,10 @@
 import math
 
 import pytest
+from equal_zones import equal_zones
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters, zones
+from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters
 from nailoptics.hemodynamics.parameters import beds
 from nailoptics.hemodynamics.touch import Zones
 
@@ -61,10 +62,10 @@ def test_a_constant_of_the_beds_is_one_number_or_two():
 
 def test_units_have_the_constants_of_the_half_in_which_they_lie():
     pair = (2.0, 4.0)
-    assert zones(2).of_beds(pair) == [2.0, 4.0] and zones(4).of_beds(pair) == [2.0, 2.0, 4.0, 4.0]
-    assert zones(3, decay_length=0.3).of_beds(pair) == pytest.approx([2.0, 3.0, 4.0])
-    assert zones(8, decay_length=0.3).of_beds(pair) == [2.0] * 4 + [4.0] * 4
-    assert zones(3, decay_length=0.3).of_beds(5.0) == [5.0] * 3
+    assert equal_zones(2).of_beds(pair) == [2.0, 4.0] and equal_zones(4).of_beds(pair) == [2.0, 2.0, 4.0, 4.0]
+    assert equal_zones(3, decay_length=0.3).of_beds(pair) == pytest.approx([2.0, 3.0, 4.0])
+    assert equal_zones(8, decay_length=0.3).of_beds(pair) == [2.0] * 4 + [4.0] * 4
+    assert equal_zones(3, decay_length=0.3).of_beds(5.0) == [5.0] * 3
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, -math.inf, "stiff", None])
@@ -89,17 +90,9 @@ def test_unknown_names_and_factors_are_refused():
         bounds(factor=1.0)
 
 
-@pytest.mark.parametrize("count", [1, 0, -2, 2.0, True, "2"])
-def test_zones_need_two_units_or_more(count):
-    with pytest.raises(InputError, match="zones.count"):
-        zones(count, decay_length=0.3)
-
-
 def test_zones_check_their_shapes_and_numbers():
-    with pytest.raises(InputError, match="even"):
-        zones(3)
     with pytest.raises(InputError, match="decay_length"):
-        zones(8, decay_length=0.0)
+        equal_zones(8, decay_length=0.0)
     with pytest.raises(InputError, match="sum to 2"):
         Zones(share=(1.0, 0.5), reach=((0.0,), (1.0,)), vein_reach=(1.0,))
     with pytest.raises(InputError, match="shape"):
@@ -112,7 +105,7 @@ def test_zones_check_their_shapes_and_numbers():
 
 def test_reach_falls_off_from_the_tip():
     for count in (2, 5, 8, 9):
-        cut = zones(count, decay_length=0.3)
+        cut = equal_zones(count, decay_length=0.3)
         reach = [row[1] for row in cut.reach]
         assert all(a < b for a, b in zip(reach[:-1], reach[1:], strict=True))
         inside = [min(max(count * (x - 0.5) + 0.5, 0.0), 1.0) for x in cut.position]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from equal_zones import equal_zones
 from printed_equations import state_matrices
 from scipy.integrate import simpson, solve_ivp
 
@@ -16,7 +17,6 @@ from nailoptics.hemodynamics import (
     parameters,
     respond,
     steady_state,
-    zones,
 )
 from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls
 
@@ -242,8 +242,8 @@ def test_two_units_are_the_paper_bit_for_bit_and_eight_equal_ones_agree():
     p = parameters("listed")
     inputs = {"proximal_pressure_pa": press(1.2e4), "distal_pressure_pa": press(9e3)}
     paper = respond(p, TIME, **inputs)
-    two = respond(p, TIME, zones=zones(2), **inputs)
-    eight = respond(p, TIME, zones=zones(8), **inputs)
+    two = respond(p, TIME, zones=equal_zones(2), **inputs)
+    eight = respond(p, TIME, zones=equal_zones(8), **inputs)
     assert np.array_equal(paper["capillary_diameter_m"], two["capillary_diameter_m"])
     expected = np.repeat(paper["capillary_diameter_m"].values, 4, axis=0)
     assert np.abs(eight["capillary_diameter_m"].values / expected - 1).max() < 1e-6

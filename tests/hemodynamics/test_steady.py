@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from equal_zones import equal_zones
 from printed_equations import pair, state_matrices
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import NAMES, parameters, steady_state, zones
+from nailoptics.hemodynamics import NAMES, parameters, steady_state
 
 TWO_BEDS = {
     "capillary_stiffness_n_per_m": (1e5, 2e5),
@@ -79,7 +80,7 @@ def test_without_a_pressure_difference_there_is_no_flow():
 def test_cutting_a_bed_into_units_that_feel_the_same_changes_nothing(count):
     p = parameters("figures").replace(**TWO_BEDS)
     s2 = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3)
-    s = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3, zones=zones(count))
+    s = steady_state(p, proximal_pressure_pa=4e3, distal_pressure_pa=7e3, zones=equal_zones(count))
     expected = np.repeat(s2.capillary_diameter_m, count // 2)
     if count == 2:
         assert np.array_equal(s.capillary_diameter_m, expected)  # bit for bit

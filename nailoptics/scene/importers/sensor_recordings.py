@@ -18,8 +18,6 @@ from .recordings import PRESSURES, check_columns, unloaded
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
-# A converter that reads so much of its range is taken to be at its limit: its last codes cannot be distinguished.
-SATURATED = 0.998
 # Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
 # Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]

@@ -2,7 +2,7 @@
 
 Modes are touches that move slowly and touches that step; they differ in the process noise of the touch pressures alone,
 and share one state, to which all are merged after each sample. In symbols of the textbook: x `state`, P `covariance`,
-F `transition`, H `jacobian`, nu `innovation`, S `innovation_covariance`, R `measurement_noise`, K `gain`,
+F `transition`, H `jacobian`, nu `innovation`, S `innovation_covariance`, R `Subject.measurement_noise`, K `gain`,
 mu `mode_probability`, Pi `mode_transition`.
 
 References: Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications to Tracking and Navigation: sec. 5.2.3
@@ -27,14 +27,13 @@ from .person import LONGEST_STEP_S, Array
 from .state_space import (
     LEAST_WIDTH,
     PULP,
-    READING_CORRELATION_S,
     TOUCH,
     WALL_STATES,
     WIDTHS,
     StateSpace,
     touch_pressure,
 )
-from .subject import Subject
+from .subject import READING_CORRELATION_S, Subject
 
 # Process noise of the touch: random walk in a second. Chosen on the virtual people: three times as much takes more of
 # the body's waves for touches. [N/cm^2 / sqrt(s)]
@@ -159,7 +158,7 @@ class KalmanFilter:
     def update(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Update the prediction by a sample (R,) [V], so long after the one before it."""
         valid = np.isfinite(volts)
-        variance = self.model.measurement_noise(self._blood_v, self._moved_v, since_s)
+        variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
         nis = self._update(volts, valid, variance)
         self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
         blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]

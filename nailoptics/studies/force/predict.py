@@ -14,7 +14,6 @@ from ...commit import code_attributes
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import (
     MOST_VOLTS,
-    SATURATED,
     Recording,
     check_header,
     check_known,
@@ -22,6 +21,7 @@ from ...scene.importers.sensor_recordings import (
     reading_columns,
 )
 from ...scene.text_files import number_columns
+from ...sensor.electronics import recorded_at_limit
 from ...variables import Variables, variable
 from .baselines import WORDS
 from .estimator import Estimated, ForceEstimator
@@ -121,7 +121,7 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
         if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
             raise InputError(f"{STDIN} line {number}: looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
-        volts = np.where(volts >= SATURATED * subject.light.range_v, np.nan, volts)
+        volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
         last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0])).force
@@ -260,7 +260,7 @@ def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate,
 
 def _without_saturated(subject: Subject, recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with gaps where a converter was at its limit, and warnings of them."""
-    saturated, warnings = recording.volts >= SATURATED * subject.light.range_v, []
+    saturated, warnings = recorded_at_limit(recording.volts, subject.light.range_v), []
     for name, volts, full in zip(recording.names, recording.volts, saturated, strict=True):
         valid = int(np.isfinite(volts).sum())
         if full.sum() == valid:

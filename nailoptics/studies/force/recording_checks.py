@@ -7,8 +7,9 @@ import numpy as np
 
 from ...errors import InputError
 from ...scene import Scene
-from ...scene.importers.sensor_recordings import SATURATED, Recording
+from ...scene.importers.sensor_recordings import Recording
 from ...scene.protocol import CLOSING_N, FIRST_REST_S, LEAST_TOUCHES, LEVEL_N, SIDE_S
+from ...sensor import electronics
 from .body_noise import REST_FORCE_N
 from .person import SIDES
 from .reading_table import reading_names, site_of
@@ -77,7 +78,7 @@ def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
         "(empty cells are gaps).": usual_s * len(steps_s) < 0.5 * steps_s.sum(),
     }
     for title, volts in zip(recording.names, recording.volts, strict=True):
-        at_limit, valid = int(np.sum(volts >= SATURATED * limit_v)), np.isfinite(volts)
+        at_limit, valid = int(electronics.recorded_at_limit(volts, limit_v).sum()), np.isfinite(volts)
         faults |= {
             f"column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power.": (
                 at_limit > 0.01 * len(volts)

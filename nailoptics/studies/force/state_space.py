@@ -29,8 +29,6 @@ WALL_NOISE = 1e-4
 SPEED_ERROR, SPEED_CORRELATION_S = 0.2, 0.3
 # Process noise of the distal pulp. [N/cm^2 / sqrt(s)]
 PULP_NOISE = 0.05
-# Correlation time of the model's error in the measurement noise. [s]
-READING_CORRELATION_S = 0.4
 # Standard deviations of a state of which nothing is known but that the finger rests: diameters [1], pressures [N/cm^2].
 INITIAL_WIDTH, INITIAL_PRESSURE = 1e-2, 0.1
 # Least diameter over rest that the measurement takes.
@@ -154,18 +152,6 @@ class StateSpace:
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
         jacobian[readings, self.drift.start + readings] = subject.rest_v
         return calibrated.offset_v + calibrated.gain * volts + subject.rest_v * state[self.drift], jacobian
-
-    def measurement_noise(self, blood_v: Array, moved_v: Array, since_s: float | None) -> Array:
-        """Diagonal of the measurement noise covariance R, (R,) float: white noise and the model's error. [V^2]
-
-        blood_v, moved_v : (R,) float. Readings less drift, and their recent change. since_s : time of a sample. [s]
-        """
-        readings, noise = self.subject.readings, self.subject.noise
-        # Samples within the correlation time count as one.
-        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
-        from_rest_v = blood_v - readings.offset_v - self.subject.rest_v
-        error_v2 = (noise.dynamic_error * moved_v) ** 2 + (noise.static_error * from_rest_v) ** 2
-        return np.asarray(readings.noise_v**2 + correlated * error_v2)
 
     def bound_touch(self, state: Array, covariance: Array) -> Array:
         """The likeliest state with its touch within bounds; the drift stays, as each release would bias it alike."""

@@ -34,6 +34,8 @@ INFORMED = 0.7
 # the virtual people, and on light known to 2 %: without the first a touch released past closure leads the filter far
 # astray, without the second a held touch persists. [1]
 DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
+# Correlation time of that error. [s]
+READING_CORRELATION_S = 0.4
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -207,6 +209,17 @@ class Subject:
         """Covariance of readings at rest, (R, R) float: white noise and a minute's drift. [V^2]"""
         drift = np.outer(self.rest_v, self.rest_v) * self.drift_covariance
         return np.asarray(drift + np.diag(self.readings.noise_v**2))
+
+    def measurement_noise(self, blood_v: Array, moved_v: Array, since_s: float | None) -> Array:
+        """Diagonal of the filter's measurement noise covariance R, (R,) float: white noise and the model's error. [V^2]
+
+        blood_v, moved_v : (R,) float. Readings less drift, and their recent change. since_s : time of a sample. [s]
+        """
+        # Samples within the correlation time count as one.
+        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
+        from_rest_v = blood_v - self.readings.offset_v - self.rest_v
+        error_v2 = (self.noise.dynamic_error * moved_v) ** 2 + (self.noise.static_error * from_rest_v) ** 2
+        return np.asarray(self.readings.noise_v**2 + correlated * error_v2)
 
     @property
     def stderr(self) -> Array:

@@ -14,7 +14,7 @@ from ...hemodynamics.for_scene import blood_over_touch
 from ...light import Transfer
 from ...light.transfer.interpolation import ChebyshevBox
 from ...scene import Oximeter, Scene
-from ...scene.importers.sensor_recordings import SATURATED, OximeterRecording, read_oximeter_recording
+from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_ends_of, oximeter_leds
@@ -284,7 +284,7 @@ def _near(even_s: Array, places_s: Array, within_s: float) -> Marks:
 
 def _check_limit(recording: OximeterRecording, range_v: float) -> None:
     valid = np.isfinite(recording.volts)
-    full = ((recording.volts >= SATURATED * range_v) & valid).sum(-1) / valid.sum(-1)
+    full = (electronics.recorded_at_limit(recording.volts, range_v) & valid).sum(-1) / valid.sum(-1)
     for k, j in np.argwhere(full > MOST_SATURATED):
         raise InputError(
             f'{recording.name}: photodiode "{recording.photodiodes[j]}" is saturated in {100 * full[k, j]:.0f} % of '

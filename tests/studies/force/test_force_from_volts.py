@@ -21,8 +21,8 @@ from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.predict import csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 from nailoptics.studies.force.recording_checks import lacking, with_site
-from nailoptics.studies.force.state_space import READING_CORRELATION_S, WIDTHS
-from nailoptics.studies.force.subject import DYNAMIC_ERROR, Subject, parse_subject, subject_toml
+from nailoptics.studies.force.state_space import WIDTHS
+from nailoptics.studies.force.subject import DYNAMIC_ERROR, READING_CORRELATION_S, Subject, parse_subject, subject_toml
 
 # Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.
 SLOPES = np.array([[-16.0, -2.5], [-6.0, -1.6], [-1.9, -6.2], [-2.8, -17.0]])
