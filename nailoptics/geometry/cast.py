@@ -1,7 +1,6 @@
 """Parallel rays through a geometry: every crossing of every ray, exact at edges."""
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +46,12 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
 
     at = bin_of(rays)
     over = np.nonzero(((at >= 0) & (at < bins)).all(axis=1))[0]
-    edges = [_Edge.of(vertices, triangles[:, i], triangles[:, (i + 1) % 3]) for i in range(3)]
     crossings = []
     first, last = bin_of(least), bin_of(most)
     for start in range(0, max(len(over), 1), RAYS_AT_ONCE):
         some = over[start : start + RAYS_AT_ONCE]
         triangle, place = _pairs(first, last, at[some], bins)
-        triangle, ray, area, forward = _inside(edges, triangle, rays, some[place])
+        triangle, ray, area, forward = _inside(vertices, triangles, triangle, rays, some[place])
         # The area over edge i belongs to the corner opposite to it.
         x, y, z = area / area.sum(axis=0)
         height = vertices[:, 2][triangles[triangle]]
@@ -84,47 +82,27 @@ def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[In
     return np.repeat(triangle, count), order[place]
 
 
-@dataclass(frozen=True)
-class _Edge:
-    """One edge of every triangle, always from the lower to the higher vertex: both triangles at it get the same number.
-
-    turned : (n,) bool. Whether that is against the triangle's own way round.
-    tie : (n,) bool. Whether a ray on the edge itself counts as left of it: as one moved by a little along x, and by
-        much less along y.
-    """
-
-    x: Array
-    y: Array
-    along_x: Array
-    along_y: Array
-    turned: NDArray[np.bool_]
-    tie: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, vertices: Array, a: Indices, b: Indices) -> Self:
-        turned = a > b
-        (ax, ay), (bx, by) = vertices[np.where(turned, b, a), :2].T, vertices[np.where(turned, a, b), :2].T
-        return cls(ax, ay, bx - ax, by - ay, turned, (by < ay) | ((by == ay) & (bx > ax)))
-
-    def sides(self, triangle: Indices, x: Array, y: Array) -> tuple[NDArray[np.bool_], Array]:
-        """Whether rays at x, y (k,) pass left of the edge of triangles (k,), and twice the areas between."""
-        signed = self.along_x[triangle] * (y - self.y[triangle]) - self.along_y[triangle] * (x - self.x[triangle])
-        turned = self.turned[triangle]
-        left = ((signed > 0) | ((signed == 0) & self.tie[triangle])) != turned
-        return left, np.where(turned, -signed, signed)
-
-
 def _inside(
-    edges: list[_Edge], triangle: Indices, rays: Array, ray: NDArray[np.int64]
-) -> tuple[Indices, NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Of pairs of triangles and rays those that cross, with the areas (3, k) over the edges, and whether forward."""
+    vertices: Array, triangles: Indices, triangle: Indices, rays: Array, ray: Integers
+) -> tuple[Indices, Integers, Array, NDArray[np.bool_]]:
+    """Of pairs of triangles and rays those that cross, with twice the areas (3, k) over the edges, and whether forward.
+
+    Edges go from the lower to the higher vertex, so that both triangles at one get the same number.
+    """
     sides: NDArray[np.bool_] | None = None
     areas: list[Array] = []
-    for edge in edges:
-        x, y = rays[ray].T
-        left, area = edge.sides(triangle, x, y)
+    for i in range(3):
+        begin, end = triangles[triangle, i], triangles[triangle, (i + 1) % 3]
+        turned = begin > end
+        start, along = vertices[np.minimum(begin, end), :2].T, vertices[np.maximum(begin, end), :2].T
+        along -= start
+        away = rays[ray].T - start
+        signed = along[0] * away[1] - along[1] * away[0]
+        # A ray on the edge itself counts as one moved by a little along x, and by much less along y.
+        on_left = (along[1] < 0) | ((along[1] == 0) & (along[0] > 0))
+        left = ((signed > 0) | ((signed == 0) & on_left)) != turned
         same = np.arange(len(ray)) if sides is None else np.nonzero(left == sides)[0]
         sides, triangle, ray = left[same], triangle[same], ray[same]
-        areas = [*(area[same] for area in areas), area[same]]
+        areas = [area[same] for area in (*areas, np.where(turned, -signed, signed))]
     assert sides is not None
     return triangle, ray, np.stack(areas), sides
