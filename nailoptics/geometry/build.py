@@ -4,7 +4,6 @@ import logging
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Light, Photodiode, Scene
@@ -67,9 +66,7 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
 
 def underside(geometry: Geometry) -> Face:
     """The bare underside of the board as one face: where epoxy lies below the film, and no part and no wall."""
-    film = int(np.nonzero((geometry.grid.labels == KAPTON).any(axis=(0, 1)))[0][0])
-    bare = (geometry.grid.labels[:, :, film] == KAPTON) & (geometry.grid.labels[:, :, film - 1] == EPOXY)
-    return _face_of(geometry.grid, "underside", KAPTON, bare, film)
+    return _face(geometry.grid, "underside", KAPTON, over=EPOXY)
 
 
 def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
@@ -105,15 +102,12 @@ def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
     )
 
 
-def _face(grid: Grid, name: str, region: int) -> Face:
-    """The lower face of a part, in the board's film or below it."""
+def _face(grid: Grid, name: str, region: int, *, over: int | None = None) -> Face:
+    """The lower face of a part, in the board's film or below it; over : where this region lies below it alone."""
     layer = int(np.nonzero((grid.labels == region).any(axis=(0, 1)))[0][0])
-    return _face_of(grid, name, region, grid.labels[:, :, layer] == region, layer)
-
-
-def _face_of(grid: Grid, name: str, region: int, cells: NDArray[np.bool_], layer: int) -> Face:
-    """The lower face of some cells of a layer."""
-    nodes = grid.nodes[:, :, layer]
+    nodes, cells = grid.nodes[:, :, layer], grid.labels[:, :, layer] == region
+    if over is not None:
+        cells &= grid.labels[:, :, layer - 1] == over
     # A column is straight along the nail, so that cells in a row of it are one rectangle. Corners run along the nail
     # first, then across, because the nail side sees the board from below.
     ends = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)

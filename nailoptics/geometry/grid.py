@@ -137,10 +137,7 @@ def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], ND
     """
     # Adding zero makes one of the two zeros that are equal but differ in their bits.
     rows = rows + rows.dtype.type(0)
-    order = np.lexsort(rows.T[::-1])
-    risen = rows[order]
-    new = np.ones(len(rows), bool)
-    new[1:] = (risen[1:] != risen[:-1]).any(axis=1)
-    which = np.empty(len(rows), np.int64)
-    which[order] = np.cumsum(new) - 1
-    return risen[new], order[new], which
+    ranks = [np.unique(column, return_inverse=True)[1] for column in rows.T]
+    number = np.ravel_multi_index(ranks, [rank.max(initial=0) + 1 for rank in ranks])
+    _, first, which = np.unique(number, return_index=True, return_inverse=True)
+    return rows[first], first, which

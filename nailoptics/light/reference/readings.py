@@ -220,7 +220,10 @@ def finger_states(
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
     together = 1 if states > 1 else channel_count(SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
-    lights = _lights(scene, led, backend.name, options, [*vars(media).values(), bed.v_mm, bed.mu_a_per_mm])
+    columns = (np.ascontiguousarray(a).tobytes() for a in (*vars(media).values(), bed.v_mm, bed.mu_a_per_mm))
+    made = made_of(scene, led, seed=options.seed, backend=backend.name, what="volpath")
+    made |= {"optics": hashlib.sha256(b"".join(columns)).hexdigest()}
+    lights = [store.light(made) for store in LightStore.of_command(options)]
     # One change of Mitsuba's variant for all batches.
     with stock_mitsuba(backend, SPECTRAL):
         groups = [_Group(paths(photodiodes=part), [names[i] for i in part], lights) for part in parts]
@@ -233,15 +236,6 @@ def check_readable(scene: Scene) -> None:
     for led in scene.leds:
         check_pattern(led)
     check_flat(scene.photodiodes, "volpath")
-
-
-def _lights(
-    scene: Scene, led: int, backend: str, options: TraceOptions, optics: Sequence[np.ndarray]
-) -> list[StoredLight]:
-    """Where an LED's batches are stored, by all that decides their bits; optics : along the line, in each state."""
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in optics)).hexdigest()
-    made = made_of(scene, led, seed=options.seed, backend=backend, what="volpath") | {"optics": digest}
-    return [store.light(made) for store in LightStore.of_command(options)]
 
 
 def phantom_readings(

@@ -125,14 +125,9 @@ def searched(
     parts = [photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed]
     if placement.wire:
         names = {area.name for area in photodiodes}
-        for loose_photodiode in loose_photodiodes(base, placement):
-            wired = tuple(i for i, element in enumerate(loose_photodiode.element_names()) if element in names)
-            if wired:
-                parts.append(
-                    loose_photodiode.model_copy(
-                        update={"wired": wired if len(wired) < loose_photodiode.elements else None}
-                    )
-                )
+        for part in loose_photodiodes(base, placement):
+            if wired := tuple(i for i, element in enumerate(part.element_names()) if element in names):
+                parts.append(part.model_copy(update={"wired": wired if len(wired) < part.elements else None}))
     else:
         like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
         areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])

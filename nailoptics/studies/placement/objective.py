@@ -304,9 +304,9 @@ def score_layouts(
     """
     count, first = len(layouts), JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
     for layout in layouts:
-        cache.record(layout.board, layout.scene.layout.photodiode_areas)
+        cache.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     complete = _extend(layouts, cache, first, report_progress)
-    layouts = [layout for layout in layouts if cache.photons_of(layout.board)]
+    layouts = [layout for layout in layouts if cache.of(layout.board).photons]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
@@ -329,7 +329,7 @@ def score_layouts(
         if photons or len(tied) == 1 or worst <= relative_error:
             return layouts, scores, None
         undecided = [layout for layout, error in tied if error > relative_error]
-        more = trigger.needed(max(cache.photons_of(layout.board) for layout in undecided), worst)
+        more = trigger.needed(max(cache.of(layout.board).photons for layout in undecided), worst)
         complete = _extend(undecided, cache, more, report_progress)
 
 

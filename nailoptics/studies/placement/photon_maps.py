@@ -39,10 +39,11 @@ class FingerCondition:
 
 
 @dataclass
-class _Traced:
-    """What is held of a board.
+class TracedBoard:
+    """Light of a bare board.
 
-    maps : by finger and LED. tracers : by digit. areas : where arrivals are recorded; arrivals : by digit and LED.
+    maps : by finger and LED. tracers : by digit.
+    areas : where light that arrives is recorded, in `arrivals`, by digit and LED, batch by batch.
     """
 
     maps: list[list[PhotonMap]]
@@ -76,7 +77,7 @@ class PhotonMapCache:
     store: LightStore | None = None
     stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)
-    _traced: dict[str, _Traced] = field(default_factory=dict, init=False)
+    _traced: dict[str, TracedBoard] = field(default_factory=dict, init=False)
     _ambient_a: dict[str, np.ndarray] = field(default_factory=dict, init=False)
 
     @property
@@ -89,29 +90,12 @@ class PhotonMapCache:
         how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
         return BoardTracer(light_scene(scene), spacing_mm=spacing_mm or self.distance_mm, **how)
 
-    def _of(self, board: Scene) -> _Traced:
-        """What is held of a board; of a new one nothing."""
+    def of(self, board: Scene) -> TracedBoard:
+        """What is traced of a board; of a new one nothing."""
         if (key := digest(board)) not in self._traced:
             new = partial(PhotonMap, board.layout.outline, values=4, blocks=self.blocks)
-            self._traced[key] = _Traced([[new() for _ in board.leds] for _ in self.conditions])
+            self._traced[key] = TracedBoard([[new() for _ in board.leds] for _ in self.conditions])
         return self._traced[key]
-
-    def maps(self, board: Scene) -> list[list[PhotonMap]]:
-        """Maps of a bare board by finger and LED."""
-        return self._of(board).maps
-
-    def photons_of(self, board: Scene) -> int:
-        """How many photons of every LED were traced on every finger."""
-        held = self._traced.get(digest(board))
-        return held.photons if held else 0
-
-    def record(self, board: Scene, areas: Sequence[Rectangle]) -> None:
-        """Record the light that arrives on these areas of a board from now on, for `recorded`."""
-        self._of(board).areas.extend(areas)
-
-    def recorded(self, board: Scene, digit: str | None, led: int) -> list[Arrivals]:
-        """Light of an LED on a finger's digit that arrived on the areas to record, batch by batch."""
-        return self._of(board).arrivals.get((digit, led), [])
 
     @property
     def boards_traced(self) -> int:
@@ -120,7 +104,7 @@ class PhotonMapCache:
 
     def extend(self, board: Scene, photons: int) -> None:
         """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
-        tracers = self._of(board).tracers
+        tracers = self.of(board).tracers
         # Conditions of one digit differ in what only dims the light: they share a trace.
         for case in {case.digit: case for case in self.cases}.values():
             if case.digit not in tracers:
@@ -132,7 +116,7 @@ class PhotonMapCache:
 
     def _extend_led(self, board: Scene, tracer: BoardTracer, digit: str | None, led: int, photons: int) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
-        held, members = self._of(board), []
+        held, members = self.of(board), []
         for by_led, condition in zip(held.maps, self.conditions, strict=True):
             if condition.case.digit == digit:
                 at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
@@ -155,17 +139,13 @@ class PhotonMapCache:
         """Free what is held of a board."""
         self._traced.pop(digest(board), None)
 
-    def forget_tracer(self, board: Scene) -> None:
-        """Free what traces a board, and leave its maps."""
-        self._of(board).tracers.clear()
-
     def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
         block of them."""
         areas, layout = layout.layout.photodiode_areas, self.with_resistors(layout, board)
         return [
             scene_responses(layout, [left_out(m.over(areas)) for m in by_led], condition.point, replicates=True)
-            for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
+            for condition, by_led in zip(self.conditions, self.of(board).maps, strict=True)
         ]
 
     def with_resistors(self, layout: Scene, board: Scene) -> Scene:
@@ -176,7 +156,7 @@ class PhotonMapCache:
         areas, photodiodes = layout.layout.photodiode_areas, [e.photodiode for e in layout.layout.photodiodes]
         lit_a = [
             brightest_current_a(light.over(areas).mean(0), led, photodiodes, condition.point)
-            for condition, by_led in zip(self.conditions, self.maps(board), strict=True)
+            for condition, by_led in zip(self.conditions, self.of(board).maps, strict=True)
             for led, light in zip(layout.leds, by_led, strict=True)
         ]
         if (key := digest(layout)) not in self._ambient_a:

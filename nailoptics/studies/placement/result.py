@@ -45,7 +45,7 @@ def as_dataset(
     cache : light by which the layouts were evaluated.
     checked : what else is known of the best layout, of which `verify_layout` has the attributes.
     """
-    best, conditions, maps = layouts[0].scene, cache.conditions, cache.maps(layouts[0].board)[0]
+    best, conditions, maps = layouts[0].scene, cache.conditions, cache.of(layouts[0].board).maps[0]
     data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
     coordinates = {
         "layout": [layout.name for layout in layouts],
@@ -71,16 +71,12 @@ def _ranking(
     """Each layout with what it resolves, over the fingers and on each; were the body still, too, if there is one."""
     both, points = ("layout", "finger"), [condition.point for condition in conditions]
     pressures = (*both, "pressure")
-    text = "force resolution of one sample, rms, whatever the split of the force, over the fingers"
-    data = _resolution("force_resolution", [score.force for score in scores], text)
-    data |= _finger_resolution(
-        "finger_resolution_n", [score.force for score in scores], "force resolution on each finger"
-    )
+    text = "force resolution of one sample, rms, whatever the split of the force"
+    data = _resolution("force_resolution", "finger_resolution", [score.force for score in scores], text)
     if any(point.body is not None for point in points):
-        still, text = [score.electronics for score in scores], "by the noise of the electronics alone"
-        data |= _resolution("electronics_resolution", still, f"force resolution of one sample {text}, over the fingers")
-        name = "finger_electronics_resolution_n"
-        data |= _finger_resolution(name, still, f"force resolution {text} on each finger")
+        still = [score.electronics for score in scores]
+        text = "force resolution of one sample by the noise of the electronics alone"
+        data |= _resolution("electronics_resolution", "finger_electronics_resolution", still, text)
         text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
         data |= variable("physiological_noise_force_n", "finger", scores[0].force.floors_n, text, units="N")
     tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
@@ -104,19 +100,17 @@ def _ranking(
     return data | variable("condition_number", both, numbers, text)
 
 
-def _resolution(name: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
-    """Force resolutions of all layouts over the fingers, with their intervals."""
+def _resolution(name: str, on_finger: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
+    """Force resolutions of all layouts over the fingers, with their intervals, and on each finger."""
     value, (low, high) = [r.all_n[0] for r in resolutions], np.array([r.interval_n for r in resolutions]).T
     errors = [resolution_stderr_n(r.all_n, r.floor_n) for r in resolutions]
-    data = variable(f"{name}_n", "layout", value, text, units="N", stderr=errors)
+    data = variable(f"{name}_n", "layout", value, f"{text}, over the fingers", units="N", stderr=errors)
     data |= variable(f"{name}_low_n", "layout", low, "lower end of its 95 % interval", units="N")
-    return data | variable(f"{name}_high_n", "layout", high, "upper end of its 95 % interval", units="N")
-
-
-def _finger_resolution(name: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
+    data |= variable(f"{name}_high_n", "layout", high, "upper end of its 95 % interval", units="N")
     errors = [resolution_stderr_n(r.fingers_n, r.floors_n) for r in resolutions]
     value = [r.fingers_n[0] for r in resolutions]
-    return variable(name, ("layout", "finger"), value, text, units="N", stderr=errors)
+    dims, text = ("layout", "finger"), f"{text}, on each finger"
+    return data | variable(f"{on_finger}_n", dims, value, text, units="N", stderr=errors)
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
@@ -163,11 +157,8 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         ("shunted_fraction", dims, "1", "part of the light that was never in the bed"),
         ("zone_v", (*dims, "blood_zone"), "V", "change of the reading with the blood fraction of a zone by the map"),
     ):
-        replicates = [getattr(read, name) for read in by_led]
-        values, errors = (
-            np.array([replicate[0] for replicate in replicates]),
-            np.array([jackknife(replicate) for replicate in replicates]),
-        )
+        replicates = np.stack([getattr(read, name) for read in by_led], 1)
+        values, errors = replicates[0], jackknife(replicates)
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
         errors = np.where(known, errors, np.nan)

@@ -115,7 +115,7 @@ class _Resolution:
         key, cache = (light_digest(scene), led), self.cache
         if key not in self.light:
             most = OWN_BATCHES if layout.board.priors.own_traces else None
-            batches = cache.recorded(layout.board, case.digit, led)[:most]
+            batches = cache.of(layout.board).arrivals.get((case.digit, led), [])[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
                 tracer = cache.tracer(shaped)

@@ -344,11 +344,12 @@ class Search:
                 if k < len(new_places):
                     boards.append(board := self.sites.board_at(i, new_places[k], design.row))
                     # LEDs that shine alike share their light.
-                    if (had := self.cache.photons_of(board)) < design.photons:
-                        self.cache.extend(board, design.photons - had)
-                    if self.cache.photons_of(board) >= design.photons:
+                    traced = self.cache.of(board)
+                    if traced.photons < design.photons:
+                        self.cache.extend(board, design.photons - traced.photons)
+                    if traced.photons >= design.photons:
                         design.columns[i][new_places[k]] = self._columns(i, board, design)
-                    self.cache.forget_tracer(board)
+                    traced.tracers.clear()
             yield (k + 1) / longest
         for board in boards:
             self.cache.forget(board)
@@ -357,7 +358,7 @@ class Search:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
         columns, kinds, one = [], design.places.photodiodes, self.base.leds[led]
         conditions = self.cache.conditions
-        by_finger = [light.over(design.places.areas).mean(0) for light, *_ in self.cache.maps(board)]
+        by_finger = [light.over(design.places.areas).mean(0) for light, *_ in self.cache.of(board).maps]
         # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
             brightest_current_a(values, one, kinds, condition.point)

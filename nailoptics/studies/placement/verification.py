@@ -168,7 +168,7 @@ def verify_layout(
     max_seconds : half of it for the fresh trace, the rest for light from outside. [s]
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
     """
-    begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.photons_of(layout.board)
+    begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.of(layout.board).photons
     scene, point = boards.worn_on(layout.scene, condition.case), condition.point
     tracer = cache.tracer(scene)
     at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": point.blood_fraction}

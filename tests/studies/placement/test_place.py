@@ -422,7 +422,7 @@ def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, sce
             place.place(scene.model_copy(update={"electronics": one}), photons=1 << 18, seed=1)
             for one in (scene.electronics, coarse)
         )
-    fresh, stored = (cache.maps(board)[0][0] for cache in caches)
+    fresh, stored = (cache.of(board).maps[0][0] for cache in caches)
     assert fresh.photons == stored.photons and np.array_equal(fresh.sums, stored.sums)
     assert again.equals(found)
     assert bool((coarser.force_resolution_n > 2 * found.force_resolution_n).all())

@@ -14,7 +14,7 @@ from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.sensor import information
 from nailoptics.studies.placement import boards, search
 from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.placement.photon_maps import FingerCondition
+from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
 from nailoptics.studies.placement.search import STARTS, RowDesign, SearchedSite
 from nailoptics.studies.placement.sites import LedRow
 from nailoptics.tissue import BloodZones
@@ -43,8 +43,8 @@ class MadeLight:
     def __init__(self, conditions: list[FingerCondition]) -> None:
         self.conditions, self.traced = conditions, {}
 
-    def photons_of(self, board: Scene) -> int:
-        return search.SEARCH_PHOTONS if digest(board) in self.traced else 0
+    def of(self, board: Scene) -> TracedBoard:
+        return self.traced.setdefault(digest(board), TracedBoard([[PhotonMap(board.layout.outline, values=4)]]))
 
     def extend(self, board: Scene, photons: int) -> None:
         layout, led = board.layout, board.leds[0]
@@ -59,18 +59,12 @@ class MadeLight:
         weight = BloodZones((0.0,), 2.0).weights(((where[..., 1] + place[1]) / 2).ravel()).reshape(*away.shape, 2)
         seen = -light[..., None] * weight * (3.0 * away / (1.0 + away))[..., None]
         values = np.concatenate([light[..., None], 0.1 * light[..., None], seen], -1)
-        one.sums[:] = np.moveaxis(values, -1, 0)[:, None]
-        one.photons = 1
-        self.traced[digest(board)] = [[one]]
-
-    def maps(self, board: Scene) -> list[list[PhotonMap]]:
-        return self.traced[digest(board)]
+        one.sums[:] = search.SEARCH_PHOTONS * np.moveaxis(values, -1, 0)[:, None]
+        one.photons = search.SEARCH_PHOTONS
+        self.of(board).maps[:] = [[one]]
 
     def forget(self, board: Scene) -> None:
         self.traced.pop(digest(board), None)
-
-    def forget_tracer(self, board: Scene) -> None:
-        assert digest(board) in self.traced
 
 
 def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
