@@ -2,20 +2,7 @@
 
 from ..scene.layout import Layout
 
-REGIONS = (
-    "air",
-    "plate",
-    "bed",
-    "bone",
-    "pulp",
-    "epidermis",
-    "epoxy",
-    "barrier",
-    "kapton",
-    "cover",
-    "cut",
-    "silicon",
-)
+REGIONS = ("air", "plate", "bed", "bone", "pulp", "epidermis", "epoxy", "barrier", "kapton", "cover", "cut", "silicon")
 """Regions that every geometry names, though some may be empty; dies and photodiode elements follow.
 
 plate, bed, bone : the nail and what lies under it.

@@ -297,11 +297,7 @@ class BloodPoint:
 
 
 def blood_point(
-    scene: Scene,
-    led: int,
-    *,
-    traced: Scene | None = None,
-    blood_fraction: ArrayLike | None = None,
+    scene: Scene, led: int, *, traced: Scene | None = None, blood_fraction: ArrayLike | None = None
 ) -> BloodPoint:
     """The absorption of a scene's blood state over the line of one of its LEDs.
 

@@ -93,13 +93,7 @@ def phantom_paths(scene: Scene, windows: Sequence[Window], *, led: int = 0, back
 
 
 def finger_paths(
-    geometry: Geometry,
-    media: Media,
-    *,
-    bed: BedAbsorption,
-    led: int,
-    photodiodes: tuple[int, ...],
-    backend: Backend,
+    geometry: Geometry, media: Media, *, bed: BedAbsorption, led: int, photodiodes: tuple[int, ...], backend: Backend
 ) -> Paths:
     """An LED's light on one photodiode of a finger in up to three blood states, or on as many as there are channels.
 

@@ -284,7 +284,8 @@ def acceptance_table(photodiode: Photodiode) -> np.ndarray:
     A beam of one irradiance across itself sends its cosine's part through a flat face, so that a photon counts as the
     angular response over the cosine, linear in the angle between the rows, nothing beyond the last one.
     """
-    assert photodiode.angular_response is not None
+    if photodiode.angular_response is None:
+        return np.ones(STEPS + 1)
     angle, relative = np.array([row for row in photodiode.angular_response if row[0] < 90]).T
     counts = relative / np.cos(np.radians(angle))
     # Rows down to 90 degrees keep the last ratio: there both the response and the cosine are none.
@@ -295,10 +296,7 @@ def acceptance_table(photodiode: Photodiode) -> np.ndarray:
 
 def accepted(photodiode: Photodiode, cos: np.ndarray) -> np.ndarray:
     """What a photodiode makes of photons that meet it, or leave it as they would meet it, at angles, (n,) float."""
-    if photodiode.angular_response is None:
-        return np.ones(len(cos))
-    table = acceptance_table(photodiode).astype(np.float32)
-    return np.interp(cos**2, np.linspace(0, 1, STEPS + 1), table)
+    return np.interp(cos**2, np.linspace(0, 1, STEPS + 1), acceptance_table(photodiode).astype(np.float32))
 
 
 class Acceptance:
@@ -321,9 +319,6 @@ def acceptance_of(photodiodes: Sequence[Photodiode]) -> Acceptance | None:
     """The acceptance of every element of a scene's photodiodes, as its geometry orders them; None if all are flat."""
     if all(photodiode.angular_response is None for photodiode in photodiodes):
         return None
-    flat = np.ones(STEPS + 1)
-    tables = [
-        flat if photodiode.angular_response is None else acceptance_table(photodiode) for photodiode in photodiodes
-    ]
+    tables = [acceptance_table(photodiode) for photodiode in photodiodes]
     read = [len(photodiode.wired or range(photodiode.elements)) for photodiode in photodiodes]
     return Acceptance(np.repeat(tables, read, axis=0))

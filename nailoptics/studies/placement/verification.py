@@ -16,13 +16,7 @@ from ...light.reference.readings import check_readable, read_leds
 from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import ambient_photocurrent, sources_of
-from ...sensor.information import (
-    OperatingPoint,
-    Response,
-    force_resolution_n,
-    scene_responses,
-    total_information,
-)
+from ...sensor.information import OperatingPoint, Response, force_resolution_n, scene_responses, total_information
 from ...statistics import Z95, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, estimated, variable
 from . import boards

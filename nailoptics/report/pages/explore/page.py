@@ -267,22 +267,19 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
     """The scene's own layout, from the nail's centre."""
     du, dv = scene.board.center_mm
 
-    def placed(part: Led | Photodiode) -> dict[str, Any]:
+    def placed(part: Led | Photodiode, kinds: list[dict[str, Any]]) -> dict[str, Any]:
         u, v = part.position_mm
-        return {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
+        place = {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
+        return place | {"kind": kinds.index(_fields(part))}
 
-    kinds, fields = [_fields(diode) for diode in diodes], [kind["fields"] for kind in leds]
+    kinds, led_kinds = [_fields(diode) for diode in diodes], [kind["fields"] for kind in leds]
     return {
-        "leds": [placed(led) | {"kind": fields.index(_fields(led))} for led in scene.leds],
+        "leds": [placed(led, led_kinds) for led in scene.leds],
         "photodiodes": [
-            placed(photodiode)
-            | {
-                "kind": kinds.index(_fields(photodiode)),
-                "width": photodiode.size_mm[0],
-                "length": photodiode.size_mm[1],
-            }
-            | {"elements": photodiode.elements, "pitch": photodiode.pitch_mm, "wired": photodiode.wired}
-            for photodiode in scene.photodiodes
+            placed(p, kinds)
+            | {"width": p.size_mm[0], "length": p.size_mm[1]}
+            | {"elements": p.elements, "pitch": p.pitch_mm, "wired": p.wired}
+            for p in scene.photodiodes
         ],
         "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,
         "rest": scene.blood.rest_blood_fraction,
