@@ -42,7 +42,7 @@ def is_read(scene: Scene) -> None:
 def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, name: str, search: bool):
     """Few photons rank layouts badly, and are enough to write them."""
     monkeypatch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
-    monkeypatch.setattr(verification, "BACK_PHOTONS", verification.BACK_PHOTONS // 4)
+    monkeypatch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
     scene = SCENES[name]
     if not search:
         given = {"search": False, "candidates": (IN_A_ROW,)}

@@ -1,6 +1,6 @@
 """Light from outside on a photodiode: by reciprocity, from the part of its own light that would leave the finger."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -129,12 +129,20 @@ def ambient_photocurrent(
 
 
 def trace_ambient(
-    scene: Scene, sources: Sequence[Ambient], options: TraceOptions, *, seed: int, photons: int | None = None
+    scene: Scene,
+    sources: Sequence[Ambient],
+    options: TraceOptions,
+    *,
+    seed: int,
+    photons: int = PHOTONS,
+    check_time: Callable[[], object] = lambda: None,
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
     photodiodes) float, as `ambient_photocurrent`. [A]
 
     By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs.
+
+    check_time : called before each trace; may raise.
     """
     store = LightStore.of_user() if options.store else None
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
@@ -142,7 +150,8 @@ def trace_ambient(
     light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
     parts = []
     for j in range(len(scene.layout.photodiodes)):
-        _, left = tracer.back(j, led, photons=photons or PHOTONS, seed=seed_of(seed, _BACK, j))
+        check_time()
+        _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
         parts.append(ambient_photocurrent(left, scene, j, sources, **light))
     if store is not None:
         store.close()

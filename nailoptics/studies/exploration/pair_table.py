@@ -221,10 +221,8 @@ class RadialFunction:
         x, y, volume = basis.sample()
         by_chance, distance = (np.maximum(np.hypot(*(a - b).T), NEAREST_MM) for a, b in ((x, y), (x_mm, y_mm)))
         edges = np.geomspace(NEAREST_MM, by_chance.max() * 1.0001, 25)
-        light, pairs = (
-            np.histogram(distance, edges, weights=weight)[0],
-            np.histogram(by_chance, edges, weights=volume)[0],
-        )
+        both = ((distance, weight), (by_chance, volume))
+        light, pairs = (np.histogram(x, edges, weights=weights)[0] for x, weights in both)
         count = np.histogram(distance, edges)[0] * (pairs > 0)
         known, middle = count > 0, np.log(edges[1:] * edges[:-1]) / 2
         fit = np.polyfit(middle[known], np.log(light[known] / pairs[known]), 4, w=np.sqrt(count[known]))

@@ -11,11 +11,11 @@ import xarray as xr
 from ...errors import InputError
 from ...light import ProgressCallback
 from ...light import backend as backends
-from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
+from ...light.board_map import BloodPoint, BoardTracer, blood_point
 from ...light.reference.readings import check_readable, read_leds
 from ...options import TraceOptions
 from ...scene import Scene
-from ...sensor.ambient import ambient_photocurrent, sources_of
+from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
 from ...sensor.information import OperatingPoint, Response, force_resolution_n, scene_responses, total_information
 from ...statistics import Z95, left_out, seed_of, stderr_of_mean
 from ...variables import Variables, estimated, variable
@@ -29,18 +29,14 @@ LEAST_BATCHES = 8
 LEAST_PART = 1 / 8
 # A batch takes up to so long on two cores. [s]
 SHORT_S = 10.0
-# Photons from each photodiode in one round of traces the other way, and how many batches of the fresh trace go with it.
-BACK_PHOTONS = 1 << 16
 # So much light comes through a board without a cover that few photons suffice, with an error that goes with the others.
 OPEN_PHOTONS = 1 << 13
-BATCHES_PER_ROUND = 4
-OPEN_DISTANCE_MM = 0.2
 # Paths of stock Mitsuba for the photodiodes that share them. Their number is fixed: its batches are skewed, and to stop
 # where they look settled favours low readings.
 MITSUBA_PATHS = 1 << 20
 COVERS = ("covered", "uncovered")
-# Streams of random numbers.
-FORWARD, BACK, OPEN_BOARD = 2, 3, 4
+# Stream of random numbers.
+FORWARD = 2
 
 
 @dataclass(frozen=True)
@@ -54,11 +50,10 @@ class _Verification:
     blood: tuple[BloodPoint, ...]
     stop: Callable[[], bool]
 
-    def next_seed(self, *key: int) -> int:
-        """The seed of the next batch; raises `Stopped` where there is no time for it."""
+    def check_time(self) -> None:
+        """Raise `Stopped` where there is no time for one batch more."""
         if self.stop():
             raise Stopped
-        return seed_of(self.cache.seed, *key)
 
     def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
         """Force resolution from what the photodiodes read of all LEDs. [N]"""
@@ -77,7 +72,8 @@ class _Verification:
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
             detections = []
             for i, blood in enumerate(self.blood):
-                seed = self.next_seed(FORWARD, i, len(means))
+                self.check_time()
+                seed = seed_of(self.cache.seed, FORWARD, i, len(means))
                 detections.append(self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells))
             sensitivity = np.stack([cells_of for _, cells_of in detections])
             means.append(np.stack([reading for reading, _ in detections]))
@@ -102,37 +98,18 @@ class _Verification:
         text = "mean depth at which absorption makes a photodiode's reading fall"
         return values, data | estimated("mean_depth_mm", pair, middle_mm, text, units="mm")
 
-    def ambient(self, rounds: int, deadline: float, values: np.ndarray) -> Variables:
-        """What light from outside does, by light from each photodiode, with the cover and without."""
-        photodiodes = range(len(self.scene.layout.photodiodes))
-        # Means and variances, summed.
-        outside = np.zeros((2, len(COVERS), len(sources_of(self.scene)), len(photodiodes)))
-        uncovered = self.scene.board.model_copy(update={"cover_um": 0.0})
-        bare = self.tracer.scene.model_copy(update={"board": uncovered})
-        tracer = self.cache.tracer(bare, spacing_mm=OPEN_DISTANCE_MM)
-        for j in photodiodes:
-            _, left = tracer.back(j, 0, photons=OPEN_PHOTONS, seed=self.next_seed(OPEN_BOARD, j))
-            outside[:, 1, :, j] = self._from_outside(left, j)
-        done = 0
-        while done == 0 or (done < rounds and time.perf_counter() < deadline):
-            for j in photodiodes:
-                _, left = self.tracer.back(j, 0, photons=BACK_PHOTONS, seed=self.next_seed(BACK, 0, j, done))
-                outside[:, 0, :, j] += self._from_outside(left, j)
-            done += 1
-        current, error = outside[0], np.sqrt(outside[1])
-        current[0] /= done
-        error[0] /= done
-        return self._ambient(values, current, error)
-
-    def _from_outside(self, left: Arrivals, photodiode: int) -> np.ndarray:
-        """Photocurrent by light from outside and its variance, (2, sources) float. [A], [A^2]"""
-        light: dict[str, Any] = {"traced": self.tracer.scene, "traced_nm": self.scene.leds[0].wavelength_nm}
-        value, error, _ = ambient_photocurrent(left, self.scene, photodiode, sources_of(self.scene), **light)
-        return np.stack([value, error**2])
-
-    def _ambient(self, values: np.ndarray, current: np.ndarray, error: np.ndarray) -> Variables:
-        """What light from outside adds to each photodiode, and what it leaves of the force resolution."""
-        dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources_of(self.scene)]
+    def ambient(self, values: np.ndarray) -> Variables:
+        """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
+        resolution."""
+        scene, sources, traced = self.scene, sources_of(self.scene), []
+        options = TraceOptions(backend=self.cache.backend, store=self.cache.store is not None)
+        how: dict[str, Any] = {"seed": self.cache.seed, "check_time": self.check_time}
+        for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
+            board = scene.board.model_copy(update={"cover_um": cover_um})
+            on = scene.model_copy(update={"board": board})
+            traced.append(trace_ambient(on, sources, options, photons=photons, **how))
+        current, error, _ = np.stack(traced, 1)
+        dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
         data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
         text = "photocurrent by light from outside, from all sides"
         data |= variable("ambient_a", dims, current, text, units="A", stderr=error)
@@ -159,7 +136,7 @@ def verify_layout(
     """Everything about a layout on the first finger that the map of its bare board does not contain.
 
     cache : has evaluated the layout; the fresh trace has as many photons, unless time runs out, and some in any case.
-    max_seconds : half of it for the fresh trace, the rest for light from outside. [s]
+    max_seconds : the fresh trace takes half of it at most, the rest is left to light from outside. [s]
     stop : whether there is no time at all for one batch more; then the Dataset is empty.
     """
     begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.of(layout.board).photons
@@ -174,7 +151,7 @@ def verify_layout(
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
         values, data = verification.fresh_trace(batches, per_batch, begin + max_seconds / 2)
-        data |= verification.ambient(max(1, batches // BATCHES_PER_ROUND), begin + max_seconds, values)
+        data |= verification.ambient(values)
     except Stopped:
         return xr.Dataset()
     resolution = verification.force_resolution_n(

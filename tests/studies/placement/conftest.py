@@ -22,7 +22,7 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(BoardTracer, "batch_photons", BoardTracer.batch_photons // 4)
-            patch.setattr(verification, "BACK_PHOTONS", verification.BACK_PHOTONS // 4)
+            patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
             yield
 
     return fewer

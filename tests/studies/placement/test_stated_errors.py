@@ -41,8 +41,7 @@ def found(chosen_jit) -> list[xr.Dataset]:
     patch = pytest.MonkeyPatch()
     patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
-    patch.setattr(verification, "BACK_PHOTONS", 1 << 14)
-    patch.setattr(verification, "BATCHES_PER_ROUND", 4)
+    patch.setattr(verification, "PHOTONS", 1 << 15)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
     finally:
