@@ -327,7 +327,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
     out = aligned(shown)
-    if better := summary["gain_over_paper"]:
+    if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}{_tied(ranking)}")
     words = [rough_words(ranking), summary["verified_by_mitsuba"]]

@@ -11,6 +11,7 @@ from ...geometry import SPACING_MM
 from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point
 from ...light.identity import light_digest, light_scene
 from ...light.tracing.store import LightStore
+from ...options import BackendName
 from ...scene import FingerCase, Scene, digest
 from ...scene.rectangles import Rectangle
 from ...sensor import electronics
@@ -70,7 +71,7 @@ class PhotonMapCache:
     conditions: Sequence[FingerCondition]
     seed: int
     stream: int
-    backend: str
+    backend: BackendName
     blocks: int
     distance_mm: float = SPACING_MM
     batch_photons: int | None = None
