@@ -109,25 +109,6 @@ def photocurrents_a(
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)
 
 
-def ambient_photocurrent(
-    left: Arrivals, scene: Scene, photodiode: int, sources: Sequence[Ambient], *, traced: Scene, traced_nm: float
-) -> Array:
-    """The photocurrent of a photodiode by sources outside, from its own light that left the finger, (3, sources) float:
-    the estimate, its standard error, and that of the bare photodiode in the open. [A]
-
-    Where none of n photons left, the standard error is that of one.
-    """
-    element, rows = scene.layout.photodiodes[photodiode], []
-    how: dict[str, Any] = {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
-    for source in sources:
-        currents_a = photocurrents_a(left, scene, source, traced=traced, traced_nm=traced_nm, **how)
-        whole_a = element.area.area_mm2 * float(photocurrent_a_per_mm2(source, element.photodiode)[1].sum())
-        largest_a = float(currents_a.max(initial=0.0)) or whole_a / left.photons
-        total, square = float(currents_a.sum()), float((currents_a**2).sum())
-        rows.append((total, np.sqrt(max(square - total**2 / left.photons, largest_a**2)), whole_a))
-    return np.array(rows).T
-
-
 def trace_ambient(
     scene: Scene,
     sources: Sequence[Ambient],
@@ -138,21 +119,28 @@ def trace_ambient(
     check_time: Callable[[], object] = lambda: None,
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
-    photodiodes) float, as `ambient_photocurrent`. [A]
+    photodiodes) float: the estimate, its standard error, and that of the bare photodiode in the open. [A]
 
-    By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs.
+    By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs. Where
+    none of n photons left, the standard error is that of one.
 
     check_time : called before each trace; may raise.
     """
     store = LightStore.of_user() if options.store else None
     tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
     led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
-    light: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
-    parts = []
-    for j in range(len(scene.layout.photodiodes)):
+    how: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
+    result = np.empty((3, len(sources), len(scene.layout.photodiodes)))
+    for j, element in enumerate(scene.layout.photodiodes):
         check_time()
         _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
-        parts.append(ambient_photocurrent(left, scene, j, sources, **light))
+        how |= {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
+        for k, source in enumerate(sources):
+            currents_a = photocurrents_a(left, scene, source, **how)
+            whole_a = element.area.area_mm2 * float(photocurrent_a_per_mm2(source, element.photodiode)[1].sum())
+            largest_a = float(currents_a.max(initial=0.0)) or whole_a / photons
+            total, square = float(currents_a.sum()), float((currents_a**2).sum())
+            result[:, k, j] = total, np.sqrt(max(square - total**2 / photons, largest_a**2)), whole_a
     if store is not None:
         store.close()
-    return np.stack(parts, -1)
+    return result
