@@ -73,8 +73,8 @@ class RestReadings:
     photons: int
     engine: str
     backend: str
-    cpu_seconds: float
-    wall_seconds: float
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
     reused: bool = False
     transfer: Transfer | None = None
 
@@ -174,19 +174,10 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
         readings.stderr[unknown] = readings.change_stderr[unknown] = np.nan
         return readings
 
-    return DetectedLight(
-        readings_at=readings_at,
-        mean_path=rest.mean_path_mm.values,
-        mean_path_stderr=rest.mean_path_mm_stderr.values,
-        attributes=transfer.attributes()
-        | {
-            "cpu_seconds": transfer.cpu_seconds,
-            "wall_seconds": transfer.wall_seconds,
-            "accuracy_reached": _reached(relative),
-            "reused": int(transfer.reused),
-        },
-        transfer=transfer,
-    )
+    made: dict[str, Any] = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
+    made |= {"accuracy_reached": _reached(relative), "reused": int(transfer.reused)}
+    paths = rest.mean_path_mm.values, rest.mean_path_mm_stderr.values
+    return DetectedLight(readings_at, *paths, attributes=transfer.attributes() | made, transfer=transfer)
 
 
 def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:
@@ -285,20 +276,14 @@ def _light_by_volpath(
         relative = stderr[:, :, 0] / rest
     no_path = np.full((*rest.shape, len(optics.absorbers(scene))), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
-    light = DetectedLight(
-        readings_at=lambda blood: volpath.between(
-            rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float)
-        ),
-        mean_path=no_path,
-        mean_path_stderr=no_path,
-        attributes=provenance(scene, photons=sum(reading.paths for reading in traced), **made)
-        | {
-            "cpu_seconds": time.process_time() - cpu,
-            "wall_seconds": time.perf_counter() - begin,
-            "accuracy_reached": _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them",
-        },
-    )
-    return _unless(_unmet(traced), light)
+    made = provenance(scene, photons=sum(reading.paths for reading in traced), **made)
+    made |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
+    made["accuracy_reached"] = _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them"
+
+    def readings_at(blood: np.ndarray) -> ReadingSeries:
+        return volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float))
+
+    return _unless(_unmet(traced), DetectedLight(readings_at, no_path, no_path, made))
 
 
 def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
@@ -321,10 +306,7 @@ def _rest_of(transfer: Transfer) -> RestReadings:
                 paths = zip(transfer.absorbers, rest[name][at].values.tolist(), strict=True)
                 row[name.replace("_mm_stderr", "_stderr_mm")] = dict(paths)
             rows.append(row)
-    made = {
-        name: getattr(transfer, name)
-        for name in ("photons", "engine", "backend", "cpu_seconds", "wall_seconds", "reused")
-    }
+    made = {name: getattr(transfer, name) for name in ("photons", "engine", "backend", "reused")}
     return RestReadings(rows, transfer.energy(), **made, transfer=transfer)
 
 
@@ -341,7 +323,7 @@ def _rest_by_volpath(
         rows += [_row(led, *value, r.paths) for value in values]
     energy = mean_of_leds([r.energy for r in traced if r.energy]) if scene.phantom is not None else None
     photons = sum(r.paths for r in traced)
-    return RestReadings(rows, energy, photons, "volpath", options.backend, 0.0, 0.0), _unmet(traced)
+    return RestReadings(rows, energy, photons, "volpath", options.backend), _unmet(traced)
 
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:

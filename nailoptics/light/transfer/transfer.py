@@ -163,10 +163,6 @@ class Transfer:
             for i, trace in enumerate(self.traces)
         ]
 
-    def derivative(self, blood_fraction: ArrayLike | None = None, so2: float | None = None) -> xr.DataArray:
-        """Derivative of each reading to the mu_a of each absorber, -<w L>, (led, photodiode, absorber). [mm]"""
-        return self.at(blood_fraction, so2).derivative_mm
-
     def energy(self) -> dict[str, dict[str, float]]:
         """Where the light of all LEDs went, in equal parts, with standard errors; fractions of the power emitted."""
         return mean_of_leds([t.fractions(t.energy) for t in self.traces])
