@@ -93,17 +93,14 @@ def _half(values: np.ndarray) -> str:
 def _tables(exploration: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
     leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
-    (nodes_u, nodes_v), rest = exploration.ambient_nodes, scene.blood.rest_blood_fraction
+    (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.colours[0].fluence
+    ambient = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
+    radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
+    rest = scene.blood.rest_blood_fraction
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
     return {
         "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
-        "basis": {
-            "across": basis.across,
-            "walled": basis.wall_mm is not None,
-            "axes": basis.axes,
-            "radial": exploration.radial.log_coefficients,
-            "nearestMm": NEAREST_MM,
-        },
+        "basis": {"across": basis.across, "walled": basis.wall_mm is not None, "axes": basis.axes} | radial,
         # Nodes and weights by the number of points, from 0.
         "gauss": [[], *(np.stack(np.polynomial.legendre.leggauss(n), -1) for n in range(1, MOST_POINTS + 1))],
         "polynomial": {
@@ -135,17 +132,8 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
             "mostBytes": MOST_SCENE_BYTES,
         },
         "formula": FORMULA,
-        "ambient": {
-            "names": [source.words for source in SOURCES],
-            "usual": SOURCES.index(LAMP),
-            "nodesU": nodes_u,
-            "nodesV": nodes_v,
-            "aPerMm2": exploration.ambient_a_per_mm2,
-        },
-        "fluence": {
-            "radiusMm": exploration.colours[0].fluence.radius_mm.values,
-            "depthMm": exploration.colours[0].fluence.depth_mm.values,
-        },
+        "ambient": {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP)} | ambient,
+        "fluence": {"radiusMm": fluence.radius_mm.values, "depthMm": fluence.depth_mm.values},
     }
 
 
@@ -209,7 +197,7 @@ def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
 
 def _stage(scene: Scene) -> dict[str, Any]:
     """Gain and converter; photodiodes that move need other resistors than those that fit them where they lay."""
-    stage, fixed = scene.electronics, all(photodiode.feedback_ohm is None for photodiode in scene.photodiodes)
+    stage, fixed = scene.electronics, all(p.feedback_ohm is None for p in scene.photodiodes)
     return {
         "feedbackOhm": stage.feedback_ohm if fixed and stage.feedback_ohm != "auto" else None,
         "headroom": stage.headroom,
