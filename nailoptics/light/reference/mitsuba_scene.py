@@ -96,19 +96,16 @@ def spectral(part: Any) -> Any:
     if not isinstance(part, dict):
         return part
     if part.get("type") == "hdrfilm":
-        return _line_film()
+        # A film that weighs by a Gaussian line in each of four channels.
+        line = np.exp2(-((2 * np.linspace(-LINE_REACH, LINE_REACH, LINE_POINTS)) ** 2))
+        channels = {f"channel_{k}": _on_axis(line / np.trapezoid(line), k * LINE_POINTS) for k in range(4)}
+        film = {name: value for name, value in part.items() if name != "pixel_format"}
+        return film | {"type": "specfilm"} | channels
     if part.get("type") != "rgb":
         return {name: spectral(value) for name, value in part.items()}
     if np.ndim(part["value"]) == 0:
         return {"type": "uniform", "value": part["value"]}
     return _on_axis(np.repeat(part["value"], LINE_POINTS))
-
-
-def _line_film() -> dict[str, Any]:
-    """A film that weighs by a Gaussian line in each of four channels."""
-    line = np.exp2(-((2 * np.linspace(-LINE_REACH, LINE_REACH, LINE_POINTS)) ** 2))
-    channels = {f"channel_{k}": _on_axis(line / np.trapezoid(line), k * LINE_POINTS) for k in range(4)}
-    return {name: value for name, value in RGB_FILM.items() if name != "pixel_format"} | {"type": "specfilm"} | channels
 
 
 def medium(*, mu_a: ArrayLike, mu_s: ArrayLike, g: float) -> dict[str, Any] | None:
@@ -352,20 +349,16 @@ def _inside(
     for region in range(len(geometry.regions)):
         made, scattering = None, {"mu_s": media.mu_s[region], "g": media.g[region].item()}
         if region == bed_region and bed is not None:
-            made = bed_medium(mi, bed, bounds_mm=_bounds_mm(geometry, region), **scattering)
+            touching = (geometry.below == region) | (geometry.above == region)
+            points = geometry.vertices[np.unique(geometry.triangles[touching])]
+            bounds_mm = np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
+            made = bed_medium(mi, bed, bounds_mm=bounds_mm, **scattering)
         elif clear[region]:
             made = medium(mu_a=mu_a[region], **scattering)
         refs.append(f"medium_{region}" if made else None)
         if made:
             scene[f"medium_{region}"] = made
     return scene, refs
-
-
-def _bounds_mm(geometry: Geometry, region: int) -> np.ndarray:
-    """The box around a region with 0.1 mm to spare, (2, 3) float. [mm]"""
-    touching = (geometry.below == region) | (geometry.above == region)
-    points = geometry.vertices[np.unique(geometry.triangles[touching])]
-    return np.stack([points.min(axis=0) - 0.1, points.max(axis=0) + 0.1])
 
 
 def _facing(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:

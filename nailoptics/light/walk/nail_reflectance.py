@@ -112,7 +112,10 @@ class NailReflectance:
         least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
         rows = [[*patch.center_mm, *patch.size_mm, patch.share, patch.port_mm] for patch in patches]
         parameters = {"patches": rows, "least_mu_a_per_mm": [least_mu_a_per_mm.tolist()]}
-        made = made_by("colour", bare_digest(self.scene), wavelength_nm, seed=seed, backend=self.backend) | parameters
+        # Neither blood nor melanin, board nor lamp decides the ways of rays into a bare nail.
+        bare = {"leds": (Led(name="eye", wavelength_nm=550.0),), "photodiodes": (), "board": Board()}
+        light = digest(light_scene(self.scene).model_copy(update=bare))
+        made = made_by("colour", light, wavelength_nm, seed=seed, backend=self.backend) | parameters
         lights = [store.light(made) for store in self.stores]
 
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -205,13 +208,6 @@ def as_seen(scene: Scene) -> Scene:
     light = Light(index_steps=scene.light.index_steps)
     length_mm = max(scene.finger.length_mm, scene.finger.nail_length_mm + BEHIND_MM)
     return scene.model_copy(update={"light": light, "finger": scene.finger.model_copy(update={"length_mm": length_mm})})
-
-
-def bare_digest(scene: Scene) -> str:
-    """Digest of what decides the ways of rays into a bare nail: neither blood nor melanin, board nor lamp."""
-    eye = Led(name="eye", wavelength_nm=550.0)
-    bare = {"leds": (eye,), "photodiodes": (), "board": Board()}
-    return digest(light_scene(as_seen(scene)).model_copy(update=bare))
 
 
 @lru_cache(maxsize=2)

@@ -124,19 +124,15 @@ class Sites:
             axes.append((low + high) / 2 + step_mm * np.arange(-half, half + 1))
         return axes[0], axes[1]
 
-    @property
-    def _is_symmetric(self) -> bool:
-        """Whether a layout and its mirror image are one."""
-        special = self.rules.outline_mm is not None or self.rules.keep_out_mm or self.rules.fixed or self.rules.wire
-        return not special and abs(self.outline.u_min + self.outline.u_max) < 1e-6
-
     def rows(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
         """Rows on a grid, each with the places in it of every LED. The blood zones follow each other along the nail, so
         walls along it promise most and come first."""
         count = len(self.base.leds)
         us, vs = (np.zeros(0), np.zeros(0)) if all(self.is_fixed) else self.grid(step_mm)
-        # Of several LEDs only all together have a mirror image.
-        half_us = us[us <= 1e-6] if self._is_symmetric else us
+        special = self.rules.outline_mm is not None or self.rules.keep_out_mm or self.rules.fixed or self.rules.wire
+        # A layout and its mirror image are one; of several LEDs only all together have a mirror image.
+        is_symmetric = not special and abs(self.outline.u_min + self.outline.u_max) < 1e-6
+        half_us = us[us <= 1e-6] if is_symmetric else us
         if not self.base.board.barrier:
             places = [(float(u), float(v)) for u in (half_us if count == 1 else us) for v in vs]
             return self._with_room({LedRow(): [places] * count})
