@@ -86,7 +86,10 @@ class FingerSurfaces:
     def skin(self, phi: Array, y: Array) -> Array:
         """Distance from the central line to the skin (or nail), for angles and places that broadcast."""
         finger, half_width = self.finger, self.finger.width_mm / 2
-        width = half_width * taper((y - self.tip) / self._width_rounding + 1, exponent=2.5)
+        # The tip narrows over this length; it is blunter where a wide nail needs the width to its end.
+        needed = min(1.08 * (finger.nail_radius_mm * np.sin(self.nail_half_angle)) / half_width, 0.97)
+        rounding = float(min(half_width, self.beyond_nail / (1 - (1 - needed**2.5) ** 0.4)))
+        width = half_width * taper((y - self.tip) / rounding + 1, exponent=2.5)
         down_length = 0.6 * finger.thickness_mm
         down = (finger.thickness_mm + self.center_z) * taper((y - self.tip) / down_length + 1, exponent=2.0)
         top = taper((y - self.nail_end) / self.beyond_nail, exponent=2.0)
@@ -100,14 +103,6 @@ class FingerSurfaces:
         # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
         mixed = ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
         return mixed + (1 - weight) * self.fold(y)
-
-    @property
-    def _width_rounding(self) -> float:
-        """Length over which the tip narrows; blunter where a wide nail needs the width to its end."""
-        half_width = self.finger.width_mm / 2
-        span = self.finger.nail_radius_mm * np.sin(self.nail_half_angle)
-        needed = min(1.08 * span / half_width, 0.97)
-        return float(min(half_width, self.beyond_nail / (1 - (1 - needed**2.5) ** 0.4)))
 
     def fold(self, y: Array) -> Array:
         """Height of the skin above the nail's cylinder, same shape as y: the fold of skin over the nail's root."""

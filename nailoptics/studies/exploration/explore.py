@@ -204,7 +204,11 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
     touch = touch_table(base)
-    bare, sources, polynomial = boards.bare_board(base), colours(base), _polynomial(base, touch)
+    bare, sources = boards.bare_board(base), colours(base)
+    # What is venous depends on the blood at rest, so that there is none to choose.
+    most = BLOOD_RANGE[1] if base.blood.venous_so2 is None else 1.0
+    highest = min(1.0, most * base.blood.rest_blood_fraction * float(np.max(touch["blood"])))
+    polynomial = BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
     scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
     sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
@@ -309,13 +313,6 @@ def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.Da
     bare = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
     tracer = BoardTracer(lit_by(bare, led), backend=options.backend, spacing_mm=DISTANCE_MM)
     return tracer.fluence(0, RING_MM, photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
-
-
-def _polynomial(base: Scene, touch: dict[str, Any]) -> BloodPolynomial:
-    # What is venous depends on the blood at rest, so that there is none to choose.
-    most = BLOOD_RANGE[1] if base.blood.venous_so2 is None else 1.0
-    highest = min(1.0, most * base.blood.rest_blood_fraction * float(np.max(touch["blood"])))
-    return BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
 
 
 def _state_point(scene: Scene, proximal: float, distal: float, so2: float) -> BloodPoint:
