@@ -55,17 +55,18 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
 @style.drawing()
 def map_figure(scene: Scene, result: xr.Dataset) -> "Figure":
     """Light and its direct part, and noise and resolution of one photodiode, over the board."""
-    from matplotlib.colors import Normalize
+    from matplotlib.colors import LogNorm, Normalize
 
     light, direct = (_smooth(result[name].isel(led=0).to_numpy()) for name in ("irradiance", "direct"))
     noise = 1e6 * result.place_noise_v.isel(led=0).to_numpy()
     resolution = 1e3 * _known(result, "place_resolution_n")
+    finest = float(np.nanmin(resolution)) if np.isfinite(resolution).any() else 1.0
     # Boards are narrow, and a title on one line would be cut off at the picture's edge.
     panels = [
         ("Light\n[1/mm²]", "u", light, "viridis", _bright(light)),
         ("Shunted light\n[1/mm²]", "u", direct, "viridis", _bright(direct)),
         ("Noise of a photodiode\n[µV]", "place_u", noise, "viridis", Normalize(noise.min(), noise.max())),
-        ("Its own resolution\n[mN]", "place_u", resolution, "viridis_r", _fine(resolution)),
+        ("Its own resolution\n[mN]", "place_u", resolution, "viridis_r", LogNorm(finest, 100 * finest)),
     ]
     figure, grid = style.panels(9.2, 4.9, 1, 4) if slender(result) else style.panels(9.2, 8.4, 2, 2)
     _draw_maps(grid.flat, scene, result, panels)
@@ -110,14 +111,6 @@ def _bright(light: np.ndarray) -> Any:
 
     top = float(light.max()) or 1.0
     return LogNorm(top / DIMMEST, top)
-
-
-def _fine(resolution: np.ndarray) -> Any:
-    """The colour scale of resolution: from the best to a hundred times as much."""
-    from matplotlib.colors import LogNorm
-
-    finest = float(np.nanmin(resolution)) if np.isfinite(resolution).any() else 1.0
-    return LogNorm(finest, 100 * finest)
 
 
 def _draw_maps(grid: Iterable["Axes"], scene: Scene, result: xr.Dataset, panels: Iterable[tuple[Any, ...]]) -> None:

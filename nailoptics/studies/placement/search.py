@@ -169,7 +169,7 @@ class RowDesign:
     @property
     def count(self) -> int:
         """Number of photodiodes to be placed."""
-        return self.sites.rules.photodiodes - self.places.staying
+        return self.sites.rules.photodiodes - (len(self.places.areas) - self.places.free)
 
     def information(self, leds: LedPlaces) -> np.ndarray:
         """Of photodiodes under LEDs at these places, (fingers, m + s, n) float."""

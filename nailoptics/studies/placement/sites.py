@@ -40,11 +40,6 @@ class PhotodiodePlaces:
     free: int
     spacing_mm: Point
 
-    @property
-    def staying(self) -> int:
-        """How many stay."""
-        return len(self.areas) - self.free
-
     @cached_property
     def centers_mm(self) -> np.ndarray:
         """Centres of the free places, (free, 2) float. [mm]"""
