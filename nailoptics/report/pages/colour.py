@@ -174,13 +174,13 @@ def strip_figure(result: xr.Dataset, *, width_mm: float) -> "Figure":
 def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     """Trace a nail roughly and draw the paper's Fig. 2 into a folder: hemodynamics_NAME_fig2.png; returns its path.
 
-    name : the set of vessels that the scene's nail gets. All sets share their rays.
+    name : the set of vessels that the scene's nail gets, untuned. All sets share their rays.
     """
     from ...studies.colour.nail_colour import colour
 
     assert scene.finger is not None
     update = {
-        "blood": scene.blood.model_copy(update={"parameters": name}),
+        "blood": scene.blood.model_copy(update={"parameters": name, "tuning": None}),
         "priors": scene.priors.model_copy(update={"spread": False}),
     }
     quick = scene.model_copy(update=update)
