@@ -125,23 +125,15 @@ def _difference(on: np.ndarray, off: np.ndarray) -> np.ndarray:
     return np.abs(_release_time(on, off) - _time_constant(on)).max(axis=-1)
 
 
-def _steeper_at_first(curve: np.ndarray) -> np.ndarray:
-    """Slope up to 0.1 N/cm^2 over that from 0.1 to 1. [1]"""
-    first = (curve[..., _at(0.1)] - curve[..., 0]) / 0.1
-    later = (curve[..., _at(1.0)] - curve[..., _at(0.1)]) / 0.9
-    return first / np.maximum(np.abs(later), _TINY)
+def _change_over(curve: np.ndarray, between: tuple[float, float], other: tuple[float, float]) -> np.ndarray:
+    """Change of a curve between two pressures in N/cm^2 over the size of that between two others. [1]"""
+    change, size = (curve[..., _at(end)] - curve[..., _at(start)] for start, end in (between, other))
+    return np.asarray(change / np.maximum(np.abs(size), _TINY))
 
 
 def _past_the_knee(curve: np.ndarray) -> np.ndarray:
     """Change from 1.2 to 2 N over that from 0 to 1.2 N. [1]"""
-    knee = curve[..., _at(1.2)]
-    return (curve[..., -1] - knee) / np.maximum(np.abs(knee - curve[..., 0]), _TINY)
-
-
-def _late_slope(curve: np.ndarray) -> np.ndarray:
-    """Slope from 1.2 to 2 N over that from 0 to 1 N. [1]"""
-    first = curve[..., _at(1.0)] - curve[..., 0]
-    return (curve[..., -1] - curve[..., _at(1.2)]) / 0.8 / np.maximum(np.abs(first), _TINY)
+    return _change_over(curve, (1.2, 2.0), (0.0, 1.2))
 
 
 def _magnification(r: Responses) -> np.ndarray:
@@ -213,7 +205,7 @@ MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
     "distal_release_over_loading": lambda r: _release_over_loading(r.both_on[1], r.both_off[1]),
     "v_p1_off_chord": lambda r: _off_chord(r.alone[0], end=0.9),
     "v_p1_level": lambda r: _level_from(r.alone[0]),
-    "v_p2_steeper_at_first": lambda r: _steeper_at_first(-r.alone[1]),
+    "v_p2_steeper_at_first": lambda r: 9.0 * _change_over(-r.alone[1], (0.0, 0.1), (0.1, 1.0)),
     "v_p2_off_chord": lambda r: _off_chord(r.alone[1], start=0.1),
     "v_p2_level": lambda r: _level_from(r.alone[1]),
     "proximal_cycle_off_chord": lambda r: _off_chord(r.cycle[0].mean(axis=-2)),
@@ -221,7 +213,7 @@ MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
     "proximal_loading_time": lambda r: _time_constant(r.press_on[0]),
     "proximal_unloading_time": lambda r: _release_time(r.press_on[0], r.press_off[0]),
     "distal_cycle_off_chord": lambda r: _off_chord(r.cycle[1].mean(axis=-2)),
-    "distal_late_slope": lambda r: _late_slope(r.cycle[1].mean(axis=-2)),
+    "distal_late_slope": lambda r: _change_over(r.cycle[1].mean(axis=-2), (1.2, 2.0), (0.0, 1.0)) / 0.8,
     "distal_loading_time": lambda r: _time_constant(r.press_on[1]),
     "distal_unloading_time": lambda r: _release_time(r.press_on[1], r.press_off[1]),
     "spread_over_stiffness": lambda r: _varies_more(r.people - 1.0),

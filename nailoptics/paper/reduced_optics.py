@@ -169,9 +169,7 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
     constants = {"v0_v": curve.value + curve.slope * curve.centre, "v1_v_per_m2": curve.slope / scale_m2}
     jacobian = np.array([[1.0, curve.centre], [0.0, 1.0 / scale_m2]])
     note = "the diameters do not vary: the slope is not known" if _distinct(x) == 1 else ""
-    return OpticsFit(
-        constants=constants, curve=curve, scale_m2=scale_m2, jacobian=jacobian, note=note, **_residual(curve, x, y)
-    )
+    return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
 
 
 def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
@@ -202,9 +200,7 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
                 "a step in D^2: alpha is at the high",
             )
             note = f"the readings are {low if curve.curvature < 1 else high} end of its range"
-    return OpticsFit(
-        constants=constants, curve=curve, scale_m2=scale_m2, jacobian=jacobian, note=note, **_residual(curve, x, y)
-    )
+    return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
 
 
 def _beer_lambert_constants(curve: FittedCurve, scale_m2: float) -> tuple[dict[str, float], Array]:
@@ -221,9 +217,10 @@ def _beer_lambert_constants(curve: FittedCurve, scale_m2: float) -> tuple[dict[s
     return constants, np.array([v0, v1, [0.0, 0.0, 1.0 / scale_m2]])
 
 
-def _residual(curve: FittedCurve, x: Array, y: Array) -> dict[str, float]:
+def _residual(curve: FittedCurve, x: Array, y: Array) -> tuple[float, float]:
+    """Root mean square and largest distance of readings from a curve."""
     missed = y - curve.at(x)
-    return {"residual_rms_v": float(np.sqrt(np.mean(missed**2))), "residual_max_v": float(np.abs(missed).max())}
+    return float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).max())
 
 
 def _checked(diameter_m: ArrayLike, volts: ArrayLike) -> tuple[Array, Array, float]:

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import html
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -37,6 +38,12 @@ class Html(str):
 
 class Script(str):
     """JavaScript that runs at the end of a page; no other does, nor does a page load anything."""
+
+
+def texts(page: str) -> dict[str, str]:
+    """The longer texts of a page, by their names in texts.toml."""
+    file = resources.files(__package__).joinpath("pages", "texts.toml").read_text(encoding="utf-8")
+    return {name: " ".join(text.split()) for name, text in tomllib.loads(file)[page].items()}
 
 
 def document(

@@ -59,10 +59,6 @@ PAD = Patch((0.0, 0.0), (7.1, 7.1), port_mm=11.0)
 BAND = 3
 # Of the module MAXM86161 that recorded the finger; judgement, its data sheet was not at hand. Red is 660 nm as here.
 MODULE_INFRARED_NM = 880.0
-MODULE = (
-    f"One finger on a reflectance module; the model is the shipped oximeter, at {MODULE_INFRARED_NM:g} nm as the "
-    "module, over the priors that only absorb, and as its photodiodes differ, whose distances are not the module's."
-)
 # Of the reference oximeter, one on one person, so that it is common to all recordings: the root mean square error that
 # makers state for 70 to 100 % (ISO 80601-2-61 requires 4 or less). [percent]
 REFERENCE_SPO2_ERROR = 2.0
@@ -81,7 +77,7 @@ BLOOD_OF_NAIL = ("blood.rest_blood_fraction", "blood.pulp_blood_fraction", "bloo
 W_NM = (540.0, 560.0, 580.0)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Comparison:
     """One measured quantity beside the model's.
 
@@ -190,22 +186,19 @@ def _z(
     """Two numbers, each with its standard error; spread: standard deviation of the model over the priors, shown."""
     z = (model[0] - people[0]) / float(np.hypot(people[1], model[1]))
     shown = _interval(model[0], float(np.hypot(model[1], spread)))
-    how: dict[str, Any] = {"statistic": "z", "value": z, "accepted": (-2.0, 2.0)}
-    return Comparison(texts=texts, people=_interval(*people), model=shown, **how)
+    return Comparison(texts, _interval(*people), shown, "z", z, (-2.0, 2.0))
 
 
 def _coverage(texts: Mapping[str, Any], values: ArrayLike, model: Array) -> Comparison:
     """People's values, (p,) float, beside the model's interval, (3, 1) float."""
     people, inside = np.percentile(np.asarray(values, float), [[2.5], [50], [97.5]]), _part_between(values, *model[::2])
     accepted = COVERAGE_OF_FEW if np.size(values) < FEW else COVERAGE
-    how: dict[str, Any] = {"statistic": "coverage", "value": inside, "accepted": accepted}
-    return Comparison(texts=texts, people=people, model=model, **how)
+    return Comparison(texts, people, model, "coverage", inside, accepted)
 
 
 def _curve(texts: Mapping[str, Any], inside: float, people: Array, model: Array, x: Array) -> Comparison:
     """A quantity over x, (n,), of people and of the model, (3, n) float each, and the part of it that agrees."""
-    how: dict[str, Any] = {"statistic": "coverage", "value": inside, "accepted": COVERAGE_OF_FEW}
-    return Comparison(texts=texts, people=people, model=model, x=x, **how)
+    return Comparison(texts, people, model, "coverage", inside, COVERAGE_OF_FEW, x)
 
 
 def _part_between(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> float:
@@ -273,7 +266,7 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
         "level": (float(spo2.mean()), float(np.hypot(scatter, REFERENCE_SPO2_ERROR))),
     }
     middle, error = _model_pulse(float(ratio.mean()), options, progress)
-    words = {"module": MODULE, "ratio": ratio.mean(), "normal_percent": people_tables.NORMAL_SPO2}
+    words = {"infrared_nm": MODULE_INFRARED_NM, "ratio": ratio.mean(), "normal_percent": people_tables.NORMAL_SPO2}
     words |= {"reference_percent": REFERENCE_SPO2_ERROR}
     result = {}
     for k, (name, both) in enumerate(measured.items()):

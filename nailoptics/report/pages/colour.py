@@ -13,16 +13,13 @@ from ...scene import Scene, parse_scene
 from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
-from ..html import Html, document, escaped, figure, section, small, table
+from ..html import Html, document, escaped, figure, section, small, table, texts
 from ..numbers import aligned, estimated, plain, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-A_PICTURE = (
-    "A picture, not a measurement: the traced colours as a diffuse albedo on the finger's mesh, with gloss, window, "
-    "desk and camera as of a finger on a desk; no hair, no texture, no cuticle."
-)
+TEXTS = texts("colour")
 
 
 def page(result: xr.Dataset, photographs: list[bytes]) -> str:
@@ -41,7 +38,7 @@ def page(result: xr.Dataset, photographs: list[bytes]) -> str:
     photos = [_image(data, words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
     body = [
         section("The nail under force", figure(strip, "The nail under each force, each held.")),
-        section("As a photograph", *photos, small(A_PICTURE)) if photos else "",
+        section("As a photograph", *photos, small(TEXTS["photograph"])) if photos else "",
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         _unknowns(result),

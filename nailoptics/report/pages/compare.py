@@ -10,28 +10,14 @@ from ...statistics import Z95
 from ...studies.comparison.compare import Verdict, verdict
 from .. import style
 from ..files import Report, run_summary
-from ..html import Html, document, figure, section, small, subheading, table
+from ..html import Html, document, figure, section, small, subheading, table, texts
 from ..maps import led_name
 from ..numbers import estimated, plain, significant, with_stderr
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HOLDS = (
-    "Each model is fitted anew to every range from the start; its largest distance from the trace is given as a part "
-    "of the reading's swing over that range. Warm colours are proximal, cool ones distal; bands are 95 % intervals of "
-    "the light tracing."
-)
-SPLIT = (
-    "The error of Taylor (9), split where it is largest. Hollow marks are compatible with 0. The first three add up to "
-    "the error against the trace; that blood scatters too is in neither, and comes on top. What changes the mean path "
-    "with the blood is the spread of paths: one path for all light."
-)
-READINGS = "Traced readings and models, as change from the start of the sweep."
-LIMITS = (
-    "Numbers in brackets are 95 % intervals; “all” means the whole sweep. αD² is the mean path in the bed times the "
-    "absorption of all its blood: the exponent of Beer–Lambert (8); the last two columns are over {}."
-)
+TEXTS = texts("compare")
 
 
 def page(result: xr.Dataset) -> str:
@@ -51,12 +37,12 @@ def page(result: xr.Dataset) -> str:
 
 def _led_section(result: xr.Dataset, led: int) -> Html:
     """How far the models hold under one LED, and why not further."""
-    limits, note = table(_limits(result, led), kind="dense"), small(LIMITS.format(result.sweep.values[-1]))
-    parts = [figure(_range_errors_figure(result, led=led), HOLDS), limits, note]
+    limits, note = table(_limits(result, led), kind="dense"), small(TEXTS["limits"].format(result.sweep.values[-1]))
+    parts = [figure(_range_errors_figure(result, led=led), TEXTS["holds"]), limits, note]
     for sweep in map(str, result.sweep.values):
         parts.append(subheading(f"What Taylor (9) leaves out, over {sweep}"))
-        parts.append(figure(_error_parts_figure(result, led=led, sweep=sweep), SPLIT))
-        parts.append(figure(_changes_figure(result, led=led, sweep=sweep), READINGS))
+        parts.append(figure(_error_parts_figure(result, led=led, sweep=sweep), TEXTS["split"]))
+        parts.append(figure(_changes_figure(result, led=led, sweep=sweep), TEXTS["readings"]))
     return section(f"How far the models hold: {led_name(result, led)}", *parts)
 
 

@@ -9,40 +9,17 @@ from ...errors import InputError
 from ...scene import parse_scene
 from ...statistics import Z95
 from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
-from ...studies.oximetry.recording import spo2_rows
+from ...studies.oximetry.recording import spo2_csv
 from .. import maps, style
 from ..files import Report, run_summary
-from ..html import document, figure, section, small, table
+from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PULSE = (
-    "Each LED's reading over a beat, less its mean and less the dark slot, with the trace's 95 % interval. More blood, "
-    "less light: the reading falls as the pulse arrives."
-)
-CURVE = (
-    "R of every photodiode against the arteries' saturation, from one trace of each LED, with its 95 % interval, "
-    "between the line of textbooks and one that was measured on fingers."
-)
-DISTURB = (
-    "Bias of SpO2, displayed less true saturation, of an oximeter calibrated with the scene as it is, as one thing "
-    "changes, with the 95 % interval of the trace."
-)
-CALIBRATION = (
-    "Lines are fitted from 70 to 100 %. The path ratio is the red light's mean path in the pulsatile blood over the "
-    "infrared's: R is in proportion to it."
-)
-ERRORS = (
-    "Electronics: shot and thermal noise and that of the sample-and-hold. Ambient light: the shot noise that it adds. "
-    "Trace: photon noise of the simulation, which more photons reduce."
-)
-DISTURBANCES = (
-    "The resting blood is as venous as the scene says, what pulsates is arterial. Where lines of LEDs move, light "
-    "scatters as at the traced wavelength. Sunlight is full at 100 klx, on all of the finger."
-)
+TEXTS = texts("oximeter")
 
 
 def oximeter_page(result: xr.Dataset) -> str:
@@ -64,18 +41,18 @@ def oximeter_page(result: xr.Dataset) -> str:
         warnings=result.attrs["warnings"],
         cards=cards,
         body=[
-            section("The pulse in volts", figure(_pulse_figure(result), PULSE), _board(result)),
+            section("The pulse in volts", figure(_pulse_figure(result), TEXTS["pulse"]), _board(result)),
             section(
                 "Calibration: from R to saturation",
-                figure(_calibration_figure(result), CURVE),
+                figure(_calibration_figure(result), TEXTS["curve"]),
                 table(_calibrations(result)),
-                small(CALIBRATION),
+                small(TEXTS["calibration"]),
             ),
-            section("Uncertainty of SpO2", table(_errors(result)), small(ERRORS)),
+            section("Uncertainty of SpO2", table(_errors(result)), small(TEXTS["errors"])),
             section(
                 "Sensitivity to disturbances",
-                figure(_disturbances_figure(result), DISTURB),
-                small(DISTURBANCES),
+                figure(_disturbances_figure(result), TEXTS["disturbance_curves"]),
+                small(TEXTS["disturbances"]),
             ),
         ],
         attributes=result.attrs,
@@ -329,11 +306,6 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _oxygen_files(result: xr.Dataset) -> tuple[Any, ...]:
-    table = "".join(f"{row}\n" for row in spo2_rows(result))
-    return result, table, lambda _: recording_page(result)
-
-
 OXIMETER = Report(
     ("oximeter.nc", "oximeter.html", "oximeter.png"),
     lambda result: (result, lambda _: oximeter_page(result), lambda _: overview_figure(result)),
@@ -342,7 +314,7 @@ OXIMETER = Report(
 )
 OXYGEN = Report(
     ("oxygen.nc", "oxygen.csv", "oxygen.html"),
-    _oxygen_files,
+    lambda result: (result, spo2_csv(result), lambda _: recording_page(result)),
     recording_summary,
     lambda result, summary: [*aligned(_recorded(summary)), f"best photodiode: {summary['best']}"],
 )

@@ -248,24 +248,18 @@ CROSSES_BETWEEN_NM = (797.0, 825.0)
 
 def crossing_nm() -> float:
     """Where blood absorbs alike with and without oxygen, near 800 nm, in the shipped table. [nm]"""
-    wavelength = np.arange(700.0, 900.0, 0.1)
-    difference = tissue.blood_mu_a_per_mm(wavelength, 1.0) - tissue.blood_mu_a_per_mm(wavelength, 0.0)
-    after = int(np.flatnonzero(np.diff(np.sign(difference)))[0])
-    share = difference[after] / (difference[after] - difference[after + 1])
-    return float(wavelength[after] + 0.1 * share)
+    from scipy.optimize import brentq
 
-
-def draw_haemoglobins(directory: Path) -> Path:
-    """Draw the figure into a folder, which is made if it is not there, and return its path: haemoglobin_fig4.png."""
-    make_folder(directory)
-    path = directory / "haemoglobin_fig4.png"
-    style.write_figure(haemoglobins(), path)
-    return path
+    return float(brentq(lambda nm: np.subtract(*tissue.blood_mu_a_per_mm(nm, [1.0, 0.0])), 700.0, 900.0))
 
 
 @style.drawing()
-def haemoglobins() -> "Figure":
-    """Absorption of whole blood with and without oxygen, the shipped LEDs' lines, and the crossing near 800 nm."""
+def draw_haemoglobins(directory: Path) -> Path:
+    """Draw the absorption of whole blood with and without oxygen and the shipped LEDs' lines into a folder.
+
+    The folder is made if it is not there. Returns the path, haemoglobin_fig4.png.
+    """
+    make_folder(directory)
     figure, axes = style.panels(9.5, 4.4)
     wavelength = np.linspace(600.0, tissue.WAVELENGTH_RANGE_NM[1], 401)
     for so2, colour, label in ((1.0, OXYGENATED, "oxygenated"), (0.0, DEOXYGENATED, "deoxygenated")):
@@ -290,4 +284,6 @@ def haemoglobins() -> "Figure":
     axes.legend(loc="upper right")
     title = "Fig. 4: absorption of both haemoglobins, 150 g/L, and the LEDs' lines"
     figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
-    return figure
+    path = directory / "haemoglobin_fig4.png"
+    style.write_figure(figure, path)
+    return path

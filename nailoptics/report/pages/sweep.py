@@ -12,7 +12,7 @@ from ...io import write_text
 from .. import style
 from ..html import document, figure, section, small, table
 from ..numbers import prefix, significant, unit_of
-from .colour import A_PICTURE
+from .colour import TEXTS as COLOUR_TEXTS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ def page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
     rows, sheet = [{"Scene": digest[:12], "Why": why} for digest, why in failures.items()], ""
     if "photograph" in results:
         scenes = results.state.size
-        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {A_PICTURE}"
+        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {COLOUR_TEXTS['photograph']}"
         sheet = section("Photographs", figure(contact_sheet(results), caption))
     failed = section(f"{len(failures)} failed", table(rows)) if rows else ""
     return document(

@@ -8,20 +8,13 @@ import numpy as np
 from ...studies.validate import Validation
 from .. import style
 from ..files import Report
-from ..html import Html, document, figure, section, small, table
+from ..html import Html, document, figure, section, small, table, texts
 from ..numbers import aligned, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEAD = (
-    "What was measured on people, and what the model says of the same quantity. Fitted: the model was fitted to these "
-    "people. Held out: it was fitted to others of the same table. Prediction: it was not fitted to the quantity."
-)
-NOTE = (
-    "z: difference over its standard error, which agrees between -2 and 2. Coverage: the part of what each figure "
-    "states; an interval of the model that holds more than 99 % of 59 people or more does not agree either."
-)
+TEXTS = texts("validate")
 
 
 def page(result: Validation) -> str:
@@ -30,13 +23,13 @@ def page(result: Validation) -> str:
     return document(
         kicker="validation",
         title="Comparison with measurements on people",
-        lead=LEAD,
+        lead=TEXTS["lead"],
         cards=[(f"{n} of {count}", f"{words} quantities agree") for words, (n, count) in result.counts().items()],
         body=[
             section(
                 "All quantities, what disagrees first",
                 table([row(quantity) for quantity in ranked], kind="compared"),
-                small(NOTE),
+                small(TEXTS["note"]),
                 *(f"No data: {name}." for name in result.no_data),
             ),
             *(

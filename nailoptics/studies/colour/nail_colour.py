@@ -72,7 +72,9 @@ def colour(
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
     given = {name: requested.pop(name) for name in Viewing.model_fields if name in requested}  # type: ignore[misc]
-    options = with_scenes_effort(TraceOptions(**requested), scene)  # type: ignore[misc]
+    options = TraceOptions(**requested)  # type: ignore[misc]
+    if options.photons is None and options.max_seconds is None:
+        options = replace(options, photons=scene.accuracy.photons, max_seconds=scene.accuracy.max_seconds)
     viewing = _viewing(scene, options, **given)
     viewer = Viewer(viewing.illuminant, viewing.observer)
     cpu, begin = time.process_time(), time.perf_counter()
@@ -82,10 +84,16 @@ def colour(
     states = steady_blood(scene, viewing.forces_n)
     backend.activate(chosen)
     nail = NailReflectance(scene, backend=chosen.name, stores=stores)
-    result, photons, unmet = _traced(nail, states, viewer, viewing, options, stage)
+    rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
+    result = _dataset(scene, rays, states, viewer, viewing)
+    if scene.priors.spread and not unmet:
+        if stage.is_late(SPREAD_BEGINS):
+            unmet = "max_seconds left no time for the spread of colours over unknown fingers."
+        else:
+            result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
     for store in stores:
         store.close()
-    result.attrs = _attributes(scene, viewing, options, chosen, photons) | {
+    result.attrs = _attributes(scene, viewing, options, chosen, rays.photons) | {
         "cpu_seconds": time.process_time() - cpu,
         "wall_seconds": time.perf_counter() - begin,
     }
@@ -106,32 +114,6 @@ def _attributes(
         "tile_size_mm": TILE_MM,
         "references": "CIE 015:2018; S. A. Mascaro, H. H. Asada, IEEE Trans. Robotics and Automation 17(5), 2001",
     }
-
-
-def with_scenes_effort(options: TraceOptions, scene: Scene) -> TraceOptions:
-    """The options with the scene's photons and time where they name neither."""
-    if options.photons is not None or options.max_seconds is not None:
-        return options
-    return replace(options, photons=scene.accuracy.photons, max_seconds=scene.accuracy.max_seconds)
-
-
-def _traced(
-    nail: NailReflectance,
-    states: Array,
-    viewer: Viewer,
-    viewing: Viewing,
-    options: TraceOptions,
-    stage: StageProgress,
-) -> tuple[xr.Dataset, int, str]:
-    """Colours by rays, all of them; how many rays, and why they fall short, if they do."""
-    scene = nail.scene
-    rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
-    result = _dataset(scene, rays, states, viewer, viewing)
-    if scene.priors.spread and not unmet:
-        if stage.is_late(SPREAD_BEGINS):
-            return result, rays.photons, "max_seconds left no time for the spread of colours over unknown fingers."
-        result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
-    return result, rays.photons, unmet
 
 
 def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:

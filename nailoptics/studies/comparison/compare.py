@@ -219,7 +219,7 @@ class Verdict:
 
     sure : probability with which it does so, or does not, by the traces' noise; readings : how many were compared.
     surely_within : how many of these stay within it, each with a probability of 95 %.
-    worst_error, worst_stderr : of the reading that is furthest off, in parts of its swing.
+    worst_error : of the reading that is furthest off, in parts of its swing.
     worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
     """
 
@@ -227,7 +227,6 @@ class Verdict:
     model: str
     tolerance: float
     worst_error: float
-    worst_stderr: float
     worst_low: float
     worst_high: float
     led: str
@@ -253,19 +252,15 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
         # Of a photodiode that saw nothing nothing is known.
         below = np.where(np.isfinite(error), ndtr((tolerance - error) / stderr), 0.5)
     met, missed = float(below.min()), max(0.0, 1 - float(error.size * below.min()))
-    outcome: Literal["met", "missed", "undecided"] = (
-        "missed" if missed >= SURE else "met" if met >= SURE else "undecided"
-    )
     i, j = np.unravel_index(int(np.where(np.isfinite(error), error, -np.inf).argmax()), error.shape)
     # Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.
     low, high = error - float(ndtri(1 - (1 - SURE) / 2 / error.size)) * stderr, error + Z95 * stderr
     known = np.isfinite(low)
     return Verdict(
-        outcome=outcome,
+        outcome="missed" if missed >= SURE else "met" if met >= SURE else "undecided",
         model=model,
         tolerance=tolerance,
         worst_error=float(error[i, j]),
-        worst_stderr=float(stderr[i, j]),
         worst_low=float(np.max(low, where=known, initial=0.0)),
         worst_high=float(np.max(high)) if known.all() else math.inf,
         led=str(result.led.values[i]),

@@ -76,34 +76,30 @@ def sensitivity_curves(
 
     sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
     """
-    scene, leds, beat, curves = (
-        oximeter.transfer.scene,
-        oximeter.leds,
-        rest_beat(oximeter.transfer.scene),
-        dict[str, Variables](),
-    )
+    scene, leds, curves = oximeter.transfer.scene, oximeter.leds, dict[str, Variables]()
+    beat, (low_nm, high_nm) = rest_beat(scene), tissue.WAVELENGTH_RANGE_NM
 
     def add(name: str, text: str, units: str, values: Array, changes: list[tuple[Scene, BloodBeat]]) -> None:
         # Light scatters as at the wavelength that was traced, however an LED's line moves.
-        known = [_has_tissue_data(variant, leds) for variant, _ in changes]
+        both_nm = [np.concatenate([optics.spectrum(variant.leds[i])[0] for i in leds]) for variant, _ in changes]
+        known = [bool(nm.min() >= low_nm and nm.max() <= high_nm) for nm in both_nm]
         bias = oximeter.bias(oximeter.ratio([change for change, inside in zip(changes, known, strict=True) if inside]))
         curves[name] = _curve(name, text, units, values[known], *bias)
 
     def at(field: str, values: Array) -> list[tuple[Scene, BloodBeat]]:
         return [(at_value(scene, field, float(value)), beat) for value in values]
 
-    def lines(**moved: Array) -> list[tuple[Scene, BloodBeat]]:
-        ((name, values),) = moved.items()
+    def lines(name: str, values: Array) -> list[tuple[Scene, BloodBeat]]:
         return [(_with_lines(scene, leds, **{name: float(value)}), beat) for value in values]
 
     add("touch_force_n", "touch force", "N", FORCES_N, [(scene, beat_at(scene, float(x))) for x in FORCES_N])
     filled = [(variant, rest_beat(variant)) for variant, _ in at("blood.rest_blood_fraction", REST_BLOOD)]
     add("rest_blood_fraction", "blood in the bed at rest", "1", REST_BLOOD, filled)
     add("melanin_fraction", "melanin in the epidermis", "1", MELANIN, at("finger.melanin_fraction", MELANIN))
-    add("line_width_nm", "width of both LEDs' lines", "nm", WIDTHS_NM, lines(fwhm_nm=WIDTHS_NM))
+    add("line_width_nm", "width of both LEDs' lines", "nm", WIDTHS_NM, lines("fwhm_nm", WIDTHS_NM))
     for drift in DRIFTS_NM_PER_K:
         name, text = f"warmer_k_{round(1000 * drift)}_pm_per_k", f"LEDs warmer, lines that drift by {drift:g} nm/K"
-        add(name, text, "K", WARMER_K, lines(shift_nm=drift * WARMER_K))
+        add(name, text, "K", WARMER_K, lines("shift_nm", drift * WARMER_K))
     text, venous = "venous saturation below the arterial one", np.maximum(scene.blood.so2 - VENOUS_BELOW, 0.0)
     add("venous_below_arterial", text, "1", VENOUS_BELOW, at("blood.venous_so2", venous))
     text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_ends, sun_a)
@@ -121,26 +117,14 @@ def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr:
 
 def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array) -> tuple[Array, Array]:
     """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
-    nominal, ratios = oximeter.nominal, []
+    nominal, level_a, ratios = oximeter.nominal, np.zeros(oximeter.nominal.dc.shape[:-1]), []
+    for j, front_end in enumerate(front_ends):
+        for k, led in enumerate(front_end.leds):
+            level_a[:, k, j] = front_end.photocurrent_a(nominal.dc[:, k, j, 0], led)
     for lux in SUN_LUX:
-        level_a = np.stack(
-            [_photocurrent_a(front_end, nominal.dc[:, :, j, 0]) for j, front_end in enumerate(front_ends)], -1
-        )
         diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
         ratios.append(diluted[:, 0] / diluted[:, 1])
     return oximeter.bias(np.stack(ratios, -1))
-
-
-def _photocurrent_a(front_end: SampledFrontEnd, fraction: Array) -> Array:
-    """Photocurrent of both LEDs, (groups, 2) float, from their detected fractions. [A]"""
-    return np.stack([front_end.photocurrent_a(fraction[:, k], led) for k, led in enumerate(front_end.leds)], -1)
-
-
-def _has_tissue_data(scene: Scene, leds: tuple[int, int]) -> bool:
-    """Whether tissue is known over both LEDs' lines."""
-    low, high = tissue.WAVELENGTH_RANGE_NM
-    wavelengths = np.concatenate([optics.spectrum(scene.leds[i])[0] for i in leds])
-    return bool(wavelengths.min() >= low and wavelengths.max() <= high)
 
 
 def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None = None, shift_nm: float = 0.0) -> Scene:

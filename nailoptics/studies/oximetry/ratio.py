@@ -208,8 +208,7 @@ def saturation_of(ratio: ArrayLike, so2: Array, curve: Array) -> Array:
 
     so2, curve : (n,) float. Saturations that rise, and ratios there that fall.
     """
-    ratios = np.asarray(ratio, float)
-    inside = np.interp(ratios, curve[::-1], so2[::-1])
-    first, last = (so2[1] - so2[0]) / (curve[1] - curve[0]), (so2[-1] - so2[-2]) / (curve[-1] - curve[-2])
-    inside = np.where(ratios > curve[0], so2[0] + first * (ratios - curve[0]), inside)
-    return np.asarray(np.where(ratios < curve[-1], so2[-1] + last * (ratios - curve[-1]), inside))
+    from scipy.interpolate import interp1d
+
+    at = interp1d(curve[::-1], so2[::-1], fill_value="extrapolate", assume_sorted=True)
+    return np.asarray(at(ratio))

@@ -42,36 +42,28 @@ LEAST_STILL = 0.5
 
 
 def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int], *, seed: int) -> tuple[Array, Array]:
-    """Times of the frames over a scene's touch [s], and the light that is detected then, (2, photodiodes, t) float."""
+    """Times of the frames over a scene's touch [s], and the light that is detected then, (2, photodiodes, t) float.
+
+    The median of the blood is mixed, all else arterial, or as saturated as the balance of oxygen has it.
+    """
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
     touch = scene.touch.model_copy(update={"sample_rate_hz": frame_hz})
     touched = blood_over_touch(scene.model_copy(update={"touch": touch}))
-    blood = touched.blood_fraction.values.T
-    so2 = touched.so2.values.T if scene.blood.oxygen_balance else None
-    return touched.time.values, light_over(transfer, leds, scene.blood.so2, blood, zone_so2=so2, seed=seed)
-
-
-def light_over(
-    transfer: Transfer, leds: tuple[int, int], so2: float, blood: Array, *, zone_so2: Array | None = None, seed: int
-) -> Array:
-    """Detected fractions over a course of the blood whose median is mixed and all else arterial, (2, photodiodes, t).
-
-    blood : (t, zones) float. zone_so2 : (t, zones) float. Its saturation, where it is known from the course.
-    """
+    blood, so2 = touched.blood_fraction.values.T, scene.blood.so2
     resting, light = np.median(blood, axis=0), []
     for led in leds:
-        away, nm = blood - resting, transfer.scene.leds[led].wavelength_nm
-        if zone_so2 is not None:
+        away, nm = blood - resting, scene.leds[led].wavelength_nm
+        if scene.blood.oxygen_balance:
             # Arterial blood that absorbs, at the LED's peak, what there is beyond the median's.
-            mixed = tissue.blood_mu_a_per_mm(nm, hemodynamics.saturation(transfer.scene.blood, resting))
-            absorbed = blood * np.asarray(tissue.blood_mu_a_per_mm(nm, zone_so2)) - resting * np.asarray(mixed)
-            away = absorbed / np.asarray(tissue.blood_mu_a_per_mm(nm, so2))
+            mixed = tissue.blood_mu_a_per_mm(nm, hemodynamics.saturation(scene.blood, resting))
+            absorbed = blood * tissue.blood_mu_a_per_mm(nm, touched.so2.values.T) - resting * mixed
+            away = absorbed / tissue.blood_mu_a_per_mm(nm, so2)
         components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, : len(NODES)]
         places = away @ components
         box = ChebyshevBox(places.min(0), places.max(0) + 1e-12, NODES[: places.shape[1]])
         states = [(so2, resting, box.nodes @ components.T)]
         light.append(read_states(transfer, led, states, seed=seed)[0] @ box.weights(places).T)
-    return np.stack(light)
+    return touched.time.values, np.stack(light)
 
 
 def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
@@ -293,14 +285,10 @@ def _check_limit(recording: OximeterRecording, range_v: float) -> None:
         )
 
 
-def spo2_rows(result: xr.Dataset) -> list[str]:
-    """The lines of oxygen.csv; what is not known is left empty."""
+def spo2_csv(result: xr.Dataset) -> str:
+    """The text of oxygen.csv; what is not known is left empty."""
     names = ["ratio", "spo2", "spo2_low", "spo2_high", "rate_per_min"]
     names += ["perfusion_index_red", "perfusion_index_infrared", "motion"]
-    lines = [",".join(("time_s", "photodiode", *names))]
-    for name in result.photodiode.values:
-        columns = zip(*(result[column].sel(photodiode=name).values for column in names), strict=True)
-        for time_s, cells in zip(result.time.values, columns, strict=True):
-            texts = ("" if np.isnan(x) else f"{x:.6g}" for x in cells)
-            lines.append(f"{float(time_s)!r},{name}," + ",".join(texts))
-    return lines
+    rows = result[names].to_dataframe(dim_order=["photodiode", "time"]).reset_index()
+    rows.insert(0, "time_s", rows.pop("time").map(repr))
+    return str(rows[["time_s", "photodiode", *names]].to_csv(index=False, float_format="%.6g", lineterminator="\n"))

@@ -12,7 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.pages.oximeter import recording_summary
 from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv
-from nailoptics.studies.oximetry.recording import read_for, spo2_over_time, spo2_rows
+from nailoptics.studies.oximetry.recording import read_for, spo2_csv, spo2_over_time
 from nailoptics.variables import variable
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
@@ -66,7 +66,7 @@ def test_rate_perfusion_and_saturation_are_estimated_in_every_window():
     assert np.all(abs(estimates.spo2 - 90.0) < 3.0) and float(estimates.motion.max()) < 0.05
     summary = recording_summary(estimates)
     assert summary["best"] in NAMES and abs(summary["rate_per_min"] - 72.0) < 2.0
-    lines = spo2_rows(estimates)
+    lines = spo2_csv(estimates).splitlines()
     assert len(lines) == 1 + 2 * estimates.sizes["time"] and lines[0].startswith("time_s,photodiode,ratio,spo2")
 
 
@@ -76,7 +76,9 @@ def test_times_of_a_clock_keep_all_their_digits():
     rows = oximeter_csv(by_clock, ("red", "infrared")).splitlines()[1:]
     assert [float(row.split(",")[0]) for row in rows] == by_clock.time_s.tolist()
     estimates = spo2_over_time(by_clock, KNOWN, SCENE)
-    assert [float(row.split(",")[0]) for row in spo2_rows(estimates)[1:]] == 2 * estimates.time.values.tolist()
+    assert [
+        float(row.split(",")[0]) for row in spo2_csv(estimates).splitlines()[1:]
+    ] == 2 * estimates.time.values.tolist()
 
 
 def test_motion_is_marked_where_it_was_and_nowhere_else():
