@@ -118,6 +118,8 @@ def percentile(spectra: "pd.DataFrame", percent: int) -> Array:
 
 def pooled(spectra: "pd.DataFrame", percentiles: Sequence[int]) -> Array:
     """Percentiles of ring fingers of all groups together, from those of each, (n, q) float. [percent]"""
+    if spectra.group.nunique() == 1:
+        return np.stack([percentile(spectra, percent) for percent in percentiles])
     known, samples = PERCENTILES["ring finger"], []
     for _, group in spectra.groupby("group"):
         rows = np.stack([percentile(group, percent) for percent in known])

@@ -13,7 +13,7 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
 from nailoptics.studies import validate
-from nailoptics.studies.people_tables import COLUMNS, read_people, slope_within_days
+from nailoptics.studies.people_tables import COLUMNS, percentile, pooled, read_people, slope_within_days
 
 DOCUMENTS = "README.md", "docs/trust.md", "docs/validation.md"
 PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
@@ -99,6 +99,19 @@ def test_a_table_of_one_place_is_read_with_its_path_as_source(tmp_path, place):
     table = read_people(SKIN, own(tmp_path, SKIN, lambda t: t[t.place == place]))
     assert set(table.place) == {place} and table.attrs == {"source": str(tmp_path / f"{SKIN}.csv"), "shipped": False}
     assert read_people(PHOTOS, tmp_path).attrs["shipped"]
+
+
+def test_one_ring_finger_is_compared_with_its_own_quartiles(tmp_path):
+    """Expected: of one person the quartiles that the table states, not the one median between which nothing lies."""
+
+    def alone(table: pd.DataFrame) -> pd.DataFrame:
+        return table[(table.place == "ring finger") & (table.group == "JP")].assign(people=1)
+
+    table = read_people(SKIN, own(tmp_path, SKIN, alone))
+    low, high = pooled(table, (25, 75))
+    assert (high > low).all() and np.array_equal(low, percentile(table, 25))
+    everyone = read_people(SKIN)[lambda t: t.place == "ring finger"]
+    assert not np.array_equal(pooled(everyone, (25,))[0], low)
 
 
 def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):

@@ -10,9 +10,8 @@ import xarray as xr
 from ...batch import write_table
 from ...io import write_text
 from .. import style
-from ..html import document, figure, section, small, table
+from ..html import document, figure, section, small, table, texts
 from ..numbers import prefix, significant, unit_of
-from .colour import TEXTS as COLOUR_TEXTS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +41,7 @@ def page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
     rows, sheet = [{"Scene": digest[:12], "Why": why} for digest, why in failures.items()], ""
     if "photograph" in results:
         scenes = results.state.size
-        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {COLOUR_TEXTS['photograph']}"
+        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {texts('colour')['photograph']}"
         sheet = section("Photographs", figure(contact_sheet(results), caption))
     failed = section(f"{len(failures)} failed", table(rows)) if rows else ""
     return document(
