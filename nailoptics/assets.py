@@ -1,8 +1,9 @@
 """Where the shipped facts lie: spectra, parts and scenes, from a wheel as from a source checkout."""
 
+import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,3 +49,9 @@ def read_table(relative: str) -> dict[str, NDArray[np.float64]]:
     columns = np.loadtxt(lines[1:], delimiter=",", ndmin=2).T
     columns.setflags(write=False)
     return dict(zip(lines[0].split(","), columns, strict=True))
+
+
+@cache
+def read_toml(relative: str) -> dict[str, Any]:
+    """The tables of a shipped TOML file, which are not to be changed."""
+    return tomllib.loads(asset_path(relative).read_text(encoding="utf-8"))

@@ -14,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .assets import read_toml
 from .errors import WriteError
 
 try:
@@ -30,35 +31,6 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _CHECKSUM = 8
 _NUMBERS = "biuf"
 CONVENTIONS = "CF-1.11"
-# What an axis of names is in words, where a dataset does not say it itself.
-AXES = {
-    "led": "LED",
-    "photodiode": "photodiode",
-    "zone": "blood zone of the nail bed, from the cuticle to the tip",
-    "absorber": "absorbing region or blood zone",
-    "sweep": "what is swept",
-    "model": "model of the paper",
-    "way": "source of the model's constants",
-    "part": "part of a whole",
-    "within": "tolerance as a part of the swing",
-    "band": "coordinate of the colour space",
-    "channel": "channel of the screen",
-    "axis": "axis in space",
-    "site": "site on the finger",
-    "node": "node within a prior's range",
-    "prior": "prior of a parameter of the finger",
-    "so2": "oxygen saturation",
-    "cause": "cause of the error",
-    "level": "level of model",
-    "layout": "layout of LEDs and photodiodes",
-    "searched_led": "LED whose position was searched",
-    "finger": "finger on which layouts are evaluated",
-    "pressure": "side of the pulp that the pressure acts on",
-    "blood_zone": "blood zone of the nail bed, from the cuticle to the tip",
-    "best_photodiode": "photodiode of the best layout",
-    "cover": "whether the board is covered against light from outside",
-    "ambient": "source of light from outside",
-}
 # What a spreadsheet takes for the beginning of a formula.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # What writers that were killed left in a folder goes with the next write into it when it is so old. [s]
@@ -191,9 +163,10 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     """
     written, data = dataset.copy(), BytesIO()
     written.attrs = {"Conventions": CONVENTIONS} | dataset.attrs
-    for name in written.coords.keys() & AXES.keys():
+    words = read_toml("axes.toml")
+    for name in written.coords.keys() & words.keys():
         units = {"units": "1"} if written[name].dtype.kind in _NUMBERS else {}
-        written[name].attrs = {"long_name": AXES[str(name)], **units} | written[name].attrs
+        written[name].attrs = {"long_name": words[str(name)], **units} | written[name].attrs
     written.to_netcdf(data, engine="h5netcdf")
     make_folder(path.parent)
     write_bytes(path, data.getbuffer())

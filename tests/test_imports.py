@@ -27,9 +27,9 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
     {"errors", "version"},
+    {"assets"},
     {"checks", "commit", "statistics", "io"},
     {"options", "variables"},
-    {"assets"},
     {"scene"},
     {"hemodynamics"},
     {"paper"},

@@ -30,39 +30,10 @@ _PLACES = ("#a31f34", "#d0482f", "#e08a3c", "#5fa8dc", "#2f7fc9", "#3a55b0")
 ZONES = (_PLACES[0], _PLACES[-1])
 VEIN = "#7a5aa6"
 
-_RC: Any = {
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9,
-    "svg.fonttype": "none",
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.facecolor": "none",
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.titlepad": 5,
-    "axes.titley": 1.0,  # found anew, axes by axes, it takes a sixth of the time
-    "axes.labelsize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
+_COLOURS: dict[str, Any] = {
+    **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.labelcolor", "ytick.labelcolor"), INK),
+    **dict.fromkeys(("axes.edgecolor", "xtick.color", "ytick.color"), MUTED),
     "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "lines.linewidth": 1.6,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "figure.facecolor": "none",
-    "image.interpolation": "nearest",
 }
 
 
@@ -83,7 +54,7 @@ def drawing() -> Iterator[None]:
     """The look of all figures, for as long as one is drawn."""
     from matplotlib import style
 
-    with style.context(["default", _RC]):
+    with style.context(["default", Path(__file__).with_name("figures.mplstyle"), _COLOURS]):
         yield
 
 

@@ -1,14 +1,13 @@
 """Prior ranges of a scene's fields, shipped with their sources and correlations, and a scene's own [priors]."""
 
-import tomllib
 from collections.abc import Collection, Sequence
 from functools import cache
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..assets import asset_path
+from ..assets import read_toml
 from .base import Table, check_unique
 from .body import Body
 
@@ -104,16 +103,14 @@ class Priors(Table):
 @cache
 def shipped_priors() -> tuple[Prior, ...]:
     """The priors of assets/priors.toml."""
-    return tuple(Prior(**one) for one in _shipped()["priors"])
+    return tuple(Prior(**one) for one in read_toml("priors.toml")["priors"])
 
 
 @cache
 def _shipped_correlations() -> dict[tuple[str, str], float]:
     """Correlation of two fields, by both; others are independent."""
-    return {(first, second): one["value"] for one in _shipped()["correlations"] for first, second in [one["fields"]]}
-
-
-@cache
-def _shipped() -> dict[str, Any]:
-    with asset_path("priors.toml").open("rb") as file:
-        return tomllib.load(file)
+    return {
+        (first, second): one["value"]
+        for one in read_toml("priors.toml")["correlations"]
+        for first, second in [one["fields"]]
+    }

@@ -141,9 +141,7 @@ class Touch(Table):
             data = data | {f"recorded_{name}": column for name, column in columns.items()}
         if data.get("profile") == "protocol" and "recorded_time_s" not in data:
             seed = data.get("protocol_seed", 0)
-            drawn = draw_protocol(
-                seed if isinstance(seed, int) and seed >= 0 else 0
-            )  # the field's rule says what is wrong
+            drawn = draw_protocol(seed if isinstance(seed, int) and seed >= 0 else 0)  # else the field's rule says so
             data = data | {f"recorded_{name}": tuple(column.tolist()) for name, column in drawn._asdict().items()}
         if data.get("profile") == "cycle":
             data = CYCLE | data
@@ -262,9 +260,3 @@ def _duration_of(data: dict[str, Any]) -> dict[str, float]:
     except (TypeError, KeyError, IndexError, ValueError, AttributeError):
         pass  # the fields' own rules say what is wrong
     return {}
-
-
-def read_recording(path: Path) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Time [s] and force [N] of a recorded touch, from a CSV with the header time_s,force_n."""
-    columns = read_columns(path, "touch.file", ("force_n",), either=(("force_n",),))
-    return columns["time_s"], columns["force_n"]

@@ -5,12 +5,13 @@ import pytest
 import trimesh
 from watertight import volumes_mm3
 
+from nailoptics import export, load_scene
 from nailoptics.errors import InputError
-from nailoptics.exports.mesh_files import export_mesh
+from nailoptics.exports.mesh_files import write_mesh
 
 
 def test_glb_has_one_closed_named_part_per_region(geometry, tmp_path):
-    scene = trimesh.load_scene(export_mesh(geometry, tmp_path / "finger.glb"))
+    scene = trimesh.load_scene(write_mesh(load_scene("prototype"), tmp_path / "finger.glb")["mesh"])
     volumes = {name: v for name, v in volumes_mm3(geometry).items() if v > 0}
     assert set(scene.geometry) == set(volumes)
     for name in ("plate", "bed", "bone", "epoxy", "cover", "led:ir"):
@@ -24,15 +25,16 @@ def test_glb_has_one_closed_named_part_per_region(geometry, tmp_path):
 
 
 def test_ply_has_each_face_once_with_both_regions(geometry, tmp_path):
-    path = export_mesh(geometry, tmp_path / "finger.ply")
+    path = write_mesh(load_scene("prototype"), tmp_path / "finger.ply")["mesh"]
     raw = trimesh.load(path, process=False).metadata["_ply_raw"]["face"]["data"]
     assert (raw["below"] == geometry.below).all() and (raw["above"] == geometry.above).all()
     assert b"comment region 2 bed\n" in path.read_bytes()[:4000]
 
 
-def test_other_endings_and_missing_folders_are_refused(geometry, tmp_path):
+def test_other_endings_and_impossible_folders_are_refused(tmp_path):
+    (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"\.glb or \.ply"):
-        export_mesh(geometry, tmp_path / "finger.stl")
+        export(load_scene("prototype"), tmp_path / "finger.stl")
     with pytest.raises(InputError, match="cannot be written"):
-        export_mesh(geometry, tmp_path / "nowhere" / "finger.glb")
-    assert not list(tmp_path.iterdir())
+        write_mesh(load_scene("prototype"), tmp_path / "file" / "finger.glb")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

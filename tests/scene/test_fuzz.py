@@ -17,11 +17,15 @@ from nailoptics.scene.catalogue import load_part
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import COLUMNS, read_positions
+from nailoptics.scene.importers.recordings import read_columns
 from nailoptics.scene.sweep import load_sweep
-from nailoptics.scene.touch import read_recording
 
 fuzz = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 PROTOTYPE = tomllib.loads((data_dir("scenes") / "prototype.toml").read_text())
+
+
+def read_touch(path):
+    return read_columns(path, "touch.file", ("force_n",), either=(("force_n",),))
 
 
 def one_line_or_nothing(read, *arguments) -> str:
@@ -151,7 +155,7 @@ def test_an_outline_of_anything(tmp_path_factory, head, body):
 def test_a_recorded_touch_of_anything(tmp_path_factory, head, body):
     path = tmp_path_factory.mktemp("fuzz") / "touch.csv"
     path.write_text(head + body, encoding="utf-8")
-    one_line_or_nothing(read_recording, path)
+    one_line_or_nothing(read_touch, path)
 
 
 groups = st.tuples(
@@ -178,7 +182,7 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
         ("b.toml", load_sweep),
         ("c.kicad_pcb", read_outline),
         ("c.dxf", read_outline),
-        ("d.csv", read_recording),
+        ("d.csv", read_touch),
     ):
         (folder / name).write_bytes(data)
         one_line_or_nothing(read, folder / name)
@@ -215,7 +219,7 @@ def test_names_that_are_no_names_are_refused(tmp_path):
 
 def test_a_cell_over_128_kb_is_refused(tmp_path):
     (tmp_path / "t.csv").write_text("time_s,force_n\n0," + "1" * 140_000 + "\n")
-    for read in (read_recording, read_outline, read_positions):
+    for read in (read_touch, read_outline, read_positions):
         assert one_line_or_nothing(read, tmp_path / "t.csv")
 
 

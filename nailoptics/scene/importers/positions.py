@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from ...assets import read_toml
 from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
 from ..text_files import one_line, read_text, short
@@ -15,30 +16,10 @@ from ..text_files import one_line, read_text, short
 log = logging.getLogger(__name__)
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
-PLACE = (
-    *("pos{0}", "mid{0}", "center{0}", "centre{0}", "centroid{0}", "{0}pos", "{0}center", "{0}centre", "{0}mid"),
-    *("position{0}", "{0}position", "location{0}", "{0}location", "{0}loc", "loc{0}", "coord{0}", "{0}coord"),
-    *("coordinate{0}", "{0}coordinate", "bodycenter{0}", "{0}"),
-)
-# The names that layout programs and assemblers give the columns, without blanks, signs and units, the best first.
-KNOWN_AS = {
-    "Ref": (
-        *("ref", "refdes", "designator", "reference", "referencedesignator", "partdesignator", "partreference"),
-        *("partid", "compname", "part", "component", "location", "name"),
-    ),
-    "Val": ("val", "value", "comment", "partnumber", "mpn"),
-    "Package": ("package", "footprint", "pattern", "case"),
-    "PosX": tuple(name.format("x") for name in PLACE),
-    "PosY": tuple(name.format("y") for name in PLACE),
-    "Rot": ("rot", "rotation", "rotate", "angle", "theta", "orientation", "orient"),
-    "Side": ("side", "layer", "boardside", "boardlayer", "mountside", "mountingside", "face", "tb", "topbottom"),
-}
 LENGTHS = ("PosX", "PosY")
 NEEDED = ("Ref", "PosX", "PosY", "Rot")
-SIDES = {"top": "top", "bottom": "bottom", "t": "top", "b": "bottom", "f": "top", "front": "top", "back": "bottom"}
-SIDES |= {"toplayer": "top", "bottomlayer": "bottom", "fcu": "top", "bcu": "bottom", "bot": "bottom"}
-UNITS_MM = {"mm": 1.0, "cm": 10.0, "um": 1e-3, "mil": 0.0254, "mils": 0.0254, "in": 25.4, "inch": 25.4, "inches": 25.4}
-UNITS_MM |= {'"': 25.4, "th": 0.0254, "thou": 0.0254, "millimeter": 1.0, "millimeters": 1.0, "millimetres": 1.0}
+# How programs call the columns, the best name first, and the sides; units of length. [mm]
+KNOWN_AS, SIDES, UNITS_MM = (read_toml("position_files.toml")[name] for name in ("columns", "sides", "units_mm"))
 LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
 FARTHEST_MM = 1e6
 # How files of Excel begin, read as text.
