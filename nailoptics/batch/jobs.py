@@ -1,27 +1,39 @@
-"""Which scenes of a batch belong together, and what all jobs share."""
+"""Which scenes of a batch belong together, what all jobs share, and what a worker does with a job."""
 
 import hashlib
+import math
+import os
 import re
+import threading
 import time
+import traceback
+import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Unpack, cast
+from typing import Any, Unpack, cast
 
-from ..errors import InputError
+import numpy as np
+
+from ..errors import InputError, NailopticsError, WriteError
+from ..io import pack, write_bytes
+from ..light import ReweightWarning
 from ..light import backend as backends
 from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
 from ..options import BackendName, Requested, TraceOptions
-from ..scene import Accuracy, Scene, digest
+from ..scene import Accuracy, Scene, digest, to_toml
 from ..scene.sweep import StudyName, Sweep
-from .folder import FORMAT, Folder, Made, Plan, PlanError
-from .studies import STUDIES
+from ..variables import to_record
+from .folder import FORMAT, STORAGE, Folder, Made, Plan, PlanError
+from .studies import STUDIES, relative_error
 
 # Scenes of one light that one job studies.
 CHUNK = 16
+# Mitsuba's variant is one per process: a worker with several threads still does one job at a time.
+_one_job = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -99,20 +111,15 @@ def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
     return planned
 
 
-def parse_shard(text: str | None) -> tuple[int, int]:
-    """A shard I/N as numbers: I of 1 to N."""
-    if text is None:
-        return 1, 1
-    match = re.fullmatch(r"(\d+)/(\d+)", text)
+def of_shard(planned: list[Planned], shard: str | None) -> list[Planned]:
+    """The scenes of a shard I/N, of all without one: whole groups, so that no light is traced by two shards."""
+    if shard is None:
+        return planned
+    match = re.fullmatch(r"(\d+)/(\d+)", shard)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise InputError(f"shard {text}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
-    return int(match[1]), int(match[2])
-
-
-def of_shard(planned: list[Planned], shard: tuple[int, int]) -> list[Planned]:
-    """The scenes of one shard: whole groups, so that no light is traced by two shards."""
+        raise InputError(f"shard {shard}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
     keys = {key: i for i, key in enumerate(dict.fromkeys(p.key for p in planned))}
-    return [p for p in planned if keys[p.key] % shard[1] == shard[0] - 1]
+    return [p for p in planned if keys[p.key] % int(match[2]) == int(match[1]) - 1]
 
 
 def jobs_of(planned: Iterable[Planned]) -> list[Job]:
@@ -176,3 +183,92 @@ def count(sweep: Sweep, **requested: Unpack[Requested]) -> dict[str, int]:
     """How many scenes a sweep has, and how many traces: scenes that differ only in absorption share one."""
     planned = plan(sweep, Settings.of(Path(), TraceOptions(**requested), sweep.study))
     return {"scenes": len({p.digest for p in planned}), "lights": len({p.key for p in planned})}
+
+
+@dataclass
+class JobReport:
+    """What became of a job: digests of its scenes, and of light that was damaged, by what happened to them."""
+
+    done: list[str] = field(default_factory=list)
+    unmet: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+    corrupt: list[str] = field(default_factory=list)
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
+    """Do a job; what goes wrong with a scene is in the report. The first scene traces what is missing of the light.
+
+    sharers : workers among which this machine's cores are to be divided, if that has not been done.
+
+    Raises: WriteError where the folder takes no more.
+    """
+    report = JobReport()
+    with _one_job:
+        if sharers:
+            backends.set_threads(max(1, cores() // sharers))
+        for p in job:
+            _study(p, settings, report)
+    return report
+
+
+def _study(p: Planned, settings: Settings, report: JobReport) -> None:
+    """Study one scene, unless that is done, and write its result or why it failed; raises if the disk is at fault."""
+    folder, made = Folder(settings.folder), settings.made()
+    try:
+        if folder.state(p.digest, settings.required(p.scene), made) == "done":
+            report.done.append(p.digest)
+            return
+        header, arrays = _result(p, settings, report)
+        if not header:
+            return
+        path = folder.result(p.digest)
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder where a result is to be written; remove it")
+        write_bytes(path, pack({"digest": p.digest, "made": made.model_dump()} | header, arrays), flush=True)
+        folder.failure(p.digest).unlink(missing_ok=True)
+        (report.done if header["reached"] else report.unmet).append(p.digest)
+    except Exception as error:
+        # A disk at fault is nobody's among the scenes: it ends the batch.
+        if isinstance(error, WriteError):
+            raise
+        if isinstance(error, OSError) and error.errno in STORAGE:
+            raise WriteError(f"{error}; correct that and run again") from None
+        why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
+        if isinstance(error, MemoryError):
+            why = f"not enough memory for it ({error})"
+        report.failed[p.digest] = why = " ".join(why.splitlines())
+        record = {"error": why, "traceback": traceback.format_exception(error), "time": time.time()}
+        folder.write_failure(p.digest, record)
+
+
+def _result(p: Planned, settings: Settings, report: JobReport) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a scene's result; both empty where the batch's time ended before its light was traced."""
+    scene = p.scene
+    required, options = settings.required(scene), settings.options_of(scene)
+    if settings.is_late():
+        return {}, {}
+    stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ReweightWarning)
+        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores, p.traced)
+    timed = required.photons is None and required.relative_error is None
+    if options.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
+        return {}, {}
+    worst = relative_error(dataset)
+    header, arrays = to_record(dataset)
+    return {
+        **header,
+        "required": required.model_dump(exclude_none=True),
+        "scene": to_toml(scene),
+        "seed": settings.options.seed,
+        "backend": settings.options.backend,
+        "photons_per_led": photons,
+        "relative_error": worst if math.isfinite(worst) else None,
+        "reached": reached,
+        "warnings": sorted({str(w.message) for w in caught if issubclass(w.category, ReweightWarning)}),
+    }, arrays

@@ -7,15 +7,8 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    wait,
-)
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Unpack
@@ -26,8 +19,7 @@ from ..local_worker import prepare
 from ..options import Requested, TraceOptions
 from ..scene.sweep import Sweep
 from .folder import DAMAGE, Folder
-from .jobs import Job, Planned, Settings, check_same, jobs_of, of_shard, parse_shard, plan, plan_of
-from .work import JobReport, cores, work
+from .jobs import Job, JobReport, Planned, Settings, check_same, cores, jobs_of, of_shard, plan, plan_of, work
 
 log = logging.getLogger(__name__)
 
@@ -42,17 +34,13 @@ WAIT_S = 0.5
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-@dataclass
-class Outcome:
+@dataclass(kw_only=True)
+class Outcome(JobReport):
     """What a run did: digests by what became of them; kept were there before, corrupt are files made again."""
 
     total: int
     lights: int
     kept: list[str] = field(default_factory=list)
-    done: list[str] = field(default_factory=list)
-    unmet: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)
-    corrupt: list[str] = field(default_factory=list)
     unfinished: int = 0
     deaths: int = 0
     seconds: float = 0.0
@@ -111,12 +99,11 @@ def run_batch(
         raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
     settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)  # type: ignore[misc]
-    place, part = Folder(settings.folder), parse_shard(shard)
-    planned = plan(sweep, settings)
+    place, planned = Folder(settings.folder), plan(sweep, settings)
+    mine = of_shard(planned, shard)
     damage = check_same(place, planned, settings)
     place.make()
     place.write_plan(plan_of(sweep, planned, settings))
-    mine = of_shard(planned, part)
     driver = _Driver(settings, mine, retry_failed, progress, begin)
     if damage:
         driver.show(f"plan.json was damaged and is written anew: {damage}")
@@ -137,10 +124,10 @@ class LocalSlots:
         os.environ.update(dict.fromkeys(_SINGLE, "1"))
         # Mitsuba and forking do not mix.
         self.context = multiprocessing.get_context("spawn")
-        self.executors: list[Executor] = [self._new() for _ in range(workers)]
+        self.executors: list[futures.Executor] = [self._new() for _ in range(workers)]
 
-    def _new(self) -> Executor:
-        return ProcessPoolExecutor(1, mp_context=self.context, initializer=prepare, initargs=(self.threads,))
+    def _new(self) -> futures.Executor:
+        return futures.ProcessPoolExecutor(1, mp_context=self.context, initializer=prepare, initargs=(self.threads,))
 
     def start(self) -> None:
         """Wait until all are ready."""
@@ -225,7 +212,7 @@ class _Driver:
         self.folder, self.made = Folder(settings.folder), settings.made()
         # Scenes that no report or result of this run has ended yet.
         self.left = {p.digest: p for p in planned}
-        self.outcome = Outcome(len(self.left), len({p.key for p in planned}))
+        self.outcome = Outcome(total=len(self.left), lights=len({p.key for p in planned}))
         self.running: dict[Future[JobReport], tuple[int, Job]] = {}
         # Lights of which a job has ended, so that others read what it stored.
         self.stored: set[str] = set()
@@ -265,7 +252,7 @@ class _Driver:
                     self.queue.clear()
                 while free and (job := self._next_job()):
                     self._submit(job, slots, free)
-                for future in wait(self.running, timeout=WAIT_S, return_when=FIRST_COMPLETED).done:
+                for future in futures.wait(self.running, WAIT_S, futures.FIRST_COMPLETED).done:
                     slot, job = self.running.pop(future)
                     free.append(slot)
                     try:
@@ -306,10 +293,10 @@ class _Driver:
             return self._died(job)
         except WriteError:
             raise
-        except (CancelledError, Exception) as error:
+        except (futures.CancelledError, Exception) as error:
             if type(error).__name__ == "KilledWorker":  # of the cluster, and maybe for another job of that worker
                 return self._died(job)
-            if isinstance(slots, ClusterSlots) and isinstance(error, CancelledError | OSError | TimeoutError):
+            if isinstance(slots, ClusterSlots) and isinstance(error, futures.CancelledError | OSError | TimeoutError):
                 return self._lost(error)
             raise
         self.stored.add(job[0].key)

@@ -94,9 +94,10 @@ class Priors(Table):
         of = {prior.field: i for i, prior in enumerate(priors)}
         own = {one.field for one in self.ranges}
         matrix = np.eye(len(priors))
-        for (first, second), value in _shipped_correlations().items():
+        for one in read_toml("priors.toml")["correlations"]:
+            first, second = one["fields"]
             if first in of and second in of and not own & {first, second}:
-                matrix[of[first], of[second]] = matrix[of[second], of[first]] = value
+                matrix[of[first], of[second]] = matrix[of[second], of[first]] = one["value"]
         return matrix
 
 
@@ -104,13 +105,3 @@ class Priors(Table):
 def shipped_priors() -> tuple[Prior, ...]:
     """The priors of assets/priors.toml."""
     return tuple(Prior(**one) for one in read_toml("priors.toml")["priors"])
-
-
-@cache
-def _shipped_correlations() -> dict[tuple[str, str], float]:
-    """Correlation of two fields, by both; others are independent."""
-    return {
-        (first, second): one["value"]
-        for one in read_toml("priors.toml")["correlations"]
-        for first, second in [one["fields"]]
-    }

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from nailoptics.batch import BatchProgress, Sweep, run_batch
-from nailoptics.batch.work import cores
+from nailoptics.batch.jobs import cores
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.scene import Accuracy
 

@@ -7,9 +7,8 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 import pytest
 
 from nailoptics.batch import run
-from nailoptics.batch.jobs import Job, Planned, Settings
+from nailoptics.batch.jobs import Job, JobReport, Planned, Settings
 from nailoptics.batch.run import DEATHS, LocalSlots, Outcome
-from nailoptics.batch.work import JobReport
 from nailoptics.errors import NotReachedError
 from nailoptics.options import TraceOptions
 

@@ -26,8 +26,7 @@ from nailoptics.batch import (
     write_table,
 )
 from nailoptics.batch.folder import Folder, meets
-from nailoptics.batch.jobs import Settings, jobs_of, of_shard, parse_shard, plan, plan_of
-from nailoptics.batch.work import JobReport, work
+from nailoptics.batch.jobs import JobReport, Settings, jobs_of, of_shard, plan, plan_of, work
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Accuracy
@@ -347,16 +346,16 @@ def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_bac
 def test_shards_are_all_scenes_once_and_never_split_a_light(fingers, tmp_path):
     settings = Settings(tmp_path, TraceOptions(backend="llvm"))
     planned = plan(phantoms(tmp_path, 11), settings)
-    parts = [of_shard(planned, parse_shard(f"{i}/3")) for i in (1, 2, 3)]
+    parts = [of_shard(planned, f"{i}/3") for i in (1, 2, 3)]
     assert sorted(p.digest for part in parts for p in part) == sorted(p.digest for p in planned)
     assert [len(part) for part in parts] == [4, 4, 3]
-    assert [len(of_shard(plan(fingers, settings), (i, 2))) for i in (1, 2)] == [4, 0]
+    assert [len(of_shard(plan(fingers, settings), f"{i}/2")) for i in (1, 2)] == [4, 0]
 
 
 @pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "a/b", "1/0"])
 def test_a_wrong_shard_is_refused(shard):
     with pytest.raises(InputError, match="shard"):
-        parse_shard(shard)
+        of_shard([], shard)
 
 
 def test_a_folder_of_another_seed_is_refused_and_a_backend_without_kernels(jit_backend, here, tmp_path):

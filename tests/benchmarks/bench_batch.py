@@ -15,8 +15,7 @@ from pathlib import Path
 from nailoptics.assets import data_dir
 from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.folder import Folder
-from nailoptics.batch.jobs import Settings, jobs_of, plan, plan_of
-from nailoptics.batch.work import work
+from nailoptics.batch.jobs import Settings, jobs_of, plan, plan_of, work
 from nailoptics.light import backend
 from nailoptics.light.identity import light_scene
 from nailoptics.light.tracing import photons_engine
