@@ -3,6 +3,7 @@
 import difflib
 import json
 import re
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,14 +64,25 @@ def seed(value: int) -> int:
     return int(value)
 
 
+# What pydantic puts below a field of several kinds: one of them, such as constrained-float or tuple[float, float].
+KIND = re.compile(r"(constrained-)?(float|int|str|bool)|[\w-]*\[.*\]")
+
+
 def explain(error: "ValidationError", model: "type[BaseModel]") -> str:
-    """The first fault of a validation in one line: field, rule, value, what to do."""
+    """The first fault of a validation in one line: field, rule, value, what to do.
+
+    Of a field of several kinds it has the rules of those to which the value comes nearest.
+    """
     faults = error.errors(include_url=False)
     # An array with a faulty item is also called too short; once is enough.
-    faults = [f for f in faults if f["type"] != "too_short" or not f["input"]]
-    fault = faults[0]
-    where = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in fault["loc"]).lstrip(".")
-    value = fault.get("input")
+    faults = [f for f in faults if f["type"] != "too_short" or not f["input"]] or faults
+    location = faults[0]["loc"]
+    field = tuple(takewhile(lambda part: not KIND.fullmatch(str(part)), location))
+    kinds = [f for f in faults if f["loc"][: len(field)] == field] if field != location else faults[:1]
+    fault = max(kinds, key=lambda f: len(f["loc"]))
+    where = _place(fault)
+    rules = dict.fromkeys(_rule(f["msg"]) for f in kinds if _place(f) == where)
+    value, others = fault.get("input"), len(faults) - len(kinds)
     if fault["type"] == "extra_forbidden":
         known = _fields_at(model, fault["loc"][:-1])
         close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
@@ -83,8 +95,15 @@ def explain(error: "ValidationError", model: "type[BaseModel]") -> str:
         line = (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
     else:
         shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-        line = f"{where} = {shown[:60]}: must {_rule(fault['msg'])}."
-    return line + (f" (and {len(faults) - 1} more)" if len(faults) > 1 else "")
+        line = f"{where} = {shown[:60]}: must {' or '.join(rules)}."
+    return line + (f" (and {others} more)" if others else "")
+
+
+def _place(fault: Any) -> str:
+    """The field of a fault as a dotted path; an unknown one may be called as a kind is."""
+    unknown = fault["type"] == "extra_forbidden"
+    parts = (p for p in fault["loc"] if unknown or not KIND.fullmatch(str(p)))
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in parts).lstrip(".")
 
 
 def _rule(message: str) -> str:
@@ -92,7 +111,7 @@ def _rule(message: str) -> str:
     rule = re.sub(r"^(Input|Value|Tuple|String) should ", "", message)
     name = "begin with a letter and hold only letters, digits, _, . and -"
     rule = re.sub(r"match pattern '\^\[A-Za-z\].*", name, rule)
-    rule = re.sub(r"a valid dictionary or instance of \w+", "a table", rule)
+    rule = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", rule)
     return rule.replace("a valid tuple", "an array").replace(" after validation", "")
 
 

@@ -1,12 +1,12 @@
 """Parts by name: LED dies, photodiodes and modules of both from files, the user's own before the shipped ones."""
 
 import re
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
@@ -14,21 +14,20 @@ from ..errors import InputError
 from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
 from .text_files import is_there, one_line, parse_toml, read_text, short
 
+Angle = Annotated[float, Field(ge=0, le=90)]
+# Rows of an angle and what is relative there. [deg, 1]
+Rows = tuple[tuple[Angle, NonNegative], ...]
 
-def _pattern(value: object) -> object:
-    rule = 'must be "lambertian" or rows [angle_deg, relative] with angles rising from 0 to at most 90, relative >= 0'
-    if value == "lambertian":
-        return value
-    try:
-        rows = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{rule}, not {value!r}") from None
-    if rows.ndim != 2 or rows.shape[1] != 2 or len(rows) < 2 or not np.isfinite(rows).all():
-        raise ValueError(rule)
-    angle, relative = rows.T
-    if angle[0] != 0 or angle[-1] > 90 or (np.diff(angle) <= 0).any() or (relative < 0).any() or not relative.any():
-        raise ValueError(rule)
-    return tuple(map(tuple, rows.tolist()))
+
+def check_pattern(rows: Rows, name: str) -> None:
+    """Raise ValueError unless angles rise from 0, and there is light at one of them."""
+    if len(rows) < 2 or rows[0][0] != 0 or _falls(rows) or not any(relative for _, relative in rows):
+        raise ValueError(f"{name} must have two angles or more, rising from 0 to at most 90, and light at one of them")
+
+
+def _falls(rows: Sequence[tuple[float, float]]) -> bool:
+    """Whether the first numbers of rows do not rise."""
+    return any(b <= a for (a, _), (b, _) in pairwise(rows))
 
 
 # What of a part, or of one in a module, a scene has under no name, or another.
@@ -53,10 +52,14 @@ class LedPart(Table):
     """Size of the die across the nail (u) and along it (v). [mm]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
     """Height by which the die protrudes from the board's underside. [um]"""
-    pattern: Annotated[Literal["lambertian"] | tuple[tuple[float, float], ...], BeforeValidator(_pattern)] = (
-        "lambertian"
-    )
+    pattern: Literal["lambertian"] | Rows = "lambertian"
     """lambertian, or rows [angle_deg, relative intensity per solid angle]."""
+
+    @model_validator(mode="after")
+    def _pattern_is_whole(self) -> Self:
+        if self.pattern != "lambertian":
+            check_pattern(self.pattern, "pattern")
+        return self
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that an LED has in a scene."""
@@ -80,7 +83,7 @@ class PhotodiodeElements(Table):
     """Electrons per incident photon."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None
     """Rows [wavelength_nm, A/W], instead of one quantum efficiency; linear interpolation, zero outside."""
-    angular_response: tuple[tuple[Annotated[float, Field(ge=0, le=90)], NonNegative], ...] | None = None
+    angular_response: Rows | None = None
     """Rows [angle_deg, relative], for a collimated beam of one irradiance; the cosine if not given."""
     dark_current_na: NonNegative = 0.1
     """Dark current of one element. [nA]"""
@@ -92,7 +95,7 @@ class PhotodiodeElements(Table):
     @model_validator(mode="after")
     def _responsivity_is_physical(self) -> Self:
         rows = self.responsivity
-        if rows is not None and (len(rows) < 2 or any(b <= a for (a, _), (b, _) in pairwise(rows))):
+        if rows is not None and (len(rows) < 2 or _falls(rows)):
             raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
         for nm, value in rows or ():
             if value > nm / PHOTON_NM_PER_V * (1 + 1e-9):
@@ -107,7 +110,7 @@ class PhotodiodeElements(Table):
         rows = self.angular_response
         if rows is None:
             return self
-        if len(rows) < 2 or rows[0] != (0, 1) or any(b <= a for (a, _), (b, _) in pairwise(rows)):
+        if len(rows) < 2 or rows[0] != (0, 1) or _falls(rows):
             raise ValueError(
                 "angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising"
             )

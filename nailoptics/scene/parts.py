@@ -3,12 +3,11 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Positive, Size, Table
-from .catalogue import LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, load_part
-from .importers.outlines import is_point
+from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
+from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.positions import BottomRotation, FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -87,7 +86,7 @@ class Led(Mounted):
     """Drive current of that flux; give both where you drive a part otherwise. [mA]"""
     pattern: Literal["lambertian", "pencil", "measured"] = "lambertian"
     """Angular pattern: Lambertian, a measured table, or (phantom) a pencil beam at normal incidence."""
-    pattern_deg: tuple[NonNegative, ...] | None = None
+    pattern_deg: tuple[Angle, ...] | None = None
     """Angles from the normal of a measured pattern. [deg]"""
     pattern_relative: tuple[NonNegative, ...] | None = None
     """Relative radiant intensity at those angles."""
@@ -103,12 +102,9 @@ class Led(Mounted):
     def _pattern_is_complete(self) -> Self:
         if self.pattern == "measured":
             angles, values = self.pattern_deg or (), self.pattern_relative or ()
-            if len(angles) < 2 or len(angles) != len(values) or not any(values):
-                raise ValueError(
-                    'pattern = "measured" needs pattern_deg and pattern_relative of equal length, two or more'
-                )
-            if angles[0] != 0 or angles[-1] > 90 or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
-                raise ValueError("pattern_deg must rise from 0 to at most 90")
+            if len(angles) != len(values):
+                raise ValueError('pattern = "measured" needs pattern_deg and pattern_relative of equal length')
+            check_pattern(tuple(zip(angles, values, strict=True)), "pattern_deg and pattern_relative")
         elif self.pattern_deg is not None or self.pattern_relative is not None:
             raise ValueError(f'pattern_deg and pattern_relative belong to pattern = "measured", not "{self.pattern}"')
         return self
@@ -119,7 +115,7 @@ class Photodiode(PhotodiodeElements, Mounted):
 
     array: str | None = None
     """Old name of part."""
-    wired: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+    wired: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] | None = None
     """Wired elements of the array, counted from 0 at the proximal end; all if not given."""
     aperture: bool = False
     """Counts all light that leaves the top face of a phantom through it, at every angle."""
@@ -152,8 +148,6 @@ class Photodiode(PhotodiodeElements, Mounted):
     def _wiring_exists(self) -> Self:
         if self.aperture and self.angular_response:
             raise ValueError("an aperture counts light at every angle; leave angular_response out")
-        if self.wired == ():
-            raise ValueError("wired is empty; name the elements that are read, or leave it out to read all")
         for index in self.wired or ():
             if index >= self.elements:
                 raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
@@ -190,12 +184,6 @@ def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
             )
 
 
-def _origin(value: object) -> object:
-    if value in (None, "auxiliary", "grid", "outline") or is_point(value):
-        return value
-    raise ValueError('must be "auxiliary", "grid", "outline" or [x, y]')
-
-
 class BoardFile(Table):
     """A layout program's file that places the parts of a board, and how it is read."""
 
@@ -206,7 +194,7 @@ class BoardFile(Table):
     parts: dict[str, dict[str, Any]] | None = None
     """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" };
     candidates without it have that of [board]."""
-    origin: Annotated[Literal["auxiliary", "grid", "outline"] | Point | None, BeforeValidator(_origin)] = None
+    origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
     outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
     grid's, else the middle of the mapped parts (of a position file, where they lie farther than a nail from (0, 0)).
@@ -251,9 +239,9 @@ class Board(BoardFile):
     """Size of the board (u, v) around its origin; if not given large enough for its parts. [mm]"""
     center_mm: Point = (0.0, 0.0)
     """Position of the board's origin relative to the nail's centre (u, v). [mm]"""
-    outline_mm: tuple[Point, ...] | None = None
+    outline_mm: Polygon | None = None
     """Corners of the outline, from the board's origin; filled from kicad. [mm]"""
-    outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
+    outline_holes_mm: tuple[Polygon, ...] = ()
     """Corners of each hole in it; filled from kicad. [mm]"""
     kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
     """Thickness of the Kapton film. [um]"""
@@ -282,12 +270,6 @@ class Board(BoardFile):
     def height_mm(self) -> float:
         """Height of the board's underside above the nail: clear epoxy, adhesive and air. [mm]"""
         return (self.clear_epoxy_um + self.adhesive_um + (self.air_gap_um or 0.0)) * 1e-3
-
-    @model_validator(mode="after")
-    def _has_an_outline(self) -> Self:
-        if self.outline_mm is not None and len(self.outline_mm) < 3:
-            raise ValueError("outline_mm needs three corners or more")
-        return self
 
     @model_validator(mode="after")
     def _cover_is_thick_or_none(self) -> Self:

@@ -122,9 +122,9 @@ class Placement(Table):
     origin, if not given. [mm]"""
     outline_unit: FileUnit | None = None
     """Unit of a DXF that does not state it, as KiCad's up to version 6; mm if not given."""
-    outline_mm: tuple[Point, ...] | None = None
+    outline_mm: Polygon | None = None
     """Corners of the outline (u, v); filled from outline. [mm]"""
-    outline_holes_mm: tuple[tuple[Point, ...], ...] = ()
+    outline_holes_mm: tuple[Polygon, ...] = ()
     """Corners of each hole in the outline, which is kept free of parts; filled from outline. [mm]"""
     keep_out_mm: tuple[Polygon, ...] = ()
     """Corners (u, v) of each area that is kept free of parts. [mm]"""
@@ -176,11 +176,6 @@ class Placement(Table):
             raise ValueError("search = false leaves nothing to rank; give candidates")
         check_unique([candidate.name for candidate in self.candidates], "candidates")
         check_unique([case.name for case in self.fingers], "fingers")
-        if self.outline_mm is not None and len(self.outline_mm) < 3:
-            raise ValueError("outline_mm needs three corners or more")
-        for i, corners in enumerate(self.keep_out_mm):
-            if len(corners) < 3:
-                raise ValueError(f"keep_out_mm[{i}] has {len(corners)} corners; an area needs three or more")
         check_unique(self.fixed, "fixed")
         if not self.weights:
             raise ValueError('rank_by is empty; give a weight, such as { worst = 1.0 }, or a word, such as "worst"')

@@ -105,13 +105,6 @@ class SweepFile(Table):
     axes: tuple[AxisTable, ...] = ()
     """The fields that vary; the last axis of a product varies fastest."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _base_is_a_scene(cls, data: object) -> object:
-        if isinstance(data, dict) and not isinstance(data.get("base", ""), str | dict):
-            raise ValueError(f"base = {data['base']!r}: must be the path of a scene file, or a table")
-        return data
-
     @model_validator(mode="after")
     def _says_what_varies(self) -> Self:
         if (self.base is None) == (self.scenes is None):

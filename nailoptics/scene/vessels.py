@@ -1,12 +1,10 @@
 """The blood under the nail and the vessels that carry it: which set of constants, and what a scene changes in it."""
 
 import difflib
-import math
-from collections.abc import Callable
 from itertools import pairwise
 from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from .base import (
     USUAL_BLOOD_FRACTION,
@@ -23,21 +21,8 @@ MOST_ZONES = 32
 FACTORS = ("wall_stiffness", "vein_stiffness", "distal_stiffness", "vein_resistance")
 
 
-def _of_each_bed(rule: str, holds: Callable[[float], bool]) -> BeforeValidator:
-    def check(value: object) -> object:
-        values = value if isinstance(value, tuple) else (value,)
-        if len(values) > 2 or not all(
-            isinstance(value, int | float) and value is not True and holds(value) for value in values
-        ):
-            raise ValueError(f"{value} must be a number {rule}, or two such numbers: proximal and distal")
-        return value
-
-    return BeforeValidator(check)
-
-
-_Numbers = float | tuple[float, float]
-PerBed = Annotated[_Numbers, _of_each_bed("greater than 0", lambda value: 0 < value < math.inf)]
-SharePerBed = Annotated[_Numbers, _of_each_bed("of 0 or more and less than 1", lambda value: 0 <= value < 1)]
+PerBed = Positive | tuple[Positive, Positive]
+Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Tuning(Table):
@@ -78,7 +63,7 @@ class Tuning(Table):
     """Viscosity of the blood. [Pa s]"""
     venule_resistance_pa_s_per_m3: PerBed | None = None
     """Resistance R_V1 and R_V2 of the venules of each half of the bed. [Pa s/m^3]"""
-    venular_share: SharePerBed | None = None
+    venular_share: Share | tuple[Share, Share] | None = None
     """Share of a bed's blood in venules that a touch on that bed empties; beyond the paper, which has none."""
     venular_closing_pressure_pa: PerBed | None = None
     """Touch pressure at which these venules are empty. [Pa]"""

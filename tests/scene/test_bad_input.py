@@ -240,7 +240,7 @@ def test_a_missing_or_wrong_part_is_named_with_those_there_are(tmp_path):
     [
         ("wired = [16]", "wired names element 16, but the array has elements 0 to 15"),
         ("wired = [1, 1]", "wired names an element twice"),
-        ("wired = []", "wired is empty"),
+        ("wired = []", "wired = []: must have at least 1 item"),
         ("wired = [-1]", "wired[0] = -1"),
         ("pitch_mm = 0.1", "pitch_mm = 0.1 is less than the element's size"),
     ],
@@ -253,13 +253,14 @@ def test_impossible_wiring_is_refused(fields, words):
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ('pattern = "measured"', "needs pattern_deg and pattern_relative"),
-        ('pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [0, 0]', "needs pattern_deg"),
+        ('pattern = "measured"', "pattern_deg and pattern_relative must have two angles or more"),
+        ('pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [0, 0]', "light at one of them"),
+        ('pattern = "measured"\npattern_deg = [0, 90]\npattern_relative = [1]', "of equal length"),
         (
             'pattern = "measured"\npattern_deg = [0, 90.001]\npattern_relative = [1, 0]',
-            "pattern_deg must rise from 0 to at most 90",
+            "leds[0].pattern_deg[1] = 90.001: must be less than or equal to 90",
         ),
-        ('pattern = "measured"\npattern_deg = [0, 50, 40]\npattern_relative = [1, 1, 0]', "pattern_deg must rise"),
+        ('pattern = "measured"\npattern_deg = [0, 50, 40]\npattern_relative = [1, 1, 0]', "rising from 0"),
         ("pattern_deg = [0, 90]\npattern_relative = [1, 0]", 'belong to pattern = "measured"'),
     ],
 )

@@ -93,13 +93,16 @@ def test_forces_with_two_balances_are_reported():
         ("vein_stifness_n_per_m = 4e3", 'did you mean "vein_stiffness_n_per_m"'),
         ("vein_count = -1.0", "blood.tuning.vein_count = -1.0: must be greater than 0"),
         ("factors = { vein_cuont = 2.0 }", 'factors.vein_cuont is not a parameter; did you mean "vein_count"'),
-        ("factors = { vein_count = 0.0 }", "blood.tuning.factors.vein_count: 0.0 must be a number greater than 0"),
+        (
+            "factors = { vein_count = 0.0 }",
+            "blood.tuning.factors.vein_count = 0.0: must be greater than 0 or be an array",
+        ),
         ("factors = { vein_count = [1.0, 2.0] }", "factors.vein_count has two values, but it belongs to both beds"),
         (
             "capillary_count = [1.0, -2.0]",
-            r"blood.tuning.capillary_count: \(1.0, -2.0\) must be a number greater than 0",
+            r"blood.tuning.capillary_count\[1\] = -2.0: must be greater than 0",
         ),
-        ("venular_share = [0.0, 1.0]", "must be a number of 0 or more and less than 1"),
+        ("venular_share = [0.0, 1.0]", r"blood.tuning.venular_share\[1\] = 1.0: must be less than 1"),
         ("vein_count = 20.0\nfactors = { vein_count = 2.0 }", "vein_count has both a value and a factor"),
     ],
 )
