@@ -108,11 +108,6 @@ class Folder:
         """The file that says why a scene failed."""
         return self.root / "failed" / f"{digest}.json"
 
-    @property
-    def light(self) -> Path:
-        """The folder of the traced light."""
-        return self.root / "light"
-
     def read_plan(self) -> Plan:
         """The plan of the last run; raises PlanError where there is none, InputError where it is not for this user."""
         path = self.root / "plan.json"

@@ -78,7 +78,7 @@ class Settings:
 
     def stores(self, on_damage: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
         """Where light is stored, first that of the batch; what single commands traced is read, too."""
-        return [LightStore(Folder(self.folder).light, on_damage=on_damage), *LightStore.of_command(self.options)]
+        return [LightStore(self.folder / "light", on_damage=on_damage), *LightStore.of_command(self.options)]
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""

@@ -30,43 +30,43 @@ def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     return scene.model_copy(update=update)
 
 
-def compatibility(scene: Scene, geometry: Geometry, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
+def rows(scene: Scene, geometry: Geometry, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
     """What no other program takes of a scene.
 
     own : what else the program at hand does not.
     reflecting : whether its opaque parts reflect light.
     """
-    rows = [*own]
+    lacking = [*own]
     for led in scene.leds:
         if led.fwhm_nm:
             there = f"one wavelength, {led.wavelength_nm:g} nm"
-            rows.append((f"line width of LED {led.name}", f"{led.fwhm_nm:g} nm", there))
+            lacking.append((f"line width of LED {led.name}", f"{led.fwhm_nm:g} nm", there))
         if led.pattern == "measured":
-            rows.append((f"pattern of LED {led.name}", "a measured table", "Lambertian"))
+            lacking.append((f"pattern of LED {led.name}", "a measured table", "Lambertian"))
     for photodiode in scene.photodiodes:
         if photodiode.angular_response:
             there = "a flat face, which takes all alike"
-            rows.append((f"angular response of photodiode {photodiode.name}", "rows over the angle", there))
+            lacking.append((f"angular response of photodiode {photodiode.name}", "rows over the angle", there))
     edges = ", ".join(f"{edge:g}" for edge in scene.zone_edges_mm)
     zones = f"{len(scene.zone_edges_mm) + 1} zones that pass into each other over {scene.zone_width_mm:g} mm"
     electronics = "flux, line and responsivity, amplifier, converter, noise"
     touch = "touch and what it does to the blood", f'"{scene.touch.profile}", over time'
-    rows += [
+    lacking += [
         ("zones of blood", f"{zones} at {edges} mm", "blood at rest, alike in all zones"),
         (*touch, "rest; read paths at other absorption instead"),
         ("electronics", electronics, "nothing: readings are fractions of the light that the LED emits"),
     ]
     if scene.light.left_out:
         there = "the same: `light.left_out = []` brings them back"
-        rows.append((", ".join(scene.light.left_out), "take the optics of what they lie in", there))
+        lacking.append((", ".join(scene.light.left_out), "take the optics of what they lie in", there))
     if not reflecting and (share := scene.board.opaque_reflectance):
-        rows.append(("barrier, rim and cover", f"reflect {share:.0%} of the light diffusely", "swallow it"))
+        lacking.append(("barrier, rim and cover", f"reflect {share:.0%} of the light diffusely", "swallow it"))
     if not reflecting and (shares := _refracted(scene, geometry)):
         most = f"at most {max(shares.values()):.1e} of light that comes straight"
         there = f"reflect as if they had the epoxy's index: {most}"
         names = ", ".join(shares)
-        rows.append((f"faces of opaque parts on {names}", "swallow all light that is not reflected back", there))
-    return rows
+        lacking.append((f"faces of opaque parts on {names}", "swallow all light that is not reflected back", there))
+    return lacking
 
 
 def _refracted(scene: Scene, geometry: Geometry) -> dict[str, float]:
@@ -142,22 +142,24 @@ def write_folder(
     program: str,
     folder: Path,
     scene: Scene,
-    files: dict[str, Any],
+    of_leds: Sequence[Any],
     *,
     rows: Iterable[Row],
+    about: str,
     binary: dict[str, bytes] | None = None,
     **values: object,
 ) -> dict[str, Path]:
-    """Write an export: files of the LEDs by name, the runner of sessions, binary files, the scene and a README.
+    """Write an export: a file of each LED, the runner of sessions, binary files, the scene and a README.
 
     program : names the README's template; values are what else that holds.
-    files : bytes, or sessions, which become JSON.
+    of_leds : bytes of XML, or sessions, which become JSON; about : what one of these files is.
 
     Returns: paths by what they are.
     """
     make_folder(folder)
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
-    for k, (name, content) in enumerate(files.items(), start=1):
+    names = [led_file(scene, i, ".xml" if isinstance(one, bytes) else ".json") for i, one in enumerate(of_leds)]
+    for k, (name, content) in enumerate(zip(names, of_leds, strict=True), start=1):
         paths[f"led_{k}"] = folder / name
         data = content if isinstance(content, bytes) else json.dumps(content, separators=(",", ":")).encode()
         write_bytes(paths[f"led_{k}"], data)
@@ -170,13 +172,9 @@ def write_folder(
     write_text(paths["scene"], to_toml(scene))
     page = Template(Path(__file__).with_name(f"{program}.md").read_text(encoding="utf-8"))
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    write_text(paths["readme"], page.substitute(values, rows=table, first=next(iter(files))))
+    files = "\n".join(f"- `{name}`: {about}" for name in names)
+    write_text(paths["readme"], page.substitute(values, rows=table, about=files, first=names[0]))
     return paths
-
-
-def listed(files: Iterable[str], what: str) -> str:
-    """Lines of a README that say of each file what it is."""
-    return "\n".join(f"- `{name}`: {what}" for name in files)
 
 
 def numbered(names: Iterable[str], start: int = 0) -> str:

@@ -12,17 +12,7 @@ from ..geometry.grid import Array
 from ..light import optics
 from ..scene import Scene
 from ..scene.rectangles import turned
-from .compatibility import (
-    absorber_of,
-    as_seen,
-    compatibility,
-    led_file,
-    listed,
-    media_table,
-    numbered,
-    session_of,
-    write_folder,
-)
+from . import compatibility
 from .run_session import MCX_PHOTONS
 
 USUAL_VOXEL_MM = 0.1
@@ -107,12 +97,9 @@ def _paint(made: Voxels, face: Face, epoxy: int, *, back: float, beside: float) 
 
 def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -> dict[str, Path]:
     """Write labels, a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    exported = as_seen(scene, reflecting=False)
+    exported = compatibility.as_seen(scene, reflecting=False)
     geometry = build(exported)
     made = voxels(geometry, voxel_mm)
-    sessions = {
-        led_file(exported, i, ".json"): mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))
-    }
     cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals"
     behind = f"shine from there; swallow light {DIE_BACK * made.side_mm:.3f} mm or more behind"
     own = [
@@ -121,17 +108,17 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         ("faces of dies", "where they are", behind),
         ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
     ]
-    return write_folder(
+    return compatibility.write_folder(
         "mcx",
         folder,
         exported,
-        sessions,
-        rows=compatibility(scene, geometry, own=own),
+        [mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))],
+        rows=compatibility.rows(scene, geometry, own=own),
         binary={LABELS: labels(exported, geometry, made).tobytes(order="F")},
         shape=" x ".join(map(str, made.region.shape)),
         side_mm=f"{made.side_mm:g}",
-        about=listed(sessions, "a session of one LED; coefficients in 1/mm, places in voxels"),
-        media=numbered(("opaque", *optics.absorbers(scene), "air")),
+        about="a session of one LED; coefficients in 1/mm, places in voxels",
+        media=compatibility.numbered(("opaque", *optics.absorbers(scene), "air")),
         photons=MCX_PHOTONS,
     )
 
@@ -144,7 +131,7 @@ def labels(scene: Scene, geometry: Geometry, made: Voxels) -> np.ndarray:
     places = np.column_stack([np.zeros_like(middles), middles, np.zeros_like(middles)])
     labelled = np.empty(made.region.shape, np.uint8)
     for region in range(len(geometry.regions)):
-        row = absorber_of(scene, geometry, places, np.full(len(places), region))
+        row = compatibility.absorber_of(scene, geometry, places, np.full(len(places), region))
         row = np.full(len(places), len(names) + 1) if geometry.regions[region] == "air" else row
         np.copyto(labelled, row.astype(np.uint8)[None, :, None], where=made.region == region)
     return labelled
@@ -159,13 +146,13 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
     axes = [c * across + s * along for c, s in (turned(unit, own.rotation_deg) for unit in ((1.0, 0.0), (0.0, 1.0)))]
     sides = [axis * size / made.side_mm for axis, size in zip(axes, own.size_mm, strict=True)]
     corner = made.place(die.center_mm) - (sides[0] + sides[1]) / 2
-    session = session_of(
+    session = compatibility.session_of(
         scene,
         led,
         photons=MCX_PHOTONS,
         longest_s=LONGEST_S,
         # Air is a medium of its own.
-        media=[*media_table(scene, geometry, led, index_step=INDEX_STEP), [0.0, 0.0, 1.0, 1.0]],
+        media=[*compatibility.media_table(scene, geometry, led, index_step=INDEX_STEP), [0.0, 0.0, 1.0, 1.0]],
         origin_mm=made.origin_mm.tolist(),
         photodiode_quads=[made.place(face.quads).tolist() for face in geometry.photodiodes],
     )

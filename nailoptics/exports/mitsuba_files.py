@@ -9,7 +9,7 @@ from ..io import make_folder
 from ..light import optics
 from ..light.reference.mitsuba_scene import finger_scene
 from ..scene import Scene
-from .compatibility import as_seen, compatibility, led_file, listed, numbered, write_folder
+from . import compatibility
 
 # What an object of a scene is called in XML, by its type.
 TAGS = {"volpath": "integrator", "homogeneous": "medium", "hg": "phase", "ply": "shape", "area": "emitter"}
@@ -22,26 +22,30 @@ MESHES = "meshes"
 
 def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a scene for each LED, the meshes and a README to a folder; returns their paths by what they are."""
-    exported = as_seen(scene, reflecting=True)
+    exported = compatibility.as_seen(scene, reflecting=True)
     geometry = build(exported)
-    names, files = [face.name for face in geometry.photodiodes], {}
+    names, files = [face.name for face in geometry.photodiodes], []
     # Which photodiode emits which colour is a parameter of the file.
     colours: dict[int, Any] = {f.region: f"$photodiode_{k + 1}" for k, f in enumerate(geometry.photodiodes)}
     for i, led in enumerate(exported.leds):
-        meshes, sensor = folder / MESHES / led_file(exported, i, ""), geometry.leds[i].region
+        meshes, sensor = folder / MESHES / compatibility.led_file(exported, i, ""), geometry.leds[i].region
         make_folder(meshes)
         media = optics.finger_media(exported, geometry.regions, led.wavelength_nm)
         made = finger_scene(None, geometry, media, None, sensor=sensor, emitters=colours, folder=meshes)
-        files[led_file(exported, i, ".xml")] = _document(made, names, folder)
+        files.append(_document(made, names, folder))
     own = [
         ("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
         ("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
         ("paths in the tissue", "recorded for every photon", "none: render again for other absorption"),
     ]
-    rows = compatibility(scene, geometry, own=own, reflecting=True)
-    about = listed(files, "one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`")
-    return write_folder(
-        "mitsuba", folder, exported, files, rows=rows, about=about, photodiodes=numbered(names, start=1)
+    return compatibility.write_folder(
+        "mitsuba",
+        folder,
+        exported,
+        files,
+        rows=compatibility.rows(scene, geometry, own=own, reflecting=True),
+        about="one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`",
+        photodiodes=compatibility.numbered(names, start=1),
     )
 
 

@@ -11,17 +11,7 @@ from ..geometry import Face, Geometry, build
 from ..geometry.grid import Array, Indices, unique_rows
 from ..light import optics
 from ..scene import Scene
-from .compatibility import (
-    absorber_of,
-    as_seen,
-    compatibility,
-    led_file,
-    listed,
-    media_table,
-    numbered,
-    session_of,
-    write_folder,
-)
+from . import compatibility
 from .run_session import MMC_PHOTONS
 
 # Cones that stand for a die: each is another run, which takes 0.3 s before its first photon.
@@ -62,22 +52,21 @@ def tetrahedra(geometry: Geometry) -> TetMesh:
 
 def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
-    exported = as_seen(scene, reflecting=False)
+    exported = compatibility.as_seen(scene, reflecting=False)
     geometry = build(exported)
     mesh = tetrahedra(geometry)
-    sessions = {led_file(exported, i, ".json"): session(exported, geometry, mesh, i) for i in range(len(exported.leds))}
     there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
     own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
-    return write_folder(
+    return compatibility.write_folder(
         "mmc",
         folder,
         exported,
-        sessions,
-        rows=compatibility(scene, geometry, own=own),
+        [session(exported, geometry, mesh, i) for i in range(len(exported.leds))],
+        rows=compatibility.rows(scene, geometry, own=own),
         tetrahedra=len(mesh.tetrahedra),
         nodes=len(mesh.nodes),
-        about=listed(sessions, "a session of one LED, mesh included; coefficients in 1/mm"),
-        media=numbered(("opaque", *optics.absorbers(scene))),
+        about="a session of one LED, mesh included; coefficients in 1/mm",
+        media=compatibility.numbered(("opaque", *optics.absorbers(scene))),
         photons=MMC_PHOTONS,
     )
 
@@ -85,16 +74,16 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
 def session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
     """A session for one LED, as JSON, which the runner gives to pmmc cone by cone."""
     die = geometry.leds[led]
-    label = absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
+    label = compatibility.absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
     places, angles = cones(die, CONES)
-    made = session_of(
+    made = compatibility.session_of(
         scene,
         led,
         photons=MMC_PHOTONS,
         longest_s=LONGEST_S,
         # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet
         # it; outside the mesh lies air.
-        media=media_table(scene, geometry, led),
+        media=compatibility.media_table(scene, geometry, led),
         sources=[
             {"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)
         ],

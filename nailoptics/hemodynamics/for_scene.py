@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from .. import hemodynamics
 from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
-from ..scene.touch import CONTACT, value_at
+from ..scene.touch import CONTACT
 from ..variables import precision, variable
 from .arterioles import Arterioles, arterioles_of
 from .parameters import PerBed, beds, bounds, each_bed
@@ -267,12 +267,12 @@ class BloodModel:
         run = run[["capillary_diameter_m", "vein_diameter_m"]]
         # One by one, as they come as parts of one array.
         run["capillary_diameter_m"], run["vein_diameter_m"] = diameter_m.astype(kind), run.vein_diameter_m.astype(float)
-        over, force_n = ("zone", "time"), value_at(course.time_s, course.force_n, time_s)
+        over, force_n = ("zone", "time"), np.interp(time_s, course.time_s, course.force_n)
         data = variable("force_n", "time", force_n, "touch force", units="N")
         data |= touch_variables(over_time_pa)
         if course.shear_n is not None:
             text = "longitudinal force, positive towards the tip"
-            data |= variable("shear_n", "time", value_at(course.time_s, course.shear_n, time_s), text, units="N")
+            data |= variable("shear_n", "time", np.interp(time_s, course.time_s, course.shear_n), text, units="N")
         if high is not None:
             data |= variable("arterial_pressure_pa", "time", high.at(time_s), "arterial pressure P_H", units="Pa")
         data |= variable("blood_fraction", over, fraction, "blood fraction of the nail bed")

@@ -231,26 +231,20 @@ class Scene(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _read_the_old_place_of_bed_scattering(cls, data: object) -> object:
-        light = data.get("light") if isinstance(data, dict) else None
-        if not isinstance(data, dict) or not isinstance(light, dict) or "bed_scattering" not in light:
+    def _read_old_places(cls, data: object) -> object:
+        """Of bed_scattering, once in [light], and of ambient_light and ambient_lux, once in [oximeter]."""
+        if not isinstance(data, dict):
             return data
-        moved = {"light": {name: value for name, value in light.items() if name != "bed_scattering"}}
-        if isinstance(data.get("finger"), dict):
-            moved["finger"] = {"bed_scattering": light["bed_scattering"]} | data["finger"]
-        return data | moved
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read_the_old_place_of_ambient_light(cls, data: object) -> object:
-        oximeter = data.get("oximeter") if isinstance(data, dict) else None
-        if not isinstance(data, dict) or not isinstance(oximeter, dict) or "ambient" in data:
-            return data
-        rest = {name: value for name, value in oximeter.items() if name not in ("ambient_light", "ambient_lux")}
-        if len(rest) == len(oximeter):
-            return data
-        moved = {"kind": oximeter.get("ambient_light", "lamp"), "illuminance_lux": oximeter.get("ambient_lux", 1000.0)}
-        return data | {"oximeter": rest, "ambient": moved}
+        light, oximeter, old = data.get("light"), data.get("oximeter"), {"ambient_light", "ambient_lux"}
+        if isinstance(light, dict) and "bed_scattering" in light:
+            data = data | {"light": {name: value for name, value in light.items() if name != "bed_scattering"}}
+            if isinstance(data.get("finger"), dict):
+                data["finger"] = {"bed_scattering": light["bed_scattering"]} | data["finger"]
+        if isinstance(oximeter, dict) and "ambient" not in data and old & oximeter.keys():
+            data = data | {"oximeter": {name: value for name, value in oximeter.items() if name not in old}}
+            kind, lux = oximeter.get("ambient_light", "lamp"), oximeter.get("ambient_lux", 1000.0)
+            data["ambient"] = {"kind": kind, "illuminance_lux": lux}
+        return data
 
     @model_validator(mode="before")
     @classmethod

@@ -166,7 +166,7 @@ class Placement(Table):
         if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
             return data  # which its fields refuse
         outline = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
-        x, y = middle(outline) if origin == "middle" else origin
+        x, y = middle(outline.corners_mm) if origin == "middle" else origin
         corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (outline.corners_mm, *outline.holes_mm))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 

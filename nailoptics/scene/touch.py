@@ -239,16 +239,6 @@ class Touch(Table):
         return list(zip((self.start_s + period_s * turns).tolist(), (self.force_n * shape).tolist(), strict=True))
 
 
-def value_at(corner_s: np.ndarray, values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """What is linear between corners, at times; at a jump the value after it, outside the corners the nearest."""
-    places = np.maximum(np.searchsorted(corner_s, time_s, side="right") - 1, 0)
-    time_s = np.clip(time_s, corner_s[0], corner_s[-1])
-    ends = np.minimum(places + 1, len(corner_s) - 1)
-    span = corner_s[ends] - corner_s[places]
-    slope = (values[ends] - values[places]) / np.where(span > 0, span, 1.0)
-    return slope * (time_s - corner_s[places]) + values[places]
-
-
 def _duration_of(data: dict[str, Any]) -> dict[str, float]:
     """The duration that a cycle or a list of steps has where none is given, if it can be computed."""
     try:

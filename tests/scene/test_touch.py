@@ -6,11 +6,11 @@ from pydantic import ValidationError
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Touch
-from nailoptics.scene.touch import ForceStep, value_at
+from nailoptics.scene.touch import ForceStep
 
 
 def force_at(touch, time_s):
-    return value_at(*touch.corners(), np.asarray(time_s, float))
+    return np.interp(time_s, *touch.corners())
 
 
 def test_a_step_begins_at_start_and_ends_at_release():

@@ -284,8 +284,7 @@ def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
 
 def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any, ...]:
     """Contents of the files; negate_x_on_bottom : whether X is, in the position file, for parts on the bottom side."""
-    from ...exports.mesh_files import export_mesh
-    from ...geometry import build
+    from ...exports.mesh_files import write_mesh
     from ...scene.importers.kicad import write_board
     from ...scene.importers.outlines import write_outline
     from ...scene.importers.positions import write_positions
@@ -303,7 +302,7 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any
         lambda path: write_positions(path, placed, negate_x_on_bottom=negate_x_on_bottom),
         lambda path: write_outline(path, edges),
         lambda path: write_board(path, placed, sizes, edges),
-        lambda path: export_mesh(build(best), path),
+        lambda path: write_mesh(best, path),
         lambda path: write_placement(result, path),
     )
 

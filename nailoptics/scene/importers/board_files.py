@@ -89,9 +89,11 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
         warn_of_mirrored(table, placed, mapped)
         lopsided = {part.ref for part in mapped if {"module", "offset_mm"} & uses[part.ref].keys()}
         warn_of_rotation(table, path, [part for part in mapped if part.rotation_deg % 90 or part.ref in lopsided])
-    whole, origin = _outline(board, mapped, name), table.get("origin")
+    whole = None
+    if board is not None and board.edges:  # a file may hold several boards: the outline around the parts
+        whole = join(board.edges, name, around=[part.position_mm for part in mapped])
     view = View(
-        _origin(origin, board, whole, mapped, name),
+        _origin(table.get("origin"), board, whole, mapped, name),
         _faces_nail(mapped, table.get("faces_nail")) == "top",
         float(table.get("turn_deg", 0.0)),
     )
@@ -162,13 +164,6 @@ def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) ->
     return [part for part in mapped if part.populated]
 
 
-def _outline(board: KicadBoard | None, mapped: Sequence[PlacedPart], name: str) -> Outline | None:
-    """The outline around the parts: a file may hold several boards."""
-    if board is None or not board.edges:
-        return None
-    return join(board.edges, name, around=[part.position_mm for part in mapped])
-
-
 def _origin(
     origin: Any, board: KicadBoard | None, outline: Outline | None, mapped: Sequence[PlacedPart], name: str
 ) -> Point:
@@ -184,7 +179,7 @@ def _origin(
         return (0.0, 0.0) if reach_mm <= NAIL_REACH_MM else _middle_of(mapped, name)
     named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
     if outline is not None:
-        named["outline"] = middle(outline)
+        named["outline"] = middle(outline.corners_mm)
     preferred = (origin,) if origin is not None else ("auxiliary", "outline")
     point = next((point for choice in preferred if (point := named.get(choice)) is not None), None)
     if point is None and origin is None:
@@ -198,10 +193,8 @@ def _origin(
 
 def _middle_of(mapped: Sequence[PlacedPart], name: str) -> Point:
     """The middle of the box around the mapped parts, for a file that says no origin. [mm]"""
-    xs, ys = zip(*(part.position_mm for part in mapped), strict=True)
-    x, y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
     log.warning("%s: has no origin; the middle of its mapped parts lies on the nail's centre: give origin.", name)
-    return x, y
+    return middle([part.position_mm for part in mapped])
 
 
 def _faces_nail(mapped: Sequence[PlacedPart], side: Any) -> str:

@@ -45,9 +45,9 @@ def is_point(value: object) -> bool:
     return isinstance(value, tuple) and len(value) == 2 and all(map(is_number, value))
 
 
-def middle(outline: Outline) -> Point:
-    """The middle of the box around an outline. [mm]"""
-    xs, ys = zip(*outline.corners_mm, strict=True)
+def middle(points: Sequence[Point]) -> Point:
+    """The middle of the box around points. [mm]"""
+    xs, ys = zip(*points, strict=True)
     return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
 
@@ -116,9 +116,7 @@ def _areas(lines: Iterable[Sequence[Point]], name: str) -> tuple[list["shapely.P
     enclosed, cuts, dangles, _ = polygonize_full(get_parts(unary_union(drawn, grid_size=GRID_MM)))
     areas = [area for area in get_parts(enclosed) if _corners_area(area) >= LEAST_AREA_MM2]
     loose = line_merge(unary_union([cuts, dangles]))
-    return sorted(areas, key=_corners_area, reverse=True), [
-        get_part for get_part in get_parts(loose) if get_part.length
-    ]
+    return sorted(areas, key=_corners_area, reverse=True), [line for line in get_parts(loose) if line.length]
 
 
 def _outermost(areas: Iterable["shapely.Polygon"]) -> list["shapely.Polygon"]:

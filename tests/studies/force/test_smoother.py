@@ -8,7 +8,6 @@ from record import SIDES, Site, load_person, steps, touch_of
 
 from nailoptics.hemodynamics.touch_course import touch_course
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
-from nailoptics.scene.touch import value_at
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 
@@ -32,7 +31,7 @@ def test_the_future_makes_force_better_and_intervals_stay_true(subject: Subject,
     person = person.model_copy(update={"touch": touch_of(person, steps(FORCES_N), side, rate_hz=25.0)})
     time_s = person.touch.times_s()
     course = touch_course(person.touch)
-    force_n = value_at(course.time_s, course.force_n, time_s)
+    force_n = np.interp(time_s, course.time_s, course.force_n)
     touch = Recording(
         "made", subject.light.names, time_s, np.zeros((8, time_s.size)), force_n, np.full(time_s.shape, SITES[side])
     )

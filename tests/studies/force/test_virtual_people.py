@@ -18,7 +18,6 @@ from untraced_light import untraced
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.scene.touch import value_at
 from nailoptics.studies.prior_uncertainty import value_of
 
 
@@ -64,12 +63,12 @@ def test_touches_are_those_of_the_paper():
     person = load_person("person_1")
     slow, steps = (touch_of(person, TOUCHES[kind], "distal") for kind in ("calibration", "steps"))
     time_s = slow.times_s()
-    force_n = value_at(*slow.corners(), time_s)
+    force_n = np.interp(time_s, *slow.corners())
     assert force_n.max() == pytest.approx(CALIBRATION_N[0], abs=1e-4) and force_n[-1] == 0 == force_n[:200].max()
     # Three cycles at 0.05 Hz: three maxima 20 s apart.
     peaks = time_s[1:-1][(np.diff(force_n)[:-1] > 0) & (np.diff(force_n)[1:] <= 0)]
     assert np.diff(peaks) == pytest.approx([20.0, 20.0], abs=0.02)
-    force_n = value_at(*steps.corners(), steps.times_s())
+    force_n = np.interp(steps.times_s(), *steps.corners())
     assert set(STEPS_N) <= set(force_n.round(9)) and slow.proximal_share == 0.0
     time_s = steps.times_s()
     rise = time_s[(force_n > 0) & (force_n < STEPS_N[0]) & (time_s < 3.0)]
