@@ -81,8 +81,8 @@ def follow(page: Path, photons: int, capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, store: Path) -> Path:
-    """An empty folder to work in, with the shipped scenes and a store of its own."""
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_light: None) -> Path:
+    """An empty folder to work in, with the shipped scenes."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "scenes", tmp_path / "scenes")
     return tmp_path

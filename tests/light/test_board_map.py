@@ -72,7 +72,8 @@ def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, tr
 
 @pytest.mark.long
 def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrivals, chosen_jit):
-    """Two traces at 1 and 5 % blood in the whole bed, none of whose photons made the map: their difference.
+    """Two traces at 1 and 5 % blood in the whole bed, none of whose photons made the map: their difference, and the
+    reading at 5 %.
 
     Readings fall by a few percent there, and a difference about the middle is bent by less than 1 % of itself.
     """
@@ -91,18 +92,9 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
     # Few batches know their own spread badly; the map's slopes come from as many photons.
     assert np.all(np.abs(difference.mean(0) - slope) < 4 * np.hypot(noise, np.maximum(spread, noise)))
     assert np.all(noise < 0.1 * np.abs(slope)) and np.all(spread < 0.2 * np.abs(slope))
-
-
-@pytest.mark.long
-def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arrivals, chosen_jit):
-    """No photon is shared: the map's reread reading beside a trace at 5 % blood in the bed."""
-    areas = list(scene.layout.photodiode_areas)
-    mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)
-    more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
-    seen = readings_over_states(
-        nail.trace(more, photons=3 << 18, seed=11), np.array([[0.05, 0.05]]), weight_by_responsivity=True
-    )
-    assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * np.hypot(error[:, 0], seen.stderr[0, :, 0]))
+    predicted, error = together(arrivals, blood_point(scene, 0, blood_fraction=[0.05, 0.05]), areas)
+    spread = each[1].std(0, ddof=1) / np.sqrt(BATCHES)
+    assert np.all(np.abs(predicted[:, 0] - each[1].mean(0)) < 4 * np.hypot(error[:, 0], np.maximum(spread, error[:, 0])))
 
 
 @pytest.mark.long

@@ -187,7 +187,7 @@ def test_a_trace_that_saw_nothing_reads_zero():
 
 @pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize("blood, so2", [(0.0, 0.97), (0.1, 0.0), (0.03, 0.0)])
+@pytest.mark.parametrize("blood, so2", [(0.0, 0.97), (0.1, 0.0), pytest.param(0.03, 0.0, marks=pytest.mark.slow)])
 def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, so2):
     """Rationale: one trace reads every state. Expected: a fresh trace at another blood fraction and saturation, with
     other seeds, agrees within 4 combined standard errors of at most 8 %, and rest lies further off than the noise; the

@@ -115,9 +115,10 @@ def test_both_engines_agree_on_a_slab_with_many_parts(jit_backend):
     leds = [{"wavelength_nm": 660.0}, {"name": "die", "wavelength_nm": 940.0, "pattern": "lambertian"}]
     apertures = [{"name": k, "position_mm": [u, 0.0], "size_mm": [1.0, 2.0]} for k, u in (("near", 1.5), ("far", 2.5))]
     text = phantom(upper, lower, leds=leds, photodiodes=apertures, n_below=1.33)
+    # Stock Mitsuba's paths cost more, so that most of the error is left to them.
     ours, other = (
-        read_rest(parse_scene(text + f'[light]\nengine = "{engine}"'), relative_error=0.05, seed=3)
-        for engine in ("photons", "volpath")
+        read_rest(parse_scene(text + f'[light]\nengine = "{engine}"'), relative_error=error, seed=3)
+        for engine, error in (("photons", 0.02), ("volpath", 0.075))
     )
     assert (ours.engine, other.engine) == ("photons", "volpath")
     assert [(r["led"], r["photodiode"]) for r in ours.readings] == [(r["led"], r["photodiode"]) for r in other.readings]

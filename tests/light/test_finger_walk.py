@@ -35,7 +35,7 @@ BATCHES = 32
 @pytest.mark.parametrize(
     ("index_steps", "air_gap_um"),
     [
-        pytest.param(True, None, marks=pytest.mark.long),
+        pytest.param(True, None, marks=pytest.mark.slow),
         pytest.param(True, 50.0, marks=pytest.mark.long),
         pytest.param(False, None, marks=pytest.mark.slow),
     ],
@@ -108,13 +108,18 @@ def test_stock_mitsuba_sees_a_tenth_more_absorption_on_the_prototype(jit_backend
     assert abs(ratio.mean() - tenth_more) > 3 * sigma, (ratio.mean(), tenth_more, sigma)
 
 
+@pytest.fixture(scope="module")
+def traced(chosen_jit):
+    """A million photons through the prototype."""
+    return nail.trace(prototype(), photons=1 << 20, seed=8)
+
+
 @pytest.mark.long
 @pytest.mark.jit
 @pytest.mark.parametrize("index_steps", [True, False])
-def test_every_photon_is_accounted_for(jit_backend, index_steps):
+def test_every_photon_is_accounted_for(jit_backend, traced, index_steps):
     """Parts of the energy are fractions that sum to 1 within their noise, and fewer than 1 in 1e5 is lost."""
-    traced = nail.trace(prototype(index_steps=index_steps), photons=1 << 19, seed=5)
-    energy = traced.energy()
+    energy = (traced if index_steps else nail.trace(prototype(index_steps=False), photons=1 << 19, seed=5)).energy()
     stderr = np.linalg.norm([part["stderr"] for part in energy.values()])
     assert abs(sum(part["value"] for part in energy.values()) - 1) < 4 * stderr < 0.01
     assert energy["lost"]["value"] < 1e-5
@@ -202,10 +207,10 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_the_board_bends_no_light_to_one_side(jit_backend):
+def test_the_board_bends_no_light_to_one_side(traced):
     """Elements that mirror each other in the LED's place read alike: the finger's taper matters less than the noise."""
     scene = prototype()
-    seen = nail.trace(scene, photons=1 << 20, seed=8).at().isel(led=0)
+    seen = traced.at().isel(led=0)
     value, stderr = seen.detected_fraction.values, seen.detected_fraction_stderr.values
     mirrored = [p.wired for p in scene.photodiodes]
     if mirrored[0] != tuple(15 - k for k in reversed(mirrored[1])):

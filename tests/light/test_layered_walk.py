@@ -322,7 +322,7 @@ def test_photons_of_a_batch_and_batches_of_a_seed_are_independent(jit_backend):
     assert abs(np.corrcoef(one, two)[0, 1]) < 4 / np.sqrt(count)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_standard_errors_are_honest(jit_backend):
     """Rationale: a tolerance is worth what the standard error is worth; a heavy tail would make it lie.
     Expected: z-scores of 200 small runs against the reading of many photons are standard normal."""

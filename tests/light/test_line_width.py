@@ -15,9 +15,10 @@ PHOTONS = 150_000
 FEW_PHOTONS, LITTLE = 30_000, 0.05
 
 
-@pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize("part", ["led_660", "led_940"])
+@pytest.mark.parametrize(
+    "part", [pytest.param("led_660", marks=pytest.mark.long), pytest.param("led_940", marks=pytest.mark.slow)]
+)
 def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit, part):
     """Expected: within 3.5 combined standard errors on each of four photodiodes, and within 1.5 % on their sum.
 

@@ -248,17 +248,17 @@ def _trace(results, most_bytes: float, times: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_six_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
+def test_four_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_backend, store):
     """Half of them make room in it all the time."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    rivals = [context.Process(target=_trace, args=(results, most, 5)) for most in (1e4, 2e9) * 3]
+    rivals = [context.Process(target=_trace, args=(results, most, 5)) for most in (1e4, 2e9) * 2]
     for rival in rivals:
         rival.start()
     bits = {results.get(timeout=240)[0] for _ in range(5 * len(rivals))}
     for rival in rivals:
         rival.join()
-    assert [rival.exitcode for rival in rivals] == [0] * 6
+    assert [rival.exitcode for rival in rivals] == [0] * 4
     assert bits == {nail.trace(slab(), photons=1 << 14, seed=5).traces[0].weight.tobytes()}
     assert not list(store.rglob("*.part"))
 

@@ -44,7 +44,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
     assert np.all((errors > 0.8 * target) | (np.array([t.photons for t in transfer.traces]) <= 2 * (1 << 14)))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
     """Rationale: a rule that stops when the error looks small enough prefers runs that err low.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""

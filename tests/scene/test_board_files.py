@@ -159,7 +159,7 @@ def test_position_files_serve_as_boards(tmp_path, caplog):
     assert caplog.text.count("add negate_x_on_bottom") == 1
 
 
-def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, capsys):
+def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, capsys, shared_light):
     path = write_positions(tmp_path, "Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
     more = '[placement]\nphotodiodes = 1\n[[placement.candidates]]\nname = "drawn"\npositions = "pos.csv"\n'
     path.write_text(path.read_text() + more)
@@ -173,7 +173,7 @@ def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, caps
     assert capsys.readouterr().err.count("X on the bottom looks negated") == 1
 
 
-def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys):
+def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys, shared_light):
     assert run(["check", str(write(tmp_path)), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["assumed"]["clear_epoxy_um"] == 400.0 and "barrier" not in report["assumed"]

@@ -86,7 +86,7 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
 
 
 @pytest.mark.jit
-def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit):
+def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, store):
     touch = "[touch]\nduration_s = 1.0\nsample_rate_hz = 20.0\nstart_s = 0.2\nrelease_s = 0.8\n"
     still = parse_scene(SMALL_FINGER + touch + "[electronics]\nfeedback_ohm = 1e5\n[priors]\nspread = false\n")
     body = Body(seed=2, drift=Drift(led_per_rt_min=0.1), motion=Motion(lift_um=50.0, slide_um=0.0))

@@ -10,6 +10,8 @@ from nailoptics.light import backend
 from nailoptics.scene import Ambient, load_scene, parse_scene
 from nailoptics.studies.scene_check import check_scene
 
+# Of the light of a scene, which is traced once.
+pytestmark = pytest.mark.usefixtures("shared_light")
 # Two LEDs on a board as large as the nail, without a barrier, and a layout in a file.
 SCENE = (
     PLACEMENT.replace("size_mm = [9.0, 9.0]", "barrier = false")

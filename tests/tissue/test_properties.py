@@ -183,7 +183,7 @@ def test_the_shipped_nail_plate_and_its_priors_are_what_their_script_fits():
         assert matrix[0, 1] == pytest.approx(float(value), abs=0.011)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_ring_fingers_have_the_skin_that_the_pulp_is_fitted_to():
     script = Path(__file__).parents[2] / "assets/spectra/fit_fingertip_skin.py"
     printed = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout
