@@ -337,6 +337,7 @@ def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder,
     assert float(again.detected_fraction[0, 0]) == first["detected_fraction"]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_what_was_reached_in_max_seconds_is_saved_and_the_exit_code_is_3(folder, capfd, chosen_jit):
     options = ["--relative-error", "0.001", "--max-seconds", "0.5"]
@@ -357,6 +358,7 @@ def test_scalar_phantoms_stop_at_max_seconds_with_exit_code_3(folder, capfd):
     assert json.loads(out)["readings"][0]["detected_fraction"] > 0 and "max_seconds" in err.splitlines()[-1]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
     """No photon seen is no standard error known; it must not be reported as 0, nor break the JSON."""
@@ -446,6 +448,7 @@ def test_schema_and_doctor_print_json(folder, capfd):
     assert "selected" in text and "scalar" in text
 
 
+@pytest.mark.long
 def test_figures_draws_a_set_and_judges_it(folder, capfd):
     assert run(["figures", "-o", "pictures", "--set", "best", "--no-colour", "--json"]) == 0
     found = only_json(capfd)
@@ -466,6 +469,7 @@ def test_figures_of_people_are_drawn_and_judged_beside_a_set(folder, capfd, monk
     assert (folder / "pictures/people_fig15_to_18.png").stat().st_size > 100_000
 
 
+@pytest.mark.long
 def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
     """Rationale: DRJIT_LIBLLVM_PATH may point to a text file, or to a library that aborts the process.
     Expected: one line of advice, then the scalar backend's answer."""

@@ -283,11 +283,11 @@ def test_commands_that_share_a_folder_leave_the_files_of_one(jit_backend, store,
     take as long as it takes to write."""
     (tmp_path / "finger.toml").write_text(QUIET)
     arguments = ("simulate", "finger.toml", "--photons", "3000", "-o", "deep/out", "--seed")
-    for seed in (1, 2, 3, 4):
+    for seed in (1, 2, 3):
         nailoptics.simulate(parse_scene(QUIET), photons=3000, seed=seed, picture=True)
-    commands = [start(*arguments, str(seed), folder=tmp_path) for seed in (1, 2, 3, 4)]
+    commands = [start(*arguments, str(seed), folder=tmp_path) for seed in (1, 2, 3)]
     errors = [command.communicate(timeout=300)[1] for command in commands]
-    assert [command.returncode for command in commands] == [0] * 4, errors
+    assert [command.returncode for command in commands] == [0] * 3, errors
     assert names(tmp_path / "deep" / "out") == ["report.html", "result.nc"]
     result = xr.load_dataset(tmp_path / "deep" / "out" / "result.nc", engine="h5netcdf")
     page = (tmp_path / "deep" / "out" / "report.html").read_text()
@@ -355,6 +355,7 @@ def assert_full(command: subprocess.Popen, folder: Path, kept: list[str]) -> Non
     assert names(folder) == kept
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_simulate_with_one_line_and_the_old_result_whole(chosen_jit, small_disk, tmp_path):
     folder, limit = small_disk(40_960)
     (folder / "result.nc").write_text("old")

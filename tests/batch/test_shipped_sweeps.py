@@ -18,12 +18,16 @@ from .test_run import done_here
 SCENES, SWEEPS = data_dir("scenes"), data_dir("scenes") / "sweeps"
 # What a scene is for, where that is not a simulated touch.
 COMMANDS = {"phantom": nail.trace, "nail_colour": nail.colour, "pulse_oximeter": nail.oximeter}
-SLOW = {"nail_colour", "pulse_oximeter"}
+# Traced by their studies' own tests, too, and of photographs a sweep by test_studies.
+SLOW, SLOW_SWEEPS = {"nail_colour", "pulse_oximeter"}, {"photographs"}
+LONG = {"calibration", "heartbeat", "prototype"}
 # Placed by test_outputs_run.
 ELSEWHERE = {"placement"}
 # Scenes of a sweep that are run, spread over it: few where each is traced anew.
 MOST_SCENES = {"photographs": 2, "fingers": 3, "led_place_and_nail": 4}
 QUICK = {"vein_stiffness"}
+# Scenes of two zones, of eight, and of a heart, whose readings over their priors are read as well.
+SPREAD = {"prototype", "white_band", "heartbeat"}
 
 
 def names(folder: Path) -> list[str]:
@@ -33,18 +37,29 @@ def names(folder: Path) -> list[str]:
 @pytest.mark.jit
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.long if n in SLOW else ()) for n in names(SCENES) if n not in ELSEWHERE],
+    [
+        pytest.param(n, marks=pytest.mark.slow if n in SLOW else pytest.mark.long if n in LONG else ())
+        for n in names(SCENES)
+        if n not in ELSEWHERE
+    ],
 )
 def test_a_shipped_scene_runs_to_its_end(chosen_jit, shared_light, name):
     scene = load_scene(SCENES / f"{name}.toml")
     if name != "prototype":
         # Priors that need traces of their own take these of one scene as of another.
-        scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"own_traces": False})})
+        priors = scene.priors.model_copy(update={"own_traces": False, "spread": name in SPREAD})
+        scene = scene.model_copy(update={"priors": priors})
     COMMANDS.get(name, nail.simulate)(scene, photons=20_000, seed=1)
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.long) for n in names(SWEEPS)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=() if n in QUICK else pytest.mark.slow if n in SLOW_SWEEPS else pytest.mark.long)
+        for n in names(SWEEPS)
+    ],
+)
 def test_a_shipped_sweep_runs_to_its_end(jit_backend, tmp_path, name):
     sweep = load_sweep(SWEEPS / f"{name}.toml")
     count = min(MOST_SCENES.get(name, 24), len(sweep.scenes))

@@ -89,7 +89,7 @@ def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
     assert false_forces_n(recorded, 0.5) == {"file": pytest.approx(waves_n, rel=1e-9)} and waves_n > 0.01
 
 
-def test_check_states_the_false_force() -> None:
+def test_check_states_the_false_force(shared_light: None) -> None:
     (line,) = [x for x in check_scene(scene_with("[body]\nhand_height_m = -0.1\n"))["warnings"] if "hand_height" in x]
     assert "false force of +0." in line and "N at 0.5 N" in line
 

@@ -53,7 +53,7 @@ def random_states(count: int, *, low: float = 0.0, high: float = 0.1, seed: int 
     return np.random.default_rng(seed).uniform(low, high, (count, 2))
 
 
-@pytest.mark.parametrize("high", [0.031, 0.06, 0.2])
+@pytest.mark.parametrize("high", [0.031, 0.06, pytest.param(0.2, marks=pytest.mark.long)])
 def test_between_its_nodes_a_course_is_what_each_state_reads_on_its_own(high):
     """Expected: fraction, change and their errors at random states as evaluated one by one, to far less than the
     standard error; the states are so many that they are interpolated, and read directly they are few."""
@@ -206,7 +206,7 @@ def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, 
         assert np.all(abs(a.mean_path_mm - b.mean_path_mm) < 4.5 * error)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.jit
 def test_a_real_trace_is_interpolated_as_well_as_a_made_up_one(traced):
     states = random_states(1000, low=0.005, high=0.08)

@@ -74,6 +74,7 @@ def test_slabs_meet_published_tables(jit_backend, a, b, g, n, reflected, transmi
     assert np.all(stderr < 0.003 * exact + 1e-6)
 
 
+@pytest.mark.long
 def test_slabs_meet_adding_doubling_over_a_grid(jit_backend):
     """Rationale: the corners of the table, thin and thick, forward and backward, dim and bright, each judged at once.
     Expected: z-scores over all of them like a normal's: none beyond 4.2 (1 in 300 for 120), mean square near 1."""
@@ -173,6 +174,7 @@ def test_fresnel_alone_gives_a_clear_plates_reflectance(jit_backend):
     assert value.sum() == pytest.approx(1, abs=1e-12)
 
 
+@pytest.mark.long
 def test_an_infinite_layer_is_a_very_thick_one(jit_backend):
     optics = {"mu_a": 0.05, "mu_s": 10.0, "g": 0.9, "n": 1.4}
     endless = reading(stack(layer(thickness=INF, **optics), photodiodes=[SQUARE]), photons=1 << 19, seed=1)

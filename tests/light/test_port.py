@@ -11,6 +11,7 @@ from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM
 from nailoptics.studies.colour.reflectance import walk_colour
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_port_loses_red_light_and_no_blue(jit_backend):
     """Expected: a port wider than the finger loses nothing; 5 and 11 mm differ by some 10 % of the red and by little at

@@ -95,6 +95,7 @@ def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototyp
     assert abs(np.mean([one["lost"] for one in energy])) < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
     """Light, and light times its path in plate and bed, on all photodiodes; and a split photon must tell more.

@@ -9,8 +9,6 @@ from nailoptics.light import optics
 from nailoptics.light.board_map import BoardTracer, blood_point
 from nailoptics.scene import parse_scene
 
-pytestmark = pytest.mark.long
-
 SCENE = finger(
     {"name": "near", "position_mm": [0.3, -0.5], "size_mm": [1.5, 1.5]},
     {"name": "far", "position_mm": [1.4, 2.5], "size_mm": [2.0, 2.0]},
@@ -44,6 +42,7 @@ def in_bed(depth, cells, scene):
     return np.einsum("...uvd,vk->...k", inside, zone)
 
 
+@pytest.mark.long
 def test_cells_of_a_zone_hold_the_sensitivity_to_its_absorption(scene, seen):
     """The same photons by their cells and by their partial paths, from which the slope by blood comes.
 
@@ -55,6 +54,7 @@ def test_cells_of_a_zone_hold_the_sensitivity_to_its_absorption(scene, seen):
     assert np.all(depth >= 0)
 
 
+@pytest.mark.slow
 def test_more_absorption_in_a_zone_acts_as_the_depth_map_predicts(scene, seen, chosen_jit):
     """No photon is shared: derivatives to mu_a of either zone of the bed, within 4 standard errors of at most 5 %."""
     _, depth, cells = seen
@@ -69,6 +69,7 @@ def test_more_absorption_in_a_zone_acts_as_the_depth_map_predicts(scene, seen, c
         assert np.all(spread[k] < 0.05 * fresh[k])
 
 
+@pytest.mark.long
 def test_a_pair_looks_between_its_die_and_its_photodiode(seen):
     """The banana: along the nail most of it lies between the LED at 0.5 and the far photodiode at 2.5 mm."""
     _, depth, cells = seen
@@ -79,6 +80,7 @@ def test_a_pair_looks_between_its_die_and_its_photodiode(seen):
     assert profile[(middle > -0.5) & (middle < 3.5)].sum() > 0.8 * profile.sum()
 
 
+@pytest.mark.long
 def test_sensitivity_goes_as_the_fluence_of_both_ends(chosen_jit):
     """Were the light diffuse, it would be A / 4 of the product of their fluence rates for a photodiode of area A.
 

@@ -109,6 +109,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
     assert np.all(stderr < 0.01 * mean)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 @pytest.mark.parametrize("along_y", [False, True])
 def test_a_line_is_read_wavelength_by_wavelength(along_y, jit_backend):
@@ -337,6 +338,7 @@ def test_an_interrupt_keeps_the_batches_that_are_there(finger):
     assert np.all(np.isfinite(kept.fraction_stderr))
 
 
+@pytest.mark.long
 def test_batches_of_an_interrupted_run_come_from_the_store(finger, store, monkeypatch):
     """Expected: the run after it traces only what is missing and has the bits of one that was never interrupted; its
     pace counts the stored batches' time, and other absorption has batches of its own."""

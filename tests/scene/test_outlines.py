@@ -111,6 +111,7 @@ def test_a_thousand_lines_that_cross_one_another_are_refused():
         join(lines, "x")
 
 
+@pytest.mark.long
 def test_ten_thousand_holes_are_found():
     holes = [[(x + 0.2 * a, y + 0.2 * b) for a, b in HOLE] for x in range(100) for y in range(100)]
     lines = [line for one in (((-1, -1), (100, -1), (100, 100), (-1, 100)), *holes) for line in sides(one)]

@@ -113,6 +113,7 @@ def test_repeated_samples_have_the_stated_noise(rejection):
         assert np.mean(getattr(stated.noise, cause)) > 5 * np.sqrt(2 / samples) * stated.noise_v2.mean()
 
 
+@pytest.mark.long
 def test_the_short_trace_is_that_of_a_long_one(jit_backend, shared_light):
     scene = quiet(prototype())
     states = np.array([[0.03, 0.03], [0.0, 0.0]])

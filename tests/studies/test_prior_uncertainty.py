@@ -175,6 +175,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
         assert 0.4 < (off**2).mean() < 2.0, kind
 
 
+@pytest.mark.long
 def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     own = PriorRange(field="finger.plate_scattering", low=0.25, high=2.5)
     scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"), ranges=(own,))

@@ -298,6 +298,7 @@ def test_what_cannot_be_compared_is_one_line():
         compare(scene, over=())
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, capsys):
     folder = ["-o", str(tmp_path), "--photons", "60000", "--json"]

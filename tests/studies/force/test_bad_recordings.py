@@ -232,6 +232,7 @@ CELLS = st.sampled_from(
 )
 
 
+@pytest.mark.long
 @QUICK
 @given(changes=st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12), CELLS), min_size=1, max_size=4))
 def test_any_recording_is_read_or_refused(folder: Path, changes: list[tuple[int, int, str]]) -> None:

@@ -32,6 +32,7 @@ def subject() -> Subject:
     return parse_subject(str(text))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("site", ["proximal", "distal"])
 def test_a_body_that_the_filter_does_not_know_is_estimated_better(site):
     told = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))

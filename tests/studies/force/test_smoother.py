@@ -20,6 +20,7 @@ def subject() -> Subject:
     return parse_subject(made_sensor.subject())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", [SIDES[0], pytest.param(SIDES[1], marks=pytest.mark.long)])
 def test_the_future_makes_force_better_and_intervals_stay_true(subject: Subject, side: Site) -> None:
     """Rationale: people who are the model itself, with a body's pulse, breath, slow waves and drift.

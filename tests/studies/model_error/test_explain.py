@@ -365,6 +365,7 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
     assert "index steps" in names and "barrier" not in names
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_time_that_is_over_leaves_what_was_measured_and_says_so(jit_backend, monkeypatch, tmp_path, capsys):
     """Whatever the clock says: after three traces nothing is left of the time."""

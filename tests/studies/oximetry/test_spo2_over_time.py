@@ -45,6 +45,7 @@ def recorded(
     return OximeterRecording("made", NAMES, time_s, volts, np.full(volts.shape[1:], 0.2))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [3e-5, pytest.param(2e-4, marks=pytest.mark.long)])
 def test_the_interval_covers_the_truth_in_90_to_98_of_100_recordings(noise):
     """Rationale: noise of the readings and the error of the curve are both in the interval; each recording has its own
