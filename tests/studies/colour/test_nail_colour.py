@@ -146,7 +146,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
 @pytest.mark.long
 def test_priors_span_peoples_nails_and_skin(jit_backend):
     """Rationale: nails of 160 people have L* 62.4 (5.9) and a* 10.8 (3.6), of which 5-95 % lie at 4.4-16.4."""
-    found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=30_000, seed=6)
+    found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
     spread = found.lab_spread.sel(site="nail").values
     assert (found.lab_spread_stderr.sel(site="nail").values < 0.5 * spread).all() and spread[1] > 1
     # Bounds within which 95 % of the interval hold 85 to 99 % of these people.

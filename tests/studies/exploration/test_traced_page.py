@@ -12,7 +12,7 @@ from nailoptics.scene.files import parse_scene
 from nailoptics.statistics import FEW_TERMS
 from nailoptics.studies.exploration import explore as study
 
-EXPLORED, SIMULATED = 300_000, 200_000
+EXPLORED, SIMULATED = 600_000, 400_000
 
 
 @pytest.mark.long
