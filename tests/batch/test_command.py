@@ -30,6 +30,13 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["lights"] == 3
 
 
+def test_a_sweep_names_once_the_vessels_that_are_far_off_the_list(tmp_path, capsys):
+    axis = '[[axes]]\npath = "blood.tuning.capillary_stiffness_n_per_m"\nvalues = [1e-6, 1e5, 1e-6]\n'
+    (tmp_path / "far.toml").write_text(f'schema_version = 1\nbase = "prototype"\n{axis}')
+    assert cli.run(["batch", str(tmp_path / "far.toml"), "--dry-run"]) == 0
+    assert capsys.readouterr().err.count("more than 100 times off the paper's list") == 1
+
+
 def test_failures_end_with_3_and_stand_on_the_page(jit_backend, here, tmp_path, capsys):
     (tmp_path / "s.toml").write_text(FAILING)
     assert cli.run(["batch", str(tmp_path / "s.toml"), "-o", str(tmp_path / "b"), "--workers", "1"]) == 3
