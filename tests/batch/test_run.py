@@ -317,6 +317,7 @@ def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tm
     assert len(run_batch(sweep, tmp_path / "b", workers=1).done) == 3
 
 
+@pytest.mark.long
 def test_a_time_limit_keeps_the_light_and_the_next_run_continues_it(jit_backend, here, tmp_path):
     sweep = phantoms(tmp_path, 1, accuracy="photons = 4_000_000_000")
     with pytest.raises(NotReachedError, match="max_seconds") as caught:

@@ -47,6 +47,7 @@ def test_massless_model_agrees_with_the_six_states(name):
     assert np.abs(quick["vein_diameter_m"] / check["vein_diameter_m"] - 1).max() < 1e-4
 
 
+@pytest.mark.long
 def test_six_states_agree_with_the_printed_matrices():
     p = parameters("figures")
     rest = np.array([p.capillary_diameter_m, p.capillary_diameter_m, p.vein_diameter_m])

@@ -143,7 +143,8 @@ def unbalanced(p, touch, branch="wide"):
     return np.max(np.abs(speed) * damping / (area * 1e4))
 
 
-@pytest.mark.parametrize("feedback", [pytest.param(1.0, marks=pytest.mark.long), 100.0])
+@pytest.mark.long
+@pytest.mark.parametrize("feedback", [1.0, 100.0])
 def test_any_set_within_bounds_balances_at_any_touch(feedback):
     from benchmarks.parameter_search import SEARCHED
 

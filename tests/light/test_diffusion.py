@@ -94,6 +94,7 @@ def test_diffuse_reflection_from_outside():
     assert fresnel_moments(1.0, n)[0] == pytest.approx(first + second - third + fourth, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_layered_phantom_against_the_photon_walk(jit_backend):
     """Rationale: a plate of two mean paths on a slab, a beam that becomes diffuse within the plate.

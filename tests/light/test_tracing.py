@@ -73,6 +73,7 @@ def test_the_same_seed_in_other_batches_is_the_same_light(jit_backend, monkeypat
     assert abs(whole.detected_fraction - parts.detected_fraction) < 3.5 * spread
 
 
+@pytest.mark.long
 def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 14)
     clock = itertools.count(0.0, 0.01)

@@ -159,6 +159,7 @@ def test_position_files_serve_as_boards(tmp_path, caplog):
     assert caplog.text.count("add negate_x_on_bottom") == 1
 
 
+@pytest.mark.long
 def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, capsys, shared_light):
     path = write_positions(tmp_path, "Ref,PosX,PosY,Rot,Side\nD1,-3,1,90,bottom\nPD1,-1,-1,30,bottom\n")
     more = '[placement]\nphotodiodes = 1\n[[placement.candidates]]\nname = "drawn"\npositions = "pos.csv"\n'

@@ -66,6 +66,7 @@ def test_the_scene_sets_the_unit_of_a_drawing_without_one(tmp_path):
     assert flat == pytest.approx([25.4 * x for corner in SQUARE for x in corner], abs=1e-6)
 
 
+@pytest.mark.long
 def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys, shared_light):
     write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
     (tmp_path / "scene.toml").write_text(ON_PAGE)

@@ -40,6 +40,7 @@ def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
     assert [led["name"] for led in found["leds"]] == ["ir", "red"]
 
 
+@pytest.mark.long
 def test_it_warns_of_readings_that_may_be_saturated():
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
 
@@ -115,6 +116,7 @@ def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text,
     assert out == "" and len(err.splitlines()) == 1 and str(path) in err
 
 
+@pytest.mark.long
 def test_a_scene_from_a_board_that_is_larger_than_the_nail_says_so(tmp_path):
     found = check_scene(
         parse_scene(

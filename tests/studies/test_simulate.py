@@ -210,6 +210,7 @@ def test_a_result_survives_its_file(pressed, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["result.nc"]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
     first, second, other = (simulate(prototype(), photons=1 << 14, seed=seed) for seed in (5, 5, 6))
@@ -217,6 +218,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(chosen_jit):
     assert not np.array_equal(first.volts, other.volts)
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_of_very_many_samples_what_there_is_of_each_is_single(chosen_jit, monkeypatch, own_store, tmp_path):
     """Rationale: a million samples of eight readings, each with its errors, noise and fits, are 0.7 GB in double
@@ -334,6 +336,7 @@ def test_very_many_samples_take_little_memory(chosen_jit):
     assert result.volts.shape == (1, 8, 300_001) and peak < 64 * result.volts.size
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit):
     """Rationale: its first state once kept a copy of it, double in precision, alive. Expected: its readings take no
@@ -348,6 +351,7 @@ def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit)
     assert blood.blood_fraction.dtype == np.float32 and peak < 80 * 8 * blood.sizes["time"]
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_too_little_time_gives_what_was_reached(chosen_jit):
     with pytest.raises(NotReachedError, match="max_seconds") as caught:

@@ -329,6 +329,7 @@ def test_the_prototype_agrees_with_itself_within_its_errors(jit_backend):
         assert row[f"beer_lambert_{way}"]["error_of_swing"]["value"] >= 0
 
 
+@pytest.mark.long
 def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
     transfer = made_up(np.array([0.5, 1.0]), np.array([0.2, 0.1]))
     for over, units in ((("blood", "saturation"), "1"), (("force",), "N"), (("force", "blood"), None)):

@@ -58,6 +58,7 @@ def test_few_touches_leave_the_filter_alone():
     assert np.array_equal(told.force_n, told.force_filter_n)
 
 
+@pytest.mark.long
 def test_a_subject_file_keeps_the_ensemble():
     again = parse_subject(subject_toml(subject()))
     recording = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=2)

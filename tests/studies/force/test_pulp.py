@@ -15,7 +15,8 @@ from nailoptics.studies.force.person import USUAL_PULP, Pulp
 from nailoptics.studies.force.subject import parse_subject
 
 
-@pytest.mark.parametrize(("creep", "recovery_s"), [(0.25, 0.3), pytest.param(0.0, 0.05, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(("creep", "recovery_s"), [(0.25, 0.3), (0.0, 0.05)])
 def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, recovery_s: float) -> None:
     scene, pulp = load_scene(data_dir("scenes") / "prototype.toml"), Pulp(creep, USUAL_PULP.creep_s, recovery_s)
     assert scene.touch.creep is None and scene.touch.distal_relaxation_s is None

@@ -21,7 +21,7 @@ def subject() -> Subject:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("side", [SIDES[0], pytest.param(SIDES[1], marks=pytest.mark.long)])
+@pytest.mark.parametrize("side", SIDES)
 def test_the_future_makes_force_better_and_intervals_stay_true(subject: Subject, side: Site) -> None:
     """Rationale: people who are the model itself, with a body's pulse, breath, slow waves and drift.
 
