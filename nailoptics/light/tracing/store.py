@@ -95,8 +95,13 @@ class LightStore:
     @classmethod
     def of_user(cls) -> "LightStore | None":
         """The store that all commands of a user share; None where it is off."""
-        root = user_folder()
-        return None if root is None else cls(root, most_bytes=_most_bytes(root), optional=True)
+        if (root := user_folder()) is None:
+            return None
+        most_bytes = MOST_BYTES
+        with suppress(OSError, StopIteration):
+            there = next(path for path in (root, *root.parents) if os.path.exists(path))
+            most_bytes = min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)
+        return cls(root, most_bytes=most_bytes, optional=True)
 
     @classmethod
     def of_command(cls, options: TraceOptions) -> "list[LightStore]":
@@ -249,14 +254,6 @@ def user_folder() -> Path | None:
         return io.cache_folder() / "light"
     except RuntimeError:
         return None
-
-
-def _most_bytes(root: Path) -> float:
-    """The user's bound, less where the disk is nearly full."""
-    with suppress(OSError, StopIteration):
-        there = next(path for path in (root, *root.parents) if os.path.exists(path))
-        return min(MOST_BYTES, MOST_OF_FREE * shutil.disk_usage(there).free)
-    return MOST_BYTES
 
 
 def size_of(folder: Path) -> int:
