@@ -219,7 +219,7 @@ def test_what_a_search_cannot_do_is_one_line(rules, words):
         ("rank_by = { worst = 1.0, mean = 1.0 }", "rank_by has both worst and mean"),
         ("rank_by = {}", "rank_by is empty"),
         ("rank_by = { speed = 1.0 }", "rank_by"),
-        ("keep_out_mm = [[[0.0, 0.0], [1.0, 1.0]]]", "keep_out_mm.0. has 2 corners"),
+        ("keep_out_mm = [[[0.0, 0.0], [1.0, 1.0]]]", "keep_out_mm.0. = .* must have at least 3 items, not 2"),
         ('fixed = ["ir", "ir"]', "used twice"),
     ],
 )
