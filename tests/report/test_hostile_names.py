@@ -123,7 +123,7 @@ def test_hostile_names_are_text_on_the_page_of_a_calibration(name, monkeypatch):
 
 def hostile_prediction(name, monkeypatch) -> str:
     """The page of a prediction in which everything is called so."""
-    numbers = ["force_n", "force_low_n", "force_high_n", "known_force_n", "surprise"]
+    numbers = ["force_n", "force_low_n", "force_high_n", "known_force_n", "normalized_innovation_squared"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
     result = xr.Dataset(data, {"time": np.arange(8.0)}, {"scene": name, "scene_digest": name})

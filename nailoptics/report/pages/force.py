@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ...scene import parse_scene
+from ...studies.force.baselines import WORDS
 from ...studies.force.predict import csv_rows
 from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import parse_subject
@@ -29,12 +30,6 @@ RESIDUALS = (
     "them; residuals correlated with the touch are model error, which the ensemble of regressions takes up."
 )
 KINDS = f"Samples of {TOUCH_N:g} N or more, by side and by whether the force has changed by 0.1 N within half a second."
-NAMED = {
-    "filter": "Kalman filter on the vessels alone",
-    "cubic": "cubic regression on both zones' sum and difference",
-    "components": "linear regression on principal components",
-    "sigmoid": "a sigmoid of each reading",
-}
 KNOWN = (
     "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any other keeps its "
     "prior, and its error is carried into intervals."
@@ -136,7 +131,8 @@ def prediction_page(result: xr.Dataset) -> str:
     methods: list[dict[str, str]] = []
     if np.isfinite(summary["rms_n"]):
         errors = {"this estimate": summary["touch_rms_n"]}
-        errors |= {NAMED[name]: error for name, error in summary["baseline_rms_n"].items()}
+        for name, error_n in summary["baseline_rms_n"].items():
+            errors[result[f"force_{name}_n"].attrs["long_name"].removeprefix("force by ")] = error_n
         of_touches = "Error over touches, rms [mN]"
         methods = [{"Force by": name, of_touches: significant(1e3 * error, 2)} for name, error in errors.items()]
         inside = f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"
@@ -250,9 +246,9 @@ def _share_figure(result: xr.Dataset) -> "Figure":
     # A body that is still is no noise to look into.
     body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))
     body.set_title("Arterial pressure less its mean [Pa]")
-    fits.plot(part.time, part.surprise, color=style.MUTED, linewidth=0.6)
-    outlier = part.outlier.values.astype(bool)
-    fits.plot(part.time[outlier], part.surprise[outlier], ".", color=style.ZONES[0], markersize=3)
+    nis, outlier = part.normalized_innovation_squared, part.outlier.values.astype(bool)
+    fits.plot(part.time, nis, color=style.MUTED, linewidth=0.6)
+    fits.plot(part.time[outlier], nis[outlier], ".", color=style.ZONES[0], markersize=3)
     fits.set(yscale="log", title="Normalized innovation squared [1]; outliers are dots", xlabel="time [s]")
     return figure
 
@@ -297,7 +293,9 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
         "open_above_by_side_n": {side: float(result.attrs[f"open_above_{side}_n"]) for side in ("proximal", "distal")},
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
-        "baseline_rms_n": {name: result.attrs[f"touch_rms_{name}_n"] for name in NAMED if f"force_{name}_n" in result},
+        "baseline_rms_n": {
+            name: result.attrs[f"touch_rms_{name}_n"] for name in ("filter", *WORDS) if f"force_{name}_n" in result
+        },
         "events": [dict(zip(EVENT, event, strict=True)) for event in zip(*events, strict=True)],
     }
 

@@ -15,6 +15,7 @@ from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, Dampe
 from ...scene.importers.sensor_recordings import Recording
 from .person import Array, Person
 from .reading_table import ReadingTable
+from .scores import runs
 from .subject import Noise
 
 # Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
@@ -127,8 +128,7 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
 
 def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:
     """Mean variances that random walks (N, T) gain in a minute, from each rest to the next, (rests - 1,) float."""
-    ends = np.flatnonzero(np.diff(np.r_[False, untouched, False]))
-    rests = [slice(start, stop) for start, stop in ends.reshape(-1, 2) if stop - start > 1]
+    rests = [slice(start, stop) for start, stop in runs(untouched) if stop - start > 1]
     means = np.array([drifting[:, rest].mean(1) for rest in rests]).reshape(len(rests), len(drifting))
     return np.asarray((np.diff(means, axis=0) ** 2).mean(1) * 60.0 / np.diff([time_s[rest].mean() for rest in rests]))
 

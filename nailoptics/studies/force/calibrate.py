@@ -26,9 +26,9 @@ from .fit import Fit, Fitted
 from .person import N_PER_CM2, NAMES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .reading_table import ReadingTable, nodes_of, reading_table
 from .recording_checks import checked, lacking
-from .scores import is_still, touches_by_kind
+from .scores import touches_by_kind
 from .subject import Quality, Readings, Subject, subject_toml
-from .training import baselines_of, hear, teach
+from .training import calibration_series, compared, train
 from .uncertainty import ForceInterval
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
@@ -214,23 +214,23 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     """The subject with ensemble and baselines, and how well it estimates its own touches."""
-    heard = hear(subject, recordings)
-    subject = replace(subject, comparisons=baselines_of(subject, heard))
-    taught = teach(subject, heard)
-    if taught is not None:
-        ensemble, touches = taught
+    series = calibration_series(subject, recordings)
+    subject = replace(subject, comparisons=compared(subject, series))
+    trained = train(subject, series)
+    if trained is not None:
+        ensemble, touches = trained
         quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)
         return replace(subject, ensemble=ensemble, quality=quality)
     # Without an ensemble errors are those of the touches that the filter was fitted to, as far as it tells them apart.
-    interval, parts = ForceInterval(subject), []
-    for one in heard:
-        force, known = interval.of(one.estimates), one.recording
-        below = np.isfinite(force.force_high_n)
-        force_n = np.asarray(known.force_n)
-        columns = force_n, *force[:3], np.asarray(known.site) > 0.5, is_still(known.time_s, force_n)
-        parts.append([column[below] for column in columns])
-    force_n, estimated_n, low_n, high_n, proximal, still = map(np.concatenate, zip(*parts, strict=True))
-    touches = touches_by_kind(force_n, estimated_n, (low_n, high_n), proximal, still)
+    force = ForceInterval(subject).of(series.estimates)
+    below = np.isfinite(force.force_high_n)
+    touches = touches_by_kind(
+        series.force_n[below],
+        force.force_n[below],
+        (force.force_low_n[below], force.force_high_n[below]),
+        series.is_proximal[below],
+        series.is_still[below],
+    )
     return replace(subject, quality=replace(subject.quality, rms_n=touches["all"]["rms_n"], touches=touches))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from .person import MOST_GAIN, TABLE, Array, Numbers, within
+from .person import LONGEST_GAP_S, MOST_GAIN, TABLE, Array, Numbers, within
 
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
@@ -30,40 +30,54 @@ HANDED_OVER = 0.9
 
 
 class Features:
-    """Features of one sample after another: components of the readings and pressures, each with its departures."""
+    """Features of samples that come one after another: components of the readings and pressures, with their departures.
+
+    Readings at rest and all memory begin anew after a gap, as the filter does.
+    """
 
     def __init__(self, components: Array) -> None:
         self.components = components
         self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
 
-    def over_rest(self, ln_v: Array, is_resting: bool, since_s: float) -> Array:
-        """Logarithms of the readings (R,) less those at rest; a gap repeats the reading before it."""
-        if not self._zero.size:
-            self._zero = self._last = np.nan_to_num(ln_v)
-        ln_v = self._last = np.where(np.isfinite(ln_v), ln_v, self._last)
-        if is_resting:
-            self._rest_s += since_s
-            first = since_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
-            self._zero = self._zero + max(first, -np.expm1(-since_s / ZERO_S)) * (ln_v - self._zero)
-        return ln_v - self._zero
+    def over_rest(self, ln_v: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
+        """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it.
 
-    def with_memory(self, over_rest: Array, pressure_n: Array, since_s: float) -> Array:
-        """All features (D, *S) of one sample, or of many side by side.
-
-        over_rest : (R, *S) float. pressure_n : (2, *S) float. Of the filter, times the contact's areas. [N]
+        is_resting : (T,) bool. since_s : (T,) float. Time from sample to sample. [s]
         """
-        now = np.concatenate([self.components @ over_rest, pressure_n])
-        if not self._means.size:
-            self._means = np.zeros((len(LAGS_S), *now.shape))
-        keep = np.exp(-since_s / LAGS_S).reshape(-1, *[1] * now.ndim)
-        self._means = now + keep * (self._means - now)
-        return np.concatenate([now[None], now - self._means]).reshape(-1, *now.shape[1:])
+        out = np.empty_like(ln_v)
+        for k, (now, rests, step_s) in enumerate(zip(ln_v.T, is_resting, since_s, strict=True)):
+            if not self._zero.size or step_s > LONGEST_GAP_S:
+                self._zero = self._last = np.nan_to_num(now)
+                self._rest_s = step_s = 0.0
+            self._last = np.where(np.isfinite(now), now, self._last)
+            if rests:
+                self._rest_s += step_s
+                first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
+                self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S)) * (self._last - self._zero)
+            out[:, k] = self._last - self._zero
+        return out
+
+    def with_memory(self, over_rest: Array, pressure_n: Array, since_s: Array) -> Array:
+        """All features (D, *S, T) of the next samples.
+
+        over_rest : (R, *S, T) float. pressure_n : (2, *S, T) float. Of the filter, times the contact's areas. [N]
+        since_s : (T,) float. Time from sample to sample. [s]
+        """
+        now = np.concatenate([np.tensordot(self.components, over_rest, axes=1), pressure_n])
+        out = np.concatenate([now[None]] * (1 + len(LAGS_S)))
+        for k, step_s in enumerate(since_s):
+            if not self._means.size or step_s > LONGEST_GAP_S:
+                self._means, step_s = np.zeros((len(LAGS_S), *now.shape[:-1])), 0.0
+            keep = np.exp(-step_s / LAGS_S).reshape(-1, *[1] * (now.ndim - 1))
+            self._means = now[..., k] + keep * (self._means - now[..., k])
+            out[1:, ..., k] -= self._means
+        return out.reshape(-1, *now.shape[1:])
 
 
 class Terms(NamedTuple):
     """Indices of the features that each monomial multiplies, and which monomials a member has.
 
-    indices : (n, 3) int; past the last feature stands a 1. members : n bool each.
+    indices : (n, 2) int; past the last feature stands a 1. members : n bool each.
     """
 
     indices: NDArray[np.int64]
@@ -78,30 +92,18 @@ class Terms(NamedTuple):
 def terms_of(components: int) -> Terms:
     """The monomials of so many components of readings and of the pressures, each with its departures."""
     every = np.arange((1 + len(LAGS_S)) * (components + PRESSURES)).reshape(1 + len(LAGS_S), -1)
-    readings, pressures, one = every[:, :components].ravel(), every[:, components:].ravel(), every.size
-    rows: list[tuple[int, ...]] = [(i, one, one) for i in range(one)]
-    for group in (readings, pressures):
-        rows += [(i, j, one) for i, j in itertools.combinations_with_replacement(group.tolist(), 2)]
-    rows += itertools.combinations_with_replacement(every[0, :components].tolist(), 3)
+    groups, one = {"quadratic": every[:, :components], "map of the filter": every[:, components:]}, every.size
+    rows = [(i, one) for i in range(one)]
+    for group in groups.values():
+        rows += itertools.combinations_with_replacement(group.ravel().tolist(), 2)
     indices = np.array(rows)
-
-    def within_group(group: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray(np.isin(indices, [*group, one]).all(1))
-
-    cubic = within_group(readings)
-    members = {
-        "quadratic": cubic & (indices[:, 2] == one),
-        "cubic": cubic,
-        "map of the filter": within_group(every[0, components:]),
-        "map of the filter with memory": within_group(pressures),
-        "kernel": (indices[:, 1:] == one).all(1),
-    }
-    return Terms(indices, members)
+    members = {name: np.asarray(np.isin(indices, [*group.ravel(), one]).all(1)) for name, group in groups.items()}
+    return Terms(indices, members | {"kernel": indices[:, 1] == one})
 
 
 @dataclass(frozen=True, config=TABLE)
 class Ensemble:
-    """Force = filter_weight * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres.
+    """Force = weights[filter] * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres.
 
     components : (K, R) float. Of ln volts over those at rest; with standard deviation 1 over the calibration's touches.
     least, most : (D,) float. Range of the features in the calibration; beyond they count as its ends.
@@ -110,7 +112,7 @@ class Ensemble:
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
     open_from_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
-    weights : of every member, for the reader; errors_n : rms error over held-out touches of each. [N]
+    weights : of every member. errors_n : rms error over held-out touches of each. [N]
     """
 
     components: Numbers
@@ -118,7 +120,6 @@ class Ensemble:
     most: Numbers
     middle: Numbers
     scale: Annotated[Numbers, within(1e-12, MOST_GAIN)]
-    filter_weight: Annotated[float, Field(ge=0, le=MOST_GAIN)]
     intercept_n: float
     polynomial_n: Numbers
     centres: Numbers
@@ -126,12 +127,14 @@ class Ensemble:
     top_n: Annotated[float, Field(gt=0, le=MOST_GAIN)]
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     open_from_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
-    weights: dict[str, float]
+    weights: dict[str, Annotated[float, Field(ge=0, le=MOST_GAIN)]]
     errors_n: dict[str, float]
 
     def __post_init__(self) -> None:
         if self.components.ndim != 2 or self.centres.ndim != 2:
             raise ValueError("components and centres must be tables of numbers")
+        if "filter" not in self.weights:
+            raise ValueError("weights have no filter")
         features = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES)
         shapes: dict[str, tuple[int, ...]] = {name: (features,) for name in ("least", "most", "middle", "scale")}
         shapes |= {"polynomial_n": (len(self.terms.indices),), "kernel_n": (len(self.centres),)}
@@ -149,7 +152,7 @@ class Ensemble:
     def force_n(self, features: Array, filter_n: Array) -> Array:
         """Force (T,) of features (D, T) beside the filter's (T,). [N]"""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
-        force_n = self.filter_weight * filter_n + self.intercept_n + self.polynomial_n @ self.terms.of(inside)
+        force_n = self.weights["filter"] * filter_n + self.intercept_n + self.polynomial_n @ self.terms.of(inside)
         force_n = np.maximum(force_n + self.kernel_n @ self.kernel(inside), 0.0)
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)

@@ -40,15 +40,12 @@ class ForceEstimator:
 
     def of(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> Estimated:
         """The next samples (T,), with volts (R, T) and times from sample to sample (T,) [s]."""
-        by_filter, rows = self._interval.of(estimates), []
+        by_filter = self._interval.of(estimates)
         with np.errstate(invalid="ignore", divide="ignore"):
-            samples = zip(np.log(volts).T, by_filter.force_n < REST_FORCE_N, since_s, strict=True)
-        over_rest = np.array([self._features.over_rest(*sample) for sample in samples]).T
+            over_rest = self._features.over_rest(np.log(volts), by_filter.force_n < REST_FORCE_N, since_s)
         if self._ensemble is None:
             return Estimated(by_filter, by_filter.force_n, over_rest)
-        for sample in zip(over_rest.T, (by_filter.pressure * self._areas_cm2).T, since_s, strict=True):
-            rows.append(self._features.with_memory(*sample))
-        features = np.array(rows).T
+        features = self._features.with_memory(over_rest, by_filter.pressure * self._areas_cm2, since_s)
         force_n = self._ensemble.force_n(features, by_filter.force_n)
         low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
         force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)

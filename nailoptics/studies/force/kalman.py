@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.linalg import cho_factor, cho_solve
 
-from .person import LONGEST_STEP_S, Array
+from .person import LONGEST_GAP_S, LONGEST_STEP_S, Array
 from .state_space import (
     LEAST_WIDTH,
     PULP,
@@ -42,15 +42,18 @@ TOUCH_RATE = 0.1
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # Most iterations of the update, largest step of a coordinate in one, and the step below which they end.
 ITERATIONS, LARGEST_UPDATE, CONVERGED = 5, 0.3, 1e-3
+# Most standard deviations of its prediction by which a sample moves the touch: it bends to 0 at rest, from where the
+# linearised filter takes a step of force within a sample for two to four times as much. [1]
+TOUCH_GATE = 4.0
 # A finger rests as often as it touches, with pressures of this range on either side: prior of rest. [N/cm^2]
 TOUCH_RANGE = 0.5
 # Standard error of the zero after a second of rest. [N/cm^2 sqrt(s)]
 ZERO_STDERR = 0.025
 # A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
 OUTLIER_GATE = 0.999
-# The filter restarts, at rest, after gaps longer than this [s], and where a width over rest has a larger standard error
-# than this: a soft vein past closure is known to no more than 2, and must not be taken for diverged.
-LONGEST_GAP_S, DIVERGED = 5.0, 5.0
+# The filter restarts, at rest, after gaps, and where a width over rest has a larger standard error than this: a soft
+# vein past closure is known to no more than 2, and must not be taken for diverged.
+DIVERGED = 5.0
 # What rounding adds to a predicted variance in the smoother, in parts of it.
 ROUNDING = 1e-12
 
@@ -175,6 +178,7 @@ class KalmanFilter:
     def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
         """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
         predicted = state = self.state
+        farthest = TOUCH_GATE * np.sqrt(np.einsum("mii->mi", self.mode_covariance)[:, TOUCH].max(0))
         measurement_noise, nis, probability = np.diag(variance[valid]), 0.0, self.mode_probability
         for iteration in range(ITERATIONS):
             expected, jacobian = self.model.measurement(state)
@@ -191,18 +195,20 @@ class KalmanFilter:
             innovation_covariance = innovation_covariance + measurement_noise
             gain = np.moveaxis(np.linalg.solve(innovation_covariance, by_state), 1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
-            moved = predicted + probability @ corrections - state
+            updated = predicted + probability @ corrections
+            updated[TOUCH] = np.clip(updated[TOUCH], predicted[TOUCH] - farthest, predicted[TOUCH] + farthest)
+            moved = updated - state
             moved[:WALL_STATES] = np.clip(moved[:WALL_STATES], -LARGEST_UPDATE, LARGEST_UPDATE)
             state = state + moved
             if np.abs(moved[:WALL_STATES]).max() < CONVERGED:
                 break
         # Joseph form, which stays positive for any gain; merged with the spread of the modes' means.
         rest = np.eye(self.model.size) - gain @ jacobian
-        updated = rest @ self.mode_covariance @ np.moveaxis(rest, 1, 2)
-        updated = updated + gain @ measurement_noise @ np.moveaxis(gain, 1, 2)
+        covariance = rest @ self.mode_covariance @ np.moveaxis(rest, 1, 2)
+        covariance = covariance + gain @ measurement_noise @ np.moveaxis(gain, 1, 2)
         from_mean = corrections - probability @ corrections
         self.mode_probability = probability
-        self.covariance = np.einsum("m,mij->ij", probability, updated) + (probability * from_mean.T) @ from_mean
+        self.covariance = np.einsum("m,mij->ij", probability, covariance) + (probability * from_mean.T) @ from_mean
         self.state = self.model.bound_touch(state, self.covariance)
         self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
         self.state[PULP] = np.clip(self.state[PULP], 0.0, self.model.touch_bounds[1][1])

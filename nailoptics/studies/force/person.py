@@ -24,8 +24,9 @@ from ...scene.base import Fraction
 
 Array = NDArray[np.float64]
 
-# Samples further apart are walked in as many steps of at most this length. [s]
-LONGEST_STEP_S = 0.05
+# Samples further apart are walked in as many steps of at most this length; filter and memory restart after gaps longer
+# than the second. [s]
+LONGEST_STEP_S, LONGEST_GAP_S = 0.05, 5.0
 # A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
 LEFT_AT_CLOSURE = 0.05
 # Pressures among which closure is searched. [N/cm^2]

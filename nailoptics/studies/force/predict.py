@@ -56,7 +56,7 @@ def predict(
     smooth : use the samples after each as well, not only those before it.
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
-    proximal share and pressures with theirs, arterial pressure, normalized innovation squared (`surprise`) and outlier
+    proximal share and pressures with theirs, arterial pressure, normalized innovation squared (NIS) and outlier
     of each sample, the regressions' forces; its attributes hold what `prediction_summary` prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
@@ -176,7 +176,7 @@ def _dataset(
     columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
         "force_filter_n": (estimated.filter_n, "force by the filter on the vessels alone", "N"),
         "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
-        "surprise": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
+        "normalized_innovation_squared": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
         "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
         "known_force_n": (known_n, "known force", "N"),
     }

@@ -13,6 +13,7 @@ from ...sensor import electronics
 from .body_noise import REST_FORCE_N
 from .person import SIDES
 from .reading_table import reading_names, site_of
+from .scores import runs
 
 # Least rest before the first touch of a recording [s], and its largest force, at least and at most [N].
 REST_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 0.2, 20.0
@@ -93,8 +94,7 @@ def _touches(recording: Recording, side: float) -> list[slice]:
     """The samples of each touch of a side, by its number in `site`, from rest to rest; even touches are of both."""
     force_n, site = np.asarray(recording.force_n), np.asarray(recording.site)
     touched = (force_n >= REST_FORCE_N) & (np.isnan(site) | (site == side))
-    ends = np.flatnonzero(np.diff(np.r_[False, touched, False])).reshape(-1, 2)
-    return [slice(start, stop) for start, stop in ends if force_n[start:stop].max() >= TOUCHED_N]
+    return [slice(start, stop) for start, stop in runs(touched) if force_n[start:stop].max() >= TOUCHED_N]
 
 
 def _faults_together(recordings: Sequence[Recording]) -> Iterator[str]:

@@ -23,6 +23,11 @@ def is_still(time_s: Array, force_n: Array) -> NDArray[np.bool_]:
     return np.abs(force_n - np.interp(time_s - SETTLING_S, time_s, force_n)) < STILL_N
 
 
+def runs(is_within: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Where samples (T,) that are within something begin and end, (n, 2) int."""
+    return np.flatnonzero(np.diff(np.r_[False, is_within, False])).reshape(-1, 2)
+
+
 def rms(error: Array) -> float:
     """Root mean square of the finite values; NaN of none."""
     valid = np.isfinite(error)

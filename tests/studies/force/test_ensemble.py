@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.ensemble import LAGS_S, Features
+from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 
@@ -48,7 +49,7 @@ def test_errors_are_of_touches_that_were_held_out():
     assert ensemble is not None and quality.is_held_out
     assert set(quality.touches) == {"all", *(f"{s} {m}" for s in ("proximal", "distal") for m in ("still", "moving"))}
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
-    assert min(ensemble.weights.values()) >= 0 and ensemble.weights["filter"] == ensemble.filter_weight
+    assert min(ensemble.weights.values()) >= 0
 
 
 def test_few_touches_leave_the_filter_alone():
@@ -63,7 +64,7 @@ def test_a_subject_file_keeps_the_ensemble():
     again = parse_subject(subject_toml(subject()))
     recording = made_sensor.record(made_sensor.cycle(0.6), "distal", seed=2)
     assert np.array_equal(predict(again, recording).force_n, predict(subject(), recording).force_n)
-    wrong = replace(subject().ensemble, filter_weight=0.5)
+    wrong = replace(subject().ensemble, weights=subject().ensemble.weights | {"filter": 0.5})
     assert not np.array_equal(
         predict(replace(again, ensemble=wrong), recording).force_n, predict(again, recording).force_n
     )
@@ -78,16 +79,33 @@ def test_lines_that_come_one_by_one_are_answered_as_a_file_is():
 
 
 def test_memory_is_of_constant_size_and_forgets():
-    features, forces = Features(np.eye(2)), []
-    for k in range(5000):
-        over_rest = features.over_rest(np.full(2, 0.1 * (k < 100)), False, 0.02)
-        forces.append(features.with_memory(over_rest, np.zeros(2), 0.02))
-    assert {one.shape for one in forces} == {((1 + len(LAGS_S)) * 4,)}
-    assert np.abs(forces[-1][4:]).max() < 1e-9 < np.abs(forces[101][4:]).max()
+    memory, since_s = Features(np.eye(2)), np.full(5000, 0.02)
+    ln_v = np.tile(np.where(np.arange(5000) < 100, 0.1, 0.0), (2, 1))
+    over_rest = memory.over_rest(ln_v, np.zeros(5000, bool), since_s)
+    features = memory.with_memory(over_rest, np.zeros((2, 5000)), since_s)
+    assert features.shape == ((1 + len(LAGS_S)) * 4, 5000)
+    assert np.abs(features[4:, -1]).max() < 1e-9 < np.abs(features[4:, 101]).max()
 
 
 def test_the_zero_follows_a_slow_drift_at_rest_alone():
     for is_resting, left in ((True, 0.003), (False, 0.1)):
-        features = Features(np.eye(1))
-        values = [features.over_rest(np.array([k / 500 * 0.1]), is_resting, 2.0) for k in range(501)]
-        assert values[-1][0] == pytest.approx(left, abs=0.001)
+        drifting = np.linspace(0.0, 0.1, 501)[None]
+        values = Features(np.eye(1)).over_rest(drifting, np.full(501, is_resting), np.full(501, 2.0))
+        assert values[0, -1] == pytest.approx(left, abs=0.001)
+
+
+def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does():
+    memory, since_s = Features(np.eye(1)), np.array([0.0, 0.02, LONGEST_GAP_S + 1.0, 0.02])
+    over_rest = memory.over_rest(np.array([[0.0, 0.1, 0.3, 0.4]]), np.zeros(4, bool), since_s)
+    assert over_rest == pytest.approx(np.array([[0.0, 0.1, 0.0, 0.1]]))
+    again = Features(np.eye(1)).with_memory(over_rest[:, :2], np.zeros((2, 2)), since_s[:2])
+    assert memory.with_memory(over_rest, np.zeros((2, 4)), since_s)[:, 2:] == pytest.approx(again)
+
+
+@pytest.mark.parametrize("site", ["proximal", "distal"])
+def test_a_step_of_force_within_one_sample_is_not_overestimated(site):
+    time_s = made_sensor.STEP_S * np.arange(150)
+    step = made_sensor.record(np.where(time_s < 2.0, 0.0, 0.5), site, seed=3)
+    alone = parse_subject(made_sensor.subject())
+    force_n = predict(alone, step).force_n.values
+    assert 0.4 < force_n[-1] and force_n.max() < 1.15 * force_n[-1]
