@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from functools import cache
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -38,6 +38,19 @@ class Prior(PriorRange):
     """On which scale it is normal."""
     source: str
     """Where the range comes from."""
+
+
+class FactorPrior(NamedTuple):
+    """What is known, before any recording, of a factor on constants of the scene's finger that `calibrate` fits.
+
+    spread : standard deviation, as a factor: two of three people lie within 1 / spread and spread.
+    fields : the constants of the network that it multiplies; none where it is not the network's.
+    """
+
+    name: str
+    spread: float
+    fields: Sequence[str]
+    text: str
 
 
 class Priors(Table):
@@ -105,3 +118,9 @@ class Priors(Table):
 def shipped_priors() -> tuple[Prior, ...]:
     """The priors of assets/priors.toml."""
     return tuple(Prior(**one) for one in read_toml("priors.toml")["priors"])
+
+
+@cache
+def factor_priors() -> dict[str, FactorPrior]:
+    """Those of assets/priors.toml that `calibrate` fits, by name."""
+    return {one["name"]: FactorPrior(**one) for one in read_toml("priors.toml")["factors"]}

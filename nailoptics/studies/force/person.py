@@ -7,7 +7,7 @@ and vessels: it creeps under a held touch, and its distal part recovers slowly.
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.touch import PAPER_ZONES
 from ...hemodynamics.walls import Walls, build_walls
 from ...scene.base import Fraction
+from ...scene.priors import factor_priors
 
 Array = NDArray[np.float64]
 
@@ -103,37 +104,7 @@ USUAL_PULP = Pulp(creep=0.1, creep_s=2.0, recovery_s=0.15)
 # No held touch loses more of its pressure than this.
 MOST_CREEP = 0.9
 
-
-class FactorPrior(NamedTuple):
-    """What is known of a factor before any recording: two of three people lie within 1 / spread and spread.
-
-    fields : the constants of the network that it multiplies; none where it is not the network's.
-    """
-
-    spread: float
-    fields: tuple[str, ...]
-    text: str
-
-
-# Nobody has measured the spread of the network's constants among people; the paper tunes them by hand "within an order
-# of magnitude", so that a factor 2 is taken. Blood at rest: 1-5 % of the bed.
-# The contact of a fingertip at 1 N: 0.6-1.6 cm^2.
-PRIORS: dict[str, FactorPrior] = {
-    "vein_stiffness": FactorPrior(2.0, ("vein_stiffness_n_per_m",), "stiffness of the vein's wall"),
-    "capillary_stiffness": FactorPrior(2.0, ("capillary_stiffness_n_per_m",), "stiffness of the capillaries' walls"),
-    "vein_damping": FactorPrior(2.0, ("vein_damping_n_s_per_m",), "damping of the vein's wall"),
-    "capillary_damping": FactorPrior(2.0, ("capillary_damping_n_s_per_m",), "damping of the capillaries' walls"),
-    "feedback": FactorPrior(
-        1.5, ("venule_resistance_pa_s_per_m3",), "resistance of the venules over that of the arterioles"
-    ),
-    "contact_area": FactorPrior(1.6, (), "area over which a force presses"),
-    "proximal_area": FactorPrior(1.6, (), "area of a proximal touch over that of a distal one"),
-    "distal_reach": FactorPrior(3.0, (), "part of a distal pressure that acts on the proximal capillaries"),
-    "rest_blood": FactorPrior(1.7, (), "blood of the bed at rest"),
-    "proximal_share": FactorPrior(1.5, (), "proximal over distal force of an even touch"),
-    "creep": FactorPrior(2.0, (), "part of its pressure that a held touch loses"),
-    "distal_recovery": FactorPrior(2.0, (), "time in which the distal pulp recovers"),
-}
+PRIORS = factor_priors()
 NAMES = tuple(PRIORS)
 NOMINAL_LN = np.zeros(len(NAMES))
 SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])
