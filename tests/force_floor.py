@@ -72,7 +72,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     who, time_s = subject.person, touch.time_s
     high = blood_model(body).arterial_waveform()
     arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
-    pressure = who.pressures(touch.force_n, touch.site)
+    pressure = who.pressures_n_per_cm2(touch.force_n, touch.site)
     blood = who.blood(who.widths_over(time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
     volts = subject.readings.offset_v[:, None] + subject.readings.gain[:, None] * subject.light.volts(blood)
     worn = drift_and_motion(body, time_s)
@@ -99,7 +99,7 @@ def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
     calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.
     """
     who, rest_v, gain = subject.person, subject.rest_v, subject.readings.gain
-    held = np.append(who.pressures(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)
+    held = np.append(who.pressures_n_per_cm2(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)
     places = np.repeat(held[:, None], 6, axis=1)
     places[range(3), range(3)] += STEPS
     places[range(3), range(3, 6)] -= STEPS

@@ -126,6 +126,8 @@ def hostile_prediction(name, monkeypatch) -> str:
     numbers = ["force_n", "force_low_n", "force_high_n", "known_force_n", "normalized_innovation_squared"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
+    for method in ("filter", "cubic"):
+        data[f"force_{method}_n"] = "time", np.linspace(0.1, 1.0, 8), {"long_name": name}
     result = xr.Dataset(data, {"time": np.arange(8.0)}, {"scene": name, "scene_digest": name})
     summary = {"warnings": [name], "consistent": False, "misfit": name, "open_above_n": 1.0, "rms_n": 0.1}
     scores = dict.fromkeys(("rms_n", "relative_error", "coverage_95", "half_width_n"), 0.1)

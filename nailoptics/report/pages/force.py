@@ -24,9 +24,9 @@ FORCE = (
     "Force estimated from the readings, with its 95 % interval. Where the vessels are closed, readings do not depend "
     "on the force: the interval has no upper bound, which the bar at the top shows."
 )
-FIT = "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording."
-RESIDUALS = (
-    "Residuals of each reading, coloured from proximal (warm) to distal (cool). Noise and heartbeat are expected in "
+FIT = (
+    "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording. "
+    "Bottom: residuals of each reading, from proximal (warm) to distal (cool). Noise and heartbeat are expected in "
     "them; residuals correlated with the touch are model error, which the ensemble of regressions takes up."
 )
 KINDS = f"Samples of {TOUCH_N:g} N or more, by side and by whether the force has changed by 0.1 N within half a second."
@@ -50,7 +50,6 @@ def calibration_page(result: xr.Dataset) -> str:
         (f"± {significant(1e3 * summary['half_width_n'], 2)} mN", "median 95 % interval of a touch"),
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
     ]
-    fits = figure(_fit_figure(result), FIT), figure(_residual_figure(result), RESIDUALS)
     return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
@@ -60,7 +59,7 @@ def calibration_page(result: xr.Dataset) -> str:
         cards=cards,
         body=[
             section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
-            section("Recorded and fitted", *fits),
+            section("Recorded and fitted", figure(_fit_figure(result), FIT)),
             section("The person", table(_factors(summary)), small(KNOWN)),
             section("The readings", table(_readings(result, summary)), small(GAINS)),
         ],
@@ -173,40 +172,26 @@ def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
     return result.isel({over: slice(None, None, max(1, result.sizes[over] // POINTS))})
 
 
-def _recordings(result: xr.Dataset) -> list[xr.Dataset]:
-    """The samples of each recording, thinned for a figure."""
-    return [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
-
-
 @style.drawing()
 def _fit_figure(result: xr.Dataset) -> "Figure":
-    """Every reading over the calibration, recorded and fitted, less its start."""
-    readings, parts = result.reading.values, _recordings(result)
-    size = 7.2, 0.9 * len(readings) + 0.6, len(readings), len(parts)
-    figure, axes = style.panels(*size, sharex="col", squeeze=False)
+    """Every reading over the calibration, recorded and fitted, less its start; below, the residuals of all."""
+    readings = result.reading.values
+    parts = [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
+    size = 7.2, 0.9 * len(readings) + 2.4, len(readings) + 1, len(parts)
+    ratios = [1.0] * len(readings) + [2.0]
+    figure, axes = style.panels(*size, sharex="col", sharey="row", squeeze=False, height_ratios=ratios)
     for part, column in zip(parts, axes.T, strict=True):
-        for row, (panel, colour) in enumerate(zip(column, style.place_colours(len(readings)), strict=True)):
-            recorded = part.volts.values[row]
-            start = np.nanmedian(recorded[: max(3, len(recorded) // 50)])
-            panel.plot(part.time_s, 1e3 * (recorded - start), color=colour, linewidth=3.0, alpha=0.55, label="recorded")
-            fitted = 1e3 * (part.volts_fitted.values[row] - start)
-            panel.plot(part.time_s, fitted, color=style.INK, linewidth=0.8, label="fitted")
+        residuals = column[-1]
+        for row, (panel, colour) in enumerate(zip(column[:-1], style.place_colours(len(readings)), strict=True)):
+            recorded_mv, fitted_mv = 1e3 * part.volts.values[row], 1e3 * part.volts_fitted.values[row]
+            start_mv = np.nanmedian(recorded_mv[: max(3, len(recorded_mv) // 50)])
+            panel.plot(part.time_s, recorded_mv - start_mv, color=colour, linewidth=3.0, alpha=0.55, label="recorded")
+            panel.plot(part.time_s, fitted_mv - start_mv, color=style.INK, linewidth=0.8, label="fitted")
             style.remark(panel, style.plain(readings[row]))
-        column[-1].set_xlabel("time [s]")
+            residuals.plot(part.time_s, recorded_mv - fitted_mv, color=colour, linewidth=0.7)
+        residuals.set_xlabel("time [s]")
     axes[len(readings) // 2, 0].set_ylabel("change of the reading [mV]")
-    return figure
-
-
-@style.drawing()
-def _residual_figure(result: xr.Dataset) -> "Figure":
-    """What the fit leaves of every reading, all in one panel for each recording."""
-    parts, colours = _recordings(result), style.place_colours(result.sizes["reading"])
-    figure, axes = style.panels(7.2, 2.4, 1, len(parts), sharey=True, squeeze=False)
-    for panel, part in zip(axes[0], parts, strict=True):
-        for k, colour in enumerate(colours):
-            panel.plot(part.time_s, 1e3 * (part.volts - part.volts_fitted).values[k], color=colour, linewidth=0.7)
-        panel.set_xlabel("time [s]")
-    axes[0, 0].set_ylabel("residual [mV]")
+    axes[-1, 0].set_ylabel("residual [mV]")
     return figure
 
 

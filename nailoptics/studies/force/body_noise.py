@@ -47,9 +47,9 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     """Change of every reading with a slow change of arterial pressure, over a touch, (R, T) float. [V/Pa]"""
     assert recording.force_n is not None and recording.site is not None
     high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
-    pressure = np.repeat(person.pressures(recording.force_n, recording.site)[:, None], 2, axis=1)
+    pressure_n_per_cm2 = np.repeat(person.pressures_n_per_cm2(recording.force_n, recording.site)[:, None], 2, axis=1)
     both = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
-    blood = person.blood(both.widths_over(recording.time_s, pressure, arterial_pa=high[:, None]))
+    blood = person.blood(both.widths_over(recording.time_s, pressure_n_per_cm2, arterial_pa=high[:, None]))
     volts = gain[:, None, None] * table.volts(blood)
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
 
@@ -83,15 +83,15 @@ def estimate_noise(
     for recording, residual in zip(recordings, residual_v, strict=True):
         time_s, force_n = recording.time_s, np.asarray(recording.force_n)
         response = arterial_response(person, table, gain, recording)
-        pressure, light, left = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
+        pressure_pa, light, left = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
-        pressure -= np.polynomial.Polynomial.fit(force_n, pressure, degree)(force_n)
+        pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
         step_s = float(np.median(np.diff(time_s)))
-        window = min(len(pressure), round(WINDOW_S / step_s))
-        spectra.append(signal.welch(pressure, fs=1.0 / step_s, nperseg=window, detrend="constant"))
+        window = min(len(pressure_pa), round(WINDOW_S / step_s))
+        spectra.append(signal.welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
         with suppress(InputError):  # no heartbeat in it
-            rates_hz.append(beats_per_second(time_s, pressure))
+            rates_hz.append(beats_per_second(time_s, pressure_pa))
         # A reading's own drift lies where neither pressure nor LED took it along.
         share = len(left) / max(len(left) - 1 - leds.shape[1], 1)
         untouched = force_n < REST_FORCE_N

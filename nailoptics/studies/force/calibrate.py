@@ -25,11 +25,10 @@ from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted
 from .person import N_PER_CM2, NAMES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
 from .reading_table import ReadingTable, nodes_of, reading_table
-from .recording_checks import checked, lacking
+from .recording_checks import checked, joined, lacking
 from .scores import touches_by_kind
 from .subject import Quality, Readings, Subject, subject_toml
 from .training import calibration_series, compared, train
-from .uncertainty import ForceInterval
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
@@ -124,13 +123,6 @@ def calibrate_with(
     )
 
 
-def joined(recordings: Sequence[Recording]) -> Recording:
-    """All samples of recordings with force and site, one after the other; times begin anew with each."""
-    force_n, site = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in ("force_n", "site"))
-    parts = [recording.time_s for recording in recordings], [recording.volts for recording in recordings], force_n, site
-    return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
-
-
 def _nominal_finger(scene: Scene) -> NominalFinger:
     """The scene's finger, with the usual pulp where the scene states none."""
     touch, pulp = scene.touch, USUAL_PULP
@@ -205,7 +197,7 @@ def _two_balances_n(subject: Subject) -> dict[str, Array]:
     forces = {}
     for side, most_n in subject.quality.most_force_n.items():
         forces_n = np.linspace(0.0, most_n, 101)
-        proximal, distal = N_PER_CM2 * subject.person.pressures(forces_n, np.full(101, SITES[side]))
+        proximal, distal = N_PER_CM2 * subject.person.pressures_n_per_cm2(forces_n, np.full(101, SITES[side]))
         state = steady_state(Parameters(**constants), proximal_pressure_pa=proximal, distal_pressure_pa=distal)
         if state.two_branches.any():
             forces[side] = forces_n[state.two_branches]
@@ -222,8 +214,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
         quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)
         return replace(subject, ensemble=ensemble, quality=quality)
     # Without an ensemble errors are those of the touches that the filter was fitted to, as far as it tells them apart.
-    force = ForceInterval(subject).of(series.estimates)
-    below = np.isfinite(force.force_high_n)
+    below, force = np.isfinite(series.by_filter.force_high_n), series.by_filter
     touches = touches_by_kind(
         series.force_n[below],
         force.force_n[below],

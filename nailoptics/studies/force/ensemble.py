@@ -112,7 +112,7 @@ class Ensemble:
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
     open_from_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
-    weights : of every member. errors_n : rms error over held-out touches of each. [N]
+    weights : of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
 
     components: Numbers

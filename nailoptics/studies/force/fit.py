@@ -119,30 +119,26 @@ class Fit:
         return self._finish(free_ln)
 
     def residuals(self, free_ln: Array) -> tuple[Array, Array]:
-        """Whitened residuals and deviations from priors (M, N), and their Jacobian (M, N, P), of N people side by side.
+        """Whitened residuals and deviations from priors (M,), and their Jacobian (M, P).
 
-        free_ln : (P, N) float. Logarithms of the free factors.
+        free_ln : (P,) float. Logarithms of the free factors.
         """
-        count, people = free_ln.shape
-        columns = self._columns(free_ln)
-        solved, residual = self._linear_fit(columns)
+        solved, residual = self._linear_fit(self._columns(free_ln))
         off_prior = (solved - self.prior) / self.prior_spread[:, None]
-        linear = np.moveaxis(off_prior, 1, -1).reshape(-1, columns.shape[2])
-        white = np.concatenate([self._whiten(residual), linear]).reshape(-1, people, 1 + count)
-        spread = SPREAD_LN[self.free]
-        priors = np.repeat(np.diag(1 / spread)[:, None], people, axis=1)
-        value = np.concatenate([white[..., 0], free_ln / spread[:, None]])
-        return value, np.concatenate([(white[..., 1:] - white[..., :1]) / STEP_LN, priors])
+        linear = np.moveaxis(off_prior, 1, -1).reshape(-1, solved.shape[1])
+        white, spread = np.concatenate([self._whiten(residual), linear]), SPREAD_LN[self.free]
+        by_factor = (white[:, 1:] - white[:, :1]) / STEP_LN
+        return np.concatenate([white[:, 0], free_ln / spread]), np.concatenate([by_factor, np.diag(1 / spread)])
 
     def model(self, factors_ln: Array, recordings: Sequence[Recording]) -> list[Array]:
         """Per recording (3, R, *S, T): volts before gain and offset, and their derivatives by either zone's slope."""
         who, out = self.finger.person(factors_ln), []
         for recording in recordings:
             assert recording.force_n is not None and recording.site is not None
-            pressure = who.pressures(recording.force_n, recording.site)
+            pressure_n_per_cm2 = who.pressures_n_per_cm2(recording.force_n, recording.site)
             longest_s = max(LONGEST_STEP_S, float(np.median(np.diff(recording.time_s))) / STEPS_BETWEEN)
             rest = np.asarray(who.rest_blood)[..., None]
-            blood = rest * who.widths_over(recording.time_s, pressure, longest_step_s=longest_s)[:2] ** 2
+            blood = rest * who.widths_over(recording.time_s, pressure_n_per_cm2, longest_step_s=longest_s)[:2] ** 2
             volts = self.table.volts(blood)
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out
@@ -150,7 +146,7 @@ class Fit:
     def _search(self, start_ln: Array, evaluations: int) -> tuple[Array, float]:
         """Logarithms of the free factors (P,) at the least sum of squares from a start, and half that sum."""
         # One pass gives residuals and Jacobian, which scipy requests one after the other.
-        both = lru_cache(1)(lambda free_ln: [part[:, 0] for part in self.residuals(np.array(free_ln)[:, None])])
+        both = lru_cache(1)(lambda free_ln: self.residuals(np.array(free_ln)))
         result = least_squares(
             lambda free_ln: both(tuple(free_ln))[0],
             start_ln,
@@ -163,12 +159,10 @@ class Fit:
         return np.asarray(result.x), float(result.cost)
 
     def _columns(self, free_ln: Array) -> Array:
-        """`model`, (3, R, N (1 + P), T), at the factors (P, N) and with each free one a step larger."""
-        count, people = free_ln.shape
-        moved = np.zeros((len(NAMES), people, 1 + count))
-        moved[self.free] = free_ln[..., None]
-        moved[self.free, :, np.arange(1, 1 + count)] += STEP_LN
-        return np.concatenate(self.model(moved.reshape(len(NAMES), -1), self.averaged), axis=-1)
+        """`model`, (3, R, 1 + P, T), at the factors (P,) and with each free one a step larger."""
+        moved = np.zeros((len(NAMES), 1 + len(free_ln)))
+        moved[self.free] = free_ln[:, None] + STEP_LN * np.eye(len(free_ln), 1 + len(free_ln), 1)
+        return np.concatenate(self.model(moved, self.averaged), axis=-1)
 
     def _design(self, model: Array) -> Array:
         """Columns of the linear part, (R, S, T, 4 + K): volts, one, both slopes, time in each recording."""
@@ -211,7 +205,7 @@ class Fit:
 
     def _reweight(self, free_ln: Array) -> None:
         """Update variance, weights and autocorrelation time from the residuals at some factors."""
-        residual = self._linear_fit(self._columns(free_ln[:, None]))[1][:, 0]
+        residual = self._linear_fit(self._columns(free_ln))[1][:, 0]
         samples = residual.shape[1]
         self.variance = (self.weight * residual**2).sum(1) / samples + self.table.noise_v**2
         white = residual / np.sqrt(self.variance)[:, None]
@@ -228,7 +222,7 @@ class Fit:
         """The fit at the best factors, with its covariance, at the recordings' own samples."""
         factors = np.zeros(len(NAMES))
         factors[self.free] = free_ln
-        model = self._columns(free_ln[:, None])
+        model = self._columns(free_ln)
         all_solved, residual = self._linear_fit(model)
         solved, white, who = all_solved[:, 0], self._whiten(residual)[:, 0], self.finger.person(factors)
         table = self.table.steeper(solved[:, 2:4] / solved[:, :1], float(who.rest_blood))

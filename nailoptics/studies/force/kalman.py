@@ -37,7 +37,7 @@ from .subject import READING_CORRELATION_S, Subject
 
 # Process noise of the touch: random walk in a second. Chosen on the virtual people: three times as much takes more of
 # the body's waves for touches. [N/cm^2 / sqrt(s)]
-TOUCH_RATE = 0.1
+TOUCH_RATE_N_PER_CM2_RT_S = 0.1
 # Modes: random walks of the touch of these times the usual rate, and their mean durations. [1, s]
 MODE_RATE, MODE_DURATION_S = np.array([1.0, 10.0]), np.array([2.0, 0.3])
 # Most iterations of the update, largest step of a coordinate in one, and the step below which they end.
@@ -46,9 +46,9 @@ ITERATIONS, LARGEST_UPDATE, CONVERGED = 5, 0.3, 1e-3
 # linearised filter takes a step of force within a sample for two to four times as much. [1]
 TOUCH_GATE = 4.0
 # A finger rests as often as it touches, with pressures of this range on either side: prior of rest. [N/cm^2]
-TOUCH_RANGE = 0.5
+TOUCH_RANGE_N_PER_CM2 = 0.5
 # Standard error of the zero after a second of rest. [N/cm^2 sqrt(s)]
-ZERO_STDERR = 0.025
+ZERO_STDERR_N_PER_CM2_RT_S = 0.025
 # A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
 OUTLIER_GATE = 0.999
 # The filter restarts, at rest, after gaps, and where a width over rest has a larger standard error than this: a soft
@@ -61,14 +61,14 @@ ROUNDING = 1e-12
 class PressureEstimate(NamedTuple):
     """Estimate of one sample, or of T samples: (T, ...) each.
 
-    touch : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
+    touch_n_per_cm2 : (2,) float. Coordinates of both pressures, of which `touch_pressure` makes pressures. [N/cm^2]
     covariance : (2, 2) float. Of these, for an exact calibration.
     arterial_pa : float. Deviation of P_H from its mean. [Pa]
     nis : float. Normalized innovation squared. count : int. Valid readings.
     outlier : bool. Whether the NIS exceeds the gate.
     """
 
-    touch: Array
+    touch_n_per_cm2: Array
     covariance: Array
     arterial_pa: Any
     nis: Any
@@ -92,7 +92,7 @@ def rest_odds(touch: Array, covariance: Array) -> Array:
     """Odds (...) of rest over touch, for estimates (..., 2) with covariances (..., 2, 2)."""
     mahalanobis2 = np.einsum("...i,...ij,...j->...", touch, np.linalg.inv(covariance), touch)
     density = np.exp(-0.5 * mahalanobis2) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
-    return np.asarray(TOUCH_RANGE**2 * density)
+    return np.asarray(TOUCH_RANGE_N_PER_CM2**2 * density)
 
 
 class KalmanFilter:
@@ -100,7 +100,7 @@ class KalmanFilter:
 
     state, covariance : merged over modes. mode_probability : (M,) float.
     mode_covariance : (M, size, size) float. Predicted, of each mode.
-    creep : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
+    relaxed_n_per_cm2 : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -110,7 +110,7 @@ class KalmanFilter:
     def restart(self) -> None:
         """Return to the prior of an untouched finger."""
         self.state, self.covariance = self.model.initial()
-        self.creep = np.zeros(2)
+        self.relaxed_n_per_cm2 = np.zeros(2)
         # Readings less drift, and their recent change. [V]
         self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.subject.rest_v))
         self.mode_probability = np.full(len(MODE_RATE), 1.0 / len(MODE_RATE))
@@ -149,11 +149,13 @@ class KalmanFilter:
     def _predict_step(self, step_s: float) -> Array:
         """Predict state and covariance of each mode by one step of the network; returns its transition F."""
         variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:WALL_STATES]
-        after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.creep, step_s)
-        pressure = touch_pressure(self.state[TOUCH])
-        self.creep = pressure + (self.creep - pressure) * np.exp(-step_s / self.model.person.creep_s)
+        after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.relaxed_n_per_cm2, step_s)
+        pressure_n_per_cm2 = touch_pressure(self.state[TOUCH])
+        self.relaxed_n_per_cm2 = pressure_n_per_cm2 + (self.relaxed_n_per_cm2 - pressure_n_per_cm2) * np.exp(
+            -step_s / self.model.person.creep_s
+        )
         before = self.mode_covariance.copy()
-        before[:, [3, 4], [3, 4]] += (step_s * (TOUCH_RATE * MODE_RATE) ** 2)[:, None]
+        before[:, [3, 4], [3, 4]] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
         return transition
@@ -167,7 +169,7 @@ class KalmanFilter:
         blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
         self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
         return PressureEstimate(
-            touch=self.model.sensed_touch(self.state, self.creep),
+            touch_n_per_cm2=self.model.sensed_touch(self.state, self.relaxed_n_per_cm2),
             covariance=self.covariance[TOUCH, TOUCH].copy(),
             arterial_pa=self.model.arterial_pa(self.state),
             nis=nis,
@@ -211,14 +213,14 @@ class KalmanFilter:
         self.covariance = np.einsum("m,mij->ij", probability, covariance) + (probability * from_mean.T) @ from_mean
         self.state = self.model.bound_touch(state, self.covariance)
         self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
-        self.state[PULP] = np.clip(self.state[PULP], 0.0, self.model.touch_bounds[1][1])
+        self.state[PULP] = np.clip(self.state[PULP], 0.0, self.model.touch_bounds_n_per_cm2[1][1])
         return nis
 
     def _update_zero(self, since_s: float) -> None:
         """Update by the knowledge that the touch is 0, weighted by the probability that the finger rests."""
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
         odds = rest_odds(touch, covariance)
-        information = odds / (1.0 + odds) * since_s / ZERO_STDERR**2
+        information = odds / (1.0 + odds) * since_s / ZERO_STDERR_N_PER_CM2_RT_S**2
         gain = self.covariance[:, TOUCH] * information @ np.linalg.inv(np.eye(2) + covariance * information)
         self.state = self.state - gain @ touch
         self.covariance = self.covariance - gain @ self.covariance[TOUCH]
@@ -259,7 +261,7 @@ def _smoothed(estimates: PressureEstimate, steps: list[FilterStep]) -> PressureE
             state, covariance, probability = updated.state, updated.covariance, updated.mode_probability
         else:
             state, covariance, probability = _rts_step(updated, later, state, covariance, probability)
-        estimates.touch[k] += state[TOUCH] - updated.state[TOUCH]
+        estimates.touch_n_per_cm2[k] += state[TOUCH] - updated.state[TOUCH]
         estimates.covariance[k], estimates.arterial_pa[k] = covariance[TOUCH, TOUCH], updated.model.arterial_pa(state)
     return estimates
 

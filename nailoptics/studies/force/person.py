@@ -31,7 +31,7 @@ LONGEST_STEP_S, LONGEST_GAP_S = 0.05, 5.0
 # A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
 LEFT_AT_CLOSURE = 0.05
 # Pressures among which closure is searched. [N/cm^2]
-SEARCHED = np.linspace(0.0, 4.0, 401)
+SEARCHED_N_PER_CM2 = np.linspace(0.0, 4.0, 401)
 # Pressures of either side at which a beat's effect is computed, and the change of arterial pressure by which. [Pa]
 PULSED, STEP_PA = 9, 200.0
 # No calibration gives more: gains of readings, and constants of the vessels over those listed, either way.
@@ -147,7 +147,7 @@ class Person:
         """Blood fraction of both zones, (2, *S), from diameters over those at rest."""
         return np.asarray(self.rest_blood * width[:2] ** 2)
 
-    def pressures(self, force_n: Array, site: Array) -> Array:
+    def pressures_n_per_cm2(self, force_n: Array, site: Array) -> Array:
         """Touch pressures P_F1 and P_F2, (2, *S, T) float, of a force at a site over time (T,). [N/cm^2]
 
         site : (T,) float. 1 where the touch is proximal, 0 where it is distal, NaN where it is even.
@@ -158,50 +158,54 @@ class Person:
         proximal = even * share / np.maximum(share, 0.5) / np.asarray(self.proximal_area)[..., None]
         return np.stack([proximal, even * (1 - share) / np.maximum(1 - share, 0.5)])
 
-    def force(self, pressure: Array) -> tuple[Array, Array]:
-        """Force [N] and its proximal share from both pressures (2, ...) in N/cm^2: the inverse of `pressures`."""
-        pressure = np.stack([pressure[0] * self.proximal_area, pressure[1]])
-        larger = pressure.max(0)
+    def force(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
+        """Force [N] and its proximal share from both pressures (2, ...): the inverse of `pressures_n_per_cm2`."""
+        pressure_n_per_cm2 = np.stack([pressure_n_per_cm2[0] * self.proximal_area, pressure_n_per_cm2[1]])
+        larger = pressure_n_per_cm2.max(0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.where(larger > 0, pressure.min(0) / larger, 1.0)
-        return self.area_cm2 * larger, np.where(pressure[0] >= pressure[1], 1.0 - ratio / 2.0, ratio / 2.0)
+            ratio = np.where(larger > 0, pressure_n_per_cm2.min(0) / larger, 1.0)
+        return self.area_cm2 * larger, np.where(
+            pressure_n_per_cm2[0] >= pressure_n_per_cm2[1], 1.0 - ratio / 2.0, ratio / 2.0
+        )
 
-    def steady_widths(self, pressure: Array, higher_pa: Array | float = 0.0) -> Array:
+    def steady_widths(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
         """Diameters over those at rest, (3, n), under held pressures (2, n) [N/cm^2], of one person or of n.
 
         higher_pa : n float. By how much P_H lies above the person's. [Pa]
         """
         rest_m = self.rest_m.reshape(3, -1)
-        pressure = np.broadcast_to(pressure, (2, max(pressure.shape[1], rest_m.shape[1])))
-        outside = touch_on_walls(pressure, self.distal_reach)
+        pressure_n_per_cm2 = np.broadcast_to(pressure_n_per_cm2, (2, max(pressure_n_per_cm2.shape[1], rest_m.shape[1])))
+        outside = touch_on_walls(pressure_n_per_cm2, self.distal_reach)
         high = np.full(outside.shape[1], self.arterial_pa) + higher_pa
         return solve_walls(self.walls, outside, high, np.full(high.shape, self.venous_pa))[0] / rest_m
 
-    def closure(self) -> Array:
+    def closure_n_per_cm2(self) -> Array:
         """Proximal and distal pressure (2,) past which one person's readings stay as they are. [N/cm^2]"""
         ends = []
         for side in range(2):
-            blood = self.steady_widths(SEARCHED * np.eye(2)[side][:, None])[side] ** 2
+            blood = self.steady_widths(SEARCHED_N_PER_CM2 * np.eye(2)[side][:, None])[side] ** 2
             change = np.abs(blood - blood[0])
             left = change < (1 - LEFT_AT_CLOSURE) * change.max()
-            ends.append(SEARCHED[min(int(np.flatnonzero(left).max(initial=0)) + 1, SEARCHED.size - 1)])
+            ends.append(
+                SEARCHED_N_PER_CM2[min(int(np.flatnonzero(left).max(initial=0)) + 1, SEARCHED_N_PER_CM2.size - 1)]
+            )
         return np.array(ends)
 
     def widths_over(
         self,
         time_s: Array,
-        pressure: Array,
+        pressure_n_per_cm2: Array,
         *,
         arterial_pa: Array | None = None,
         longest_step_s: float = LONGEST_STEP_S,
     ) -> Array:
         """Diameters over those at rest, (3, *S, T) float, of a finger that rests before the first sample.
 
-        pressure : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
+        pressure_n_per_cm2 : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
         arterial_pa : (*S, T) float, or (*S, 1) where it stays. P_H in place of the person's. [Pa]
         longest_step_s : samples further apart are walked in several steps. [s]
         """
-        spread = spreading_pressure(time_s, pressure, part=self.creep, time_constant_s=self.creep_s)
+        spread = spreading_pressure(time_s, pressure_n_per_cm2, part=self.creep, time_constant_s=self.creep_s)
         spread = np.stack([spread[0], creeping_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
         outside = touch_on_walls(spread, np.asarray(self.distal_reach)[..., None])
         mean_pa = np.full(self.rest_m.shape[1:] + (1,), self.arterial_pa)
@@ -261,12 +265,12 @@ class NominalFinger:
         )
 
 
-def touch_on_walls(pressure: Array, distal_reach: Array | float) -> Array:
+def touch_on_walls(pressure_n_per_cm2: Array, distal_reach: Array | float) -> Array:
     """Touch pressure on each wall (3, *S) [Pa], from P_F1 and P_F2 (2, *S) [N/cm^2].
 
     distal_reach : part of P_F2 that acts on the proximal capillaries.
     """
-    return N_PER_CM2 * np.stack([distal_reach * pressure[1], pressure[1], pressure[0]])
+    return N_PER_CM2 * np.stack([distal_reach * pressure_n_per_cm2[1], pressure_n_per_cm2[1], pressure_n_per_cm2[0]])
 
 
 class PulsatileGain:
@@ -275,12 +279,12 @@ class PulsatileGain:
     It is taken to reach the blood at once, as a slow change of the pressure does in the end: the beat that readings
     show at rest says how strong it is, whether vessels follow within one or not.
 
-    highest : (2,) float. Touch pressures up to which it is computed; it stays beyond. [N/cm^2]
+    highest_n_per_cm2 : (2,) float. Touch pressures up to which it is computed; it stays beyond. [N/cm^2]
     """
 
-    def __init__(self, person: Person, highest: Array) -> None:
-        self._steps = highest / (PULSED - 1)
-        touch = np.stack(np.meshgrid(*np.linspace(0.0, highest, PULSED).T, indexing="ij")).reshape(2, -1)
+    def __init__(self, person: Person, highest_n_per_cm2: Array) -> None:
+        self._steps_n_per_cm2 = highest_n_per_cm2 / (PULSED - 1)
+        touch = np.stack(np.meshgrid(*np.linspace(0.0, highest_n_per_cm2, PULSED).T, indexing="ij")).reshape(2, -1)
         higher_pa = STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
         blood = person.blood(person.steady_widths(np.repeat(touch, 2, axis=1), higher_pa))
         higher, lower = np.moveaxis(blood.reshape(2, PULSED, PULSED, 2), -1, 0)
@@ -288,10 +292,10 @@ class PulsatileGain:
 
     def at(self, touch: Array) -> tuple[Array, Array]:
         """Part (2,) by which the blood grows under a touch (2,) in N/cm^2, [1/Pa], and its slopes (2, 2) by that."""
-        place = np.clip(touch / self._steps, 0.0, PULSED - 1.001)
+        place = np.clip(touch / self._steps_n_per_cm2, 0.0, PULSED - 1.001)
         (i, j), (x, y) = place.astype(int), place % 1.0
         here = self._part[:, i : i + 2, j : j + 2]
         across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])
         rise = np.array([-1.0, 1.0])
-        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / self._steps
+        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / self._steps_n_per_cm2
         return across @ (here @ along).T, by_touch

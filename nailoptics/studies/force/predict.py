@@ -24,12 +24,11 @@ from ...scene.text_files import number_columns
 from ...sensor.electronics import recorded_at_limit
 from ...variables import Variables, variable
 from .baselines import WORDS
-from .estimator import Estimated, ForceEstimator
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, read_subject
-from .uncertainty import ForceEstimate
+from .uncertainty import ForceEstimate, ForceEstimator
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
 # further off their predictions than this, in variances.
@@ -69,7 +68,7 @@ def predict(
     estimates = estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
     estimated = estimator.of(estimates, recording.volts, since_s)
-    force_n = estimated.force.force_n
+    force_n = estimated[0].force_n
     known_n = np.full(force_n.shape, np.nan) if recording.force_n is None else recording.force_n
     result = _dataset(subject, recording, estimates, estimated, known_n).assign(
         _event_variables(recording.time_s, force_n, known_n, press_n=press_n, release_n=release_n)
@@ -124,7 +123,7 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
-        last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0])).force
+        last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
         yield _csv_row(time_s, *(float(column[0]) for column in force[: len(FORCE_COLUMNS)]), estimate.outlier)
 
 
@@ -170,22 +169,26 @@ def _csv_row(time_s: float, *columns: float) -> str:
 
 
 def _dataset(
-    subject: Subject, recording: Recording, estimates: PressureEstimate, estimated: Estimated, known_n: Array
+    subject: Subject,
+    recording: Recording,
+    estimates: PressureEstimate,
+    estimated: tuple[ForceEstimate, Array, Array],
+    known_n: Array,
 ) -> xr.Dataset:
-    force = estimated.force
+    force, filter_n, over_rest = estimated
     columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
-        "force_filter_n": (estimated.filter_n, "force by the filter on the vessels alone", "N"),
+        "force_filter_n": (filter_n, "force by the filter on the vessels alone", "N"),
         "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
         "normalized_innovation_squared": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
         "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
         "known_force_n": (known_n, "known force", "N"),
     }
-    compared_n = {name: baseline.force_n(estimated.over_rest) for name, baseline in subject.comparisons.items()}
+    compared_n = {name: baseline.force_n(over_rest) for name, baseline in subject.comparisons.items()}
     columns |= {f"force_{name}_n": (series, WORDS[name], "N") for name, series in compared_n.items()}
     data: Variables = {}
     for name, (values, text, units) in columns.items():
         data |= variable(name, "time", values, text, units=units)
-    for side, *pressure in zip(SIDES, force.pressure, force.pressure_stderr, strict=True):
+    for side, *pressure in zip(SIDES, force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2, strict=True):
         pressure_pa, stderr_pa = (N_PER_CM2 * column for column in pressure)
         text = f"{side} touch pressure"
         data |= variable(f"{side}_pressure_pa", "time", pressure_pa, text, units="Pa", stderr=stderr_pa)
@@ -211,7 +214,7 @@ def _dataset(
         "title": "force from volts",
     } | code_attributes()
     touched = known_n >= TOUCH_N
-    compared_n["filter"] = estimated.filter_n
+    compared_n["filter"] = filter_n
     attributes |= {f"touch_rms_{name}_n": rms((series - known_n)[touched]) for name, series in compared_n.items()}
     coordinates = variable("time", "time", recording.time_s, "time", units="s") | variable(
         "kind", "kind", list(touches), "kind of touch"

@@ -53,6 +53,13 @@ def with_site(recording: Recording, scene: Scene) -> Recording:
     return replace(recording, site=site_of(scene, recording.time_s))
 
 
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """All samples of recordings with force and site, one after the other; times begin anew with each."""
+    force_n, site = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in ("force_n", "site"))
+    parts = [recording.time_s for recording in recordings], [recording.volts for recording in recordings], force_n, site
+    return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
+
+
 def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
     """Why a recording cannot calibrate: no force, no rest, times too far apart, readings saturated or missing."""
     force_n, time_s, steps_s = recording.force_n, recording.time_s, np.diff(recording.time_s)

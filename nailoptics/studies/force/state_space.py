@@ -13,11 +13,11 @@ from .person import NAMES, Array, PulsatileGain, touch_on_walls
 from .subject import Subject
 
 # Below this a pressure bends smoothly to 0, so that its derivative never vanishes. [N/cm^2]
-SOFTNESS = 0.002
+SOFTNESS_N_PER_CM2 = 0.002
 # Past closure touches cannot be distinguished: the estimate is bounded at this part of it, from where it can return.
 PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
-LOWEST = -0.01
+LOWEST_N_PER_CM2 = -0.01
 # Limits of the numerical Jacobian's steps, else the state's standard deviations: diameters over rest, pressures in
 # N/cm^2; and the step of P_H in Pa.
 LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
@@ -28,9 +28,9 @@ WALL_NOISE = 1e-4
 # without it a touch that is released past closure is estimated for seconds. [1, s]
 SPEED_ERROR, SPEED_CORRELATION_S = 0.2, 0.3
 # Process noise of the distal pulp. [N/cm^2 / sqrt(s)]
-PULP_NOISE = 0.05
+PULP_NOISE_N_PER_CM2_RT_S = 0.05
 # Standard deviations of a state of which nothing is known but that the finger rests: diameters [1], pressures [N/cm^2].
-INITIAL_WIDTH, INITIAL_PRESSURE = 1e-2, 0.1
+INITIAL_WIDTH, INITIAL_PRESSURE_N_PER_CM2 = 1e-2, 0.1
 # Least diameter over rest that the measurement takes.
 LEAST_WIDTH = 1e-3
 # A time constant of this or less is none. [s]
@@ -41,16 +41,16 @@ WIDTHS, TOUCH, PULP, FIRST_WAVE = slice(0, 3), slice(3, 5), 5, 6
 WALL_STATES = FIRST_WAVE
 
 
-def touch_pressure(coordinate: Array) -> Array:
+def touch_pressure(coordinate_n_per_cm2: Array) -> Array:
     """Touch pressure of its coordinate: the same above 0, bent to 0 below. [N/cm^2]"""
-    return SOFTNESS * np.logaddexp(0.0, coordinate / SOFTNESS)
+    return SOFTNESS_N_PER_CM2 * np.logaddexp(0.0, coordinate_n_per_cm2 / SOFTNESS_N_PER_CM2)
 
 
 class StateSpace:
     """Process and measurement of one person's sensor; holds no estimate.
 
     person : the calibrated one. size : number of states. beat, waves, drift : slices of the state.
-    touch_bounds : the least and the largest coordinates of both pressures, (2,) float each. [N/cm^2]
+    touch_bounds_n_per_cm2 : the least and the largest coordinates of both pressures, (2,) float each. [N/cm^2]
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -64,9 +64,9 @@ class StateSpace:
         self.beat_weights, self.wave_weights = np.zeros(self.size), np.zeros(self.size)
         self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = 1.0
         self.wave_weights[self.waves.start : self.waves.stop : 2] = 1.0
-        highest = PAST_CLOSURE * self.person.closure()
-        self.touch_bounds = np.full(2, LOWEST), highest
-        self._pulsatile_gain = PulsatileGain(self.person, highest)
+        highest_n_per_cm2 = PAST_CLOSURE * self.person.closure_n_per_cm2()
+        self.touch_bounds_n_per_cm2 = np.full(2, LOWEST_N_PER_CM2), highest_n_per_cm2
+        self._pulsatile_gain = PulsatileGain(self.person, highest_n_per_cm2)
         # One network for each of the steps of the Jacobian.
         self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * WALL_STATES, axis=1))
         self._closed_m = self._many.walls.with_axes(2).closed
@@ -77,7 +77,7 @@ class StateSpace:
         state[WIDTHS] = 1.0
         variance = np.einsum("ii->i", covariance)
         variance[WIDTHS] = INITIAL_WIDTH**2
-        variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE**2
+        variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE_N_PER_CM2**2
         if subject.noise.beat:
             variance[self.beat] = subject.noise.beat.initial_variance()
         variance[self.waves] = np.repeat([wave.rms_pa**2 for wave in subject.noise.waves], 2)
@@ -101,11 +101,13 @@ class StateSpace:
         """By how much P_H is off its mean. [Pa]"""
         return float((self.beat_weights + self.wave_weights) @ state)
 
-    def process(self, state: Array, stderr: Array, creep: Array, step_s: float) -> tuple[Array, Array, Array]:
+    def process(
+        self, state: Array, stderr: Array, relaxed_n_per_cm2: Array, step_s: float
+    ) -> tuple[Array, Array, Array]:
         """State after a step, its Jacobian F and the process noise Q, that of the touch left out.
 
         stderr : (6,) float. Standard deviations of the states that act on the walls.
-        creep : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
+        relaxed_n_per_cm2 : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
         """
         (transition, noise), many, person = self._linear_process(step_s), self._many, self.person
         high = person.arterial_pa + self.wave_weights @ state
@@ -116,7 +118,7 @@ class StateSpace:
         around[range(WALL_STATES), range(1 + WALL_STATES, first)] -= step_by
         highs = np.full(count, high)
         highs[first : first + 2] += ARTERIAL_STEP_PA * np.array([1.0, -1.0])
-        touch = np.maximum(touch_pressure(around[TOUCH]) - (person.creep * creep)[:, None], 0.0)
+        touch = np.maximum(touch_pressure(around[TOUCH]) - (person.creep * relaxed_n_per_cm2)[:, None], 0.0)
         # The distal pulp follows a rising touch at once, a falling one slowly.
         remaining = np.exp(-step_s / np.maximum(person.recovery_s, SHORTEST_S))
         touch[1] = np.maximum(touch[1], touch[1] + (around[PULP] - touch[1]) * remaining)
@@ -148,14 +150,14 @@ class StateSpace:
         by_blood = calibrated.gain[:, None] * by_blood
         jacobian, readings = np.zeros((len(volts), self.size)), np.arange(len(volts))
         jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / width)
-        jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS)
+        jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS_N_PER_CM2)
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
         jacobian[readings, self.drift.start + readings] = subject.rest_v
         return calibrated.offset_v + calibrated.gain * volts + subject.rest_v * state[self.drift], jacobian
 
     def bound_touch(self, state: Array, covariance: Array) -> Array:
         """The likeliest state with its touch within bounds; the drift stays, as each release would bias it alike."""
-        bounded = np.clip(state[TOUCH], *self.touch_bounds)
+        bounded = np.clip(state[TOUCH], *self.touch_bounds_n_per_cm2)
         outside = np.flatnonzero(bounded != state[TOUCH])
         if not outside.size:
             return state.copy()
@@ -165,16 +167,16 @@ class StateSpace:
         moved[self.drift] = state[self.drift]
         return np.asarray(moved)
 
-    def sensed_touch(self, state: Array, creep: Array) -> Array:
+    def sensed_touch(self, state: Array, relaxed_n_per_cm2: Array) -> Array:
         """Coordinates of the touch less the relaxation of the pulp, 0 where that is larger."""
-        lost = np.maximum(self.person.creep * creep, 1e-9)
+        lost = np.maximum(self.person.creep * relaxed_n_per_cm2, 1e-9)
         return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
 
     def _linear_process(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
         transition, variance = np.eye(self.size), np.zeros(self.size)
         variance[WIDTHS] = WALL_NOISE**2
-        variance[PULP] = PULP_NOISE**2 * step_s
+        variance[PULP] = PULP_NOISE_N_PER_CM2_RT_S**2 * step_s
         for k, wave in enumerate(self.subject.noise.waves):
             at = slice(self.waves.start + 2 * k, self.waves.start + 2 * k + 2)
             transition[at, at], variance[at] = wave.propagate(step_s)

@@ -9,7 +9,7 @@ Vovk, Gammerman, Shafer 2005, Algorithmic Learning in a Random World (conformal 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,13 @@ from .baselines import Baseline, train_baselines
 from .body_noise import REST_FORCE_N
 from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, terms_of
 from .fit import averaged
-from .kalman import PressureEstimate, estimate_pressures
+from .kalman import estimate_pressures
 from .person import LONGEST_GAP_S, Array
 from .recording_checks import LEAST_TOUCHES_OF_ALL as LEAST_TOUCHES
-from .scores import TOUCH_N, is_still, runs, touches_by_kind
-from .state_space import touch_pressure
+from .recording_checks import joined
+from .scores import TOUCH_N, is_still, rms, runs, touches_by_kind
 from .subject import Subject
+from .uncertainty import ForceEstimate, ForceEstimator
 
 # Samples a second that the filter reads, and of which one of so many is a sample of the training. [Hz, 1]
 RATE_HZ, STRIDE = 25.0, 4
@@ -54,20 +55,16 @@ ANOTHER_RECORDING = 1.2
 class CalibrationSeries:
     """Recordings of a calibration as the ensemble reads them, one after the other, T samples.
 
-    estimates : the filter's. over_rest : (R, T) float. ln volts less those at rest.
-    pressure_n : (2, T) float. Of the filter, times areas. [N]
-    force_n, filter_n : (T,) float. Known, and the filter's. [N] filter_share : (T,) float. The latter's proximal share.
-    since_s : (T,) float. From sample to sample. [s] block : (T,) int. Number of the touch and the rest before it.
+    by_filter : the force by the filter alone. over_rest : (R, T) float. ln volts less those at rest.
+    force_n : (T,) float. Known. [N] since_s : (T,) float. From sample to sample. [s]
+    block : (T,) int. Number of the touch and the rest before it.
     is_proximal, is_still : (T,) bool. Where the touch is, and whether its force stays.
     is_varied : (T,) bool. Whether a sample is of the touches below closure that members are trained on.
     """
 
-    estimates: PressureEstimate
+    by_filter: ForceEstimate
     over_rest: Array
-    pressure_n: Array
     force_n: Array
-    filter_n: Array
-    filter_share: Array
     since_s: Array
     block: NDArray[np.int64]
     is_proximal: NDArray[np.bool_]
@@ -94,34 +91,24 @@ class TrainingSamples:
 
 def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> CalibrationSeries:
     """Recordings of known force and site, read by the subject's filter at RATE_HZ."""
-    parts, start_s = [averaged(recording, RATE_HZ) for recording in recordings], 0.0
-    times_s = []
-    for part in parts:
-        times_s.append(start_s + part.time_s - part.time_s[0])
-        start_s = times_s[-1][-1] + APART_S
-    time_s, volts = np.concatenate(times_s), np.concatenate([part.volts for part in parts], axis=1)
-    force_n = np.concatenate([np.asarray(part.force_n) for part in parts])
-    estimates, person = estimate_pressures(subject, time_s, volts), subject.person
-    pressure = touch_pressure(estimates.touch.T)
-    filter_n, share = person.force(pressure)
-    since_s = np.diff(time_s, prepend=0.0)
-    with np.errstate(invalid="ignore"):
-        over_rest = Features(np.empty(0)).over_rest(np.log(volts), filter_n < REST_FORCE_N, since_s)
+    parts = [averaged(recording, RATE_HZ) for recording in recordings]
+    every, first_s = joined(parts), np.cumsum([0.0, *(np.ptp(part.time_s) + APART_S for part in parts)])
+    time_s = np.concatenate([start + part.time_s - part.time_s[0] for start, part in zip(first_s, parts, strict=False)])
+    since_s, force_n = np.diff(time_s, prepend=0.0), np.asarray(every.force_n)
+    estimates = estimate_pressures(subject, time_s, every.volts)
+    by_filter, _, over_rest = ForceEstimator(subject).of(estimates, every.volts, since_s)
     touches, is_varied = runs(force_n >= REST_FORCE_N), force_n <= TOP_N
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
     # A touch that closes the vessels is left out with its recovery, unless others are too few.
     for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES else ():
         is_varied[start : stop + round(AFTER_S * RATE_HZ)] = False
     return CalibrationSeries(
-        estimates=estimates,
+        by_filter=by_filter,
         over_rest=over_rest,
-        pressure_n=pressure * person.side_areas_cm2[:, None],
         force_n=force_n,
-        filter_n=filter_n,
-        filter_share=share,
         since_s=since_s,
         block=np.searchsorted(touches[:, 1], np.arange(len(force_n)), side="right"),
-        is_proximal=np.concatenate([np.asarray(part.site) > 0.5 for part in parts]),
+        is_proximal=np.asarray(every.site) > 0.5,
         is_still=is_still(time_s, force_n),
         is_varied=is_varied,
     )
@@ -145,16 +132,20 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     features = _features_with_drift(subject, series, components)
     varied = np.flatnonzero(series.is_varied)
     chosen = [varied[copy % STRIDE :: STRIDE] for copy in range(COPIES)]
-    at, columns = np.concatenate(chosen), [field.name for field in fields(TrainingSamples)[1:]]
+    at = np.concatenate(chosen)
     samples = TrainingSamples(
-        np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1),
-        *(getattr(series, name)[at] for name in columns),
+        features=np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1),
+        force_n=series.force_n[at],
+        filter_n=series.by_filter.force_n[at],
+        block=series.block[at],
+        is_proximal=series.is_proximal[at],
+        is_still=series.is_still[at],
     )
     ensemble, held_out_n = _trained(samples, components)
     ensemble = replace(
         ensemble,
         half_width_n=_conformal_half_width(samples, held_out_n, count, np.ones(len(held_out_n), bool)),
-        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], series.filter_n)),
+        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], series.by_filter.force_n)),
     )
     return ensemble, _held_out_quality(samples, held_out_n, count)
 
@@ -166,7 +157,9 @@ def _features_with_drift(subject: Subject, series: CalibrationSeries, components
     walk = np.cumsum(draws[0] * np.sqrt(series.since_s / 60.0), axis=-1) + np.sqrt(OFFSET_MIN) * draws[1, ..., :1]
     walk[:, 0] = 0.0
     readings = series.over_rest[:, None] + np.einsum("rs,sct->rct", root, walk)
-    pressure_n = np.repeat(series.pressure_n[:, None], COPIES, axis=1)
+    pressure_n = np.repeat(
+        (series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None])[:, None], COPIES, axis=1
+    )
     return Features(components).with_memory(readings, pressure_n, series.since_s)
 
 
@@ -194,7 +187,8 @@ def _trained(samples: TrainingSamples, components: Array) -> tuple[Ensemble, Arr
     polynomial_n = np.zeros(len(terms.indices))
     for name, members in terms.members.items():
         polynomial_n[members] += share[name] * solved[name][0][: members.sum()]
-    errors_n = {name: float(np.sqrt(((series - force_n) ** 2).mean())) for name, series in held_out.items()}
+    weighted_n = np.maximum(weights @ np.stack(list(held_out.values())), 0.0)
+    errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
         least=features.min(1),
@@ -211,7 +205,7 @@ def _trained(samples: TrainingSamples, components: Array) -> tuple[Ensemble, Arr
         weights=share,
         errors_n=errors_n,
     )
-    return ensemble, np.maximum(weights @ np.stack(list(held_out.values())), 0.0)
+    return ensemble, weighted_n
 
 
 def _ridge(design: Array, force_n: Array) -> tuple[Array, Array]:
@@ -247,7 +241,7 @@ def _conformal_half_width(samples: TrainingSamples, held_out_n: Array, component
 
 def _open_from(series: CalibrationSeries, estimated_n: Array) -> Array:
     """Proximal and distal estimates (2,) from which a touch may be harder than any that members were trained on. [N]"""
-    hard, proximal = series.force_n > TOP_N, series.filter_share > 0.5
+    hard, proximal = series.force_n > TOP_N, series.by_filter.proximal_share > 0.5
     sides = (estimated_n[hard & proximal], estimated_n[hard & ~proximal])
     return np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
 

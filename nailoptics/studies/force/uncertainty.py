@@ -1,4 +1,4 @@
-"""From the filter's estimates to a force with its 95 % interval: the calibration's uncertainty.
+"""From the filter's estimates to a force with its 95 % interval: the calibration's uncertainty, and the ensemble.
 
 The interval has no upper bound where the vessels are closed.
 """
@@ -10,17 +10,19 @@ from scipy.interpolate import make_interp_spline
 from scipy.stats import norm, qmc
 
 from ...statistics import covariance_root
+from .body_noise import REST_FORCE_N
+from .ensemble import Features
 from .kalman import PressureEstimate, rest_odds
-from .person import NAMES, Array, Person
+from .person import NAMES, SIDES, Array, Person
 from .state_space import touch_pressure
 from .subject import Subject
 
 # Held touches of either side at which the error is computed, in parts of closure.
 PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
 # Steps of derivatives: of the factors' logarithms, and of pressures in N/cm^2.
-STEP_LN, STEP = 0.05, 0.02
+STEP_LN, STEP_N_PER_CM2 = 0.05, 0.02
 # Prior of a pressure, where readings hardly depend on it. [N/cm^2]
-PRESSURE_PRIOR = 0.5
+PRESSURE_PRIOR_N_PER_CM2 = 0.5
 AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
 # Points that stand for the Gaussian of both pressures: quantiles to some 2 % of a spread.
 POINTS = 256
@@ -39,7 +41,7 @@ class ForceEstimate(NamedTuple):
 
     force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
     proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
-    pressure, pressure_stderr : (2, T) float. Proximal and distal. [N/cm^2]
+    pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
     """
 
     force_n: Array
@@ -48,8 +50,8 @@ class ForceEstimate(NamedTuple):
     proximal_share: Array
     proximal_share_low: Array
     proximal_share_high: Array
-    pressure: Array
-    pressure_stderr: Array
+    pressure_n_per_cm2: Array
+    pressure_stderr_n_per_cm2: Array
 
 
 class ForceInterval:
@@ -57,37 +59,37 @@ class ForceInterval:
 
     def __init__(self, subject: Subject) -> None:
         self.subject, self.person = subject, subject.person
-        closure = self.person.closure()
-        self._closed = closure[:, None]
+        closure_n_per_cm2 = self.person.closure_n_per_cm2()
+        self._closed_n_per_cm2 = closure_n_per_cm2[:, None]
         root, self._information = covariance_root(subject.covariance), np.linalg.inv(subject.rest_covariance)
         self._roots = [
             make_interp_spline(bends, [self._jacobian(side, bend) @ root for bend in bends], k=1)
-            for side, bends in enumerate(closure[:, None] * PARTS)
+            for side, bends in enumerate(closure_n_per_cm2[:, None] * PARTS)
         ]
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
-        covariance = self._calibration_covariance(np.diag(closure))[0]
-        part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure
+        covariance = self._calibration_covariance(np.diag(closure_n_per_cm2))[0]
+        part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure_n_per_cm2
         # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
-        closing_n = self.person.side_areas_cm2 * self._closed[:, 0]
+        closing_n = self.person.side_areas_cm2 * self._closed_n_per_cm2[:, 0]
         self.saturated_above_n = closing_n
         self._least_closing_n = closing_n * np.exp(-2 * part)
 
     def of(self, estimates: PressureEstimate) -> ForceEstimate:
         """The forces of some samples."""
-        touch, by_filter = estimates.touch, estimates.covariance * INTERVAL_SCALE**2
+        touch, by_filter = estimates.touch_n_per_cm2, estimates.covariance * INTERVAL_SCALE**2
         by_calibration, pressure_by_calibration = self._calibration_covariance(touch_pressure(touch.T))
         covariance = by_filter + by_calibration
         cloud = np.einsum("tij,jp->itp", covariance_root(covariance), self._points)
-        pressures = touch_pressure(touch.T[:, :, None] + cloud)
-        force, share = self.person.force(pressures)
+        pressures_n_per_cm2 = touch_pressure(touch.T[:, :, None] + cloud)
+        force, share = self.person.force(pressures_n_per_cm2)
         low, high = np.quantile(force, QUANTILES, axis=1)
         share_low, share_high = np.quantile(share, QUANTILES, axis=1)
-        pressure = touch_pressure(touch.T)
-        middle, middle_share = self.person.force(pressure)
-        highest = np.quantile(pressures, QUANTILES[1], axis=2)
-        saturated = (highest >= self._closed).any(0)
+        pressure_n_per_cm2 = touch_pressure(touch.T)
+        middle, middle_share = self.person.force(pressure_n_per_cm2)
+        highest_n_per_cm2 = np.quantile(pressures_n_per_cm2, QUANTILES[1], axis=2)
+        saturated = (highest_n_per_cm2 >= self._closed_n_per_cm2).any(0)
         # Past closure a harder touch reads the same: neither bound lies above it.
-        floor = np.where(highest >= self._closed, self._least_closing_n[:, None], np.inf).min(0)
+        floor = np.where(highest_n_per_cm2 >= self._closed_n_per_cm2, self._least_closing_n[:, None], np.inf).min(0)
         low = np.where(saturated, np.minimum(low, floor), low)
         # Where rest is no less likely than the quantile, the bound is 0.
         resting = rest_odds(touch, covariance)
@@ -100,52 +102,96 @@ class ForceInterval:
             proximal_share=middle_share,
             proximal_share_low=np.where(nowhere, 0.0, share_low),
             proximal_share_high=np.where(nowhere, 1.0, share_high),
-            pressure=pressure,
-            pressure_stderr=np.sqrt(np.maximum(np.einsum("tii->it", by_filter + pressure_by_calibration), 0.0)),
+            pressure_n_per_cm2=pressure_n_per_cm2,
+            pressure_stderr_n_per_cm2=np.sqrt(
+                np.maximum(np.einsum("tii->it", by_filter + pressure_by_calibration), 0.0)
+            ),
         )
 
-    def _calibration_covariance(self, pressure: Array) -> tuple[Array, Array]:
+    def _calibration_covariance(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Covariances (T, 2, 2) of forces over the contact's areas, and of the pressures themselves.
 
         An error of an area is one of the pressure, too, the other way: forces were known.
         """
-        total = np.maximum(pressure.sum(0), 1e-9)
+        total = np.maximum(pressure_n_per_cm2.sum(0), 1e-9)
         proximal, distal = (root(np.minimum(total, root.t[-1])) for root in self._roots)
-        root = (pressure[0] / total)[:, None, None] * proximal + (1.0 - pressure[0] / total)[:, None, None] * distal
+        root = (pressure_n_per_cm2[0] / total)[:, None, None] * proximal + (1.0 - pressure_n_per_cm2[0] / total)[
+            :, None, None
+        ] * distal
         known = root @ np.moveaxis(root, 1, 2) * INTERVAL_SCALE**2
         jacobian = np.zeros((total.size, 2, 4))
         jacobian[:, [0, 1], [0, 1]] = 1.0
-        jacobian[:, 0, 2], jacobian[:, 0, 3], jacobian[:, 1, 2] = pressure[0], pressure[0], pressure[1]
+        jacobian[:, 0, 2], jacobian[:, 0, 3], jacobian[:, 1, 2] = (
+            pressure_n_per_cm2[0],
+            pressure_n_per_cm2[0],
+            pressure_n_per_cm2[1],
+        )
         return jacobian @ known @ np.moveaxis(jacobian, 1, 2), known[:, :2, :2]
 
-    def _jacobian(self, side: int, pressure: float) -> Array:
+    def _jacobian(self, side: int, pressure_n_per_cm2: float) -> Array:
         """Derivatives of the estimate of a held touch by all parameters of the calibration, (4, P + 4 R) float.
 
         Of both pressures and of the logarithms of the contact's areas. A person who is not quite the calibrated one
         gives other readings; the pressures that explain them best, beside drift and noise, are off by so much.
         """
         subject, count = self.subject, len(NAMES)
-        held = np.where(np.arange(2) == side, pressure, 0.0)[:, None]
+        held = np.where(np.arange(2) == side, pressure_n_per_cm2, 0.0)[:, None]
         steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
         moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
         by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
-        around = np.maximum(held + STEP * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0)
+        around = np.maximum(
+            held + STEP_N_PER_CM2 * np.array([[1.0, 0.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, -1.0, 0.0]]), 0
+        )
         near, steeper = self._risen_v(subject.person, around)
         slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
         by_gain = np.diag(near[:, 4] / subject.readings.gain)
         by_slope = [np.diag(zone[:, 4]) for zone in steeper]
         by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
         weighted = slopes.T @ self._information
-        by_touch = -np.linalg.solve(weighted @ slopes + np.eye(2) / PRESSURE_PRIOR**2, weighted @ by_parameter)
+        by_touch = -np.linalg.solve(
+            weighted @ slopes + np.eye(2) / PRESSURE_PRIOR_N_PER_CM2**2, weighted @ by_parameter
+        )
         return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
 
-    def _risen_v(self, who: Person, pressure: Array) -> tuple[Array, Array]:
+    def _risen_v(self, who: Person, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S).
 
         And what steeper slopes by the blood of either zone add to them, (2, R, S).
         """
-        width, light = who.steady_widths(pressure), self.subject.light
+        width, light = who.steady_widths(pressure_n_per_cm2), self.subject.light
         blood, rest = who.blood(width), who.blood(np.ones_like(width))
         volts = light.volts(blood)
         risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
         return risen, volts * (blood - rest)[:, None]
+
+
+class ForceEstimator:
+    """A subject's force from the filter's estimates and the readings of samples that come one after another.
+
+    It is the ensemble's where there is one, else the filter's. Readings over rest, and all memory, begin with the first
+    sample, which is taken for one of an untouched finger.
+    """
+
+    def __init__(self, subject: Subject) -> None:
+        self._ensemble, self._interval = subject.ensemble, ForceInterval(subject)
+        # Force of a touch on either side from which its interval has no upper bound. [N]
+        open_from_n = self._ensemble.open_from_n if self._ensemble else self._interval.saturated_above_n
+        self.open_above_n = dict(zip(SIDES, open_from_n.tolist(), strict=True))
+        self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, 0)))
+        self._areas_cm2 = subject.person.side_areas_cm2[:, None]
+
+    def of(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> tuple[ForceEstimate, Array, Array]:
+        """Force of the next samples (T,), that of the filter alone [N], and ln volts less those at rest, (R, T).
+
+        volts : (R, T) float. since_s : (T,) float. Time from sample to sample. [s]
+        """
+        by_filter = self._interval.of(estimates)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            over_rest = self._features.over_rest(np.log(volts), by_filter.force_n < REST_FORCE_N, since_s)
+        if self._ensemble is None:
+            return by_filter, by_filter.force_n, over_rest
+        features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
+        force_n = self._ensemble.force_n(features, by_filter.force_n)
+        low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
+        force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
+        return force, by_filter.force_n, over_rest

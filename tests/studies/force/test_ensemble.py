@@ -34,14 +34,15 @@ def subject() -> Subject:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("site", ["proximal", "distal"])
-def test_a_body_that_the_filter_does_not_know_is_estimated_better(site):
+# As wide as errors: 0.14 N rms on the proximal side, whose vessels fill and empty, and 0.06 N on the distal one.
+@pytest.mark.parametrize(("site", "width_n"), [("proximal", 0.85), ("distal", 0.4)])
+def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n):
     told = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
     touched = told.known_force_n.values >= 0.15
     assert told.touch_rms_n.sel(kind="all") < 0.7 * told.attrs["touch_rms_filter_n"]
     inside = (told.force_low_n <= told.known_force_n) & (told.known_force_n <= told.force_high_n)
     assert inside.values[touched].mean() > 0.8
-    assert np.median((told.force_high_n - told.force_low_n).values[touched]) < 1.0
+    assert np.median((told.force_high_n - told.force_low_n).values[touched]) < width_n
 
 
 def test_errors_are_of_touches_that_were_held_out():
@@ -50,6 +51,8 @@ def test_errors_are_of_touches_that_were_held_out():
     assert set(quality.touches) == {"all", *(f"{s} {m}" for s in ("proximal", "distal") for m in ("still", "moving"))}
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
     assert min(ensemble.weights.values()) >= 0
+    members_n = [error_n for name, error_n in ensemble.errors_n.items() if name != "ensemble"]
+    assert ensemble.errors_n["ensemble"] < min(members_n)
 
 
 def test_few_touches_leave_the_filter_alone():

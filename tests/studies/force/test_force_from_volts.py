@@ -70,7 +70,7 @@ def _record(table: ReadingTable, force_n: np.ndarray, site: str, *, seed: int, p
     finger = nominal_finger(VESSELS)
     who, own = finger.person(TRUTH_LN), VESSELS.replace(**finger.vessels_of(TRUTH_LN))
     where = np.full(time_s.shape, SITES[site])
-    proximal, distal = 1e4 * who.pressures(force_n, where)
+    proximal, distal = 1e4 * who.pressures_n_per_cm2(force_n, where)
     beat = hemodynamics.cardiac_pressure(time_s, mean_pressure_pa=own.arterial_pressure_pa, pulse_pressure_pa=pulse_pa)
     run = hemodynamics.respond(
         own,
@@ -306,7 +306,7 @@ def test_force_and_place_follow_from_pressures_as_pressures_from_them() -> None:
     factors_ln = np.where(np.array(NAMES) == "proximal_area", np.log(0.8), 0.0)
     who = nominal_finger(VESSELS, contact_area_cm2=1.3, proximal_share=0.4).person(factors_ln)
     for site, share in ((1.0, 1.0), (0.0, 0.0), (np.nan, 0.4)):
-        pressure = who.pressures(np.array([0.7]), np.array([site]))
+        pressure = who.pressures_n_per_cm2(np.array([0.7]), np.array([site]))
         force, found = who.force(pressure)
         assert force[0] == pytest.approx(0.7)
         assert found[0] == pytest.approx(share)

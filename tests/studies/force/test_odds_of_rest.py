@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nailoptics.studies.force.kalman import TOUCH_RANGE, rest_odds
+from nailoptics.studies.force.kalman import TOUCH_RANGE_N_PER_CM2, rest_odds
 
 
 def test_rest_is_as_likely_as_the_readings_make_it() -> None:
@@ -15,7 +15,7 @@ def test_rest_is_as_likely_as_the_readings_make_it() -> None:
 
     # A touch is taken to lie anywhere around, as the filter's own pressures may: no edge of the range matters.
     around = np.stack(np.meshgrid(*2 * [np.linspace(-0.3, 0.5, 401)], indexing="ij"), axis=-1)
-    cell = (0.8 / 400 / TOUCH_RANGE) ** 2
+    cell = (0.8 / 400 / TOUCH_RANGE_N_PER_CM2) ** 2
     seen = np.array([[0.0, 0.0], [0.05, 0.0], [0.1, 0.03]])
     bayes = [likely(one, np.zeros(2)) / (likely(one, around).sum() * cell) for one in seen]
     assert rest_odds(seen, np.repeat(known[None], 3, axis=0)) == pytest.approx(np.array(bayes), rel=1e-3)

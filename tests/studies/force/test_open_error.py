@@ -11,7 +11,7 @@ from nailoptics.statistics import Z95
 from nailoptics.studies.force.kalman import PressureEstimate, stacked
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.subject import LINEAR, Subject, parse_subject
-from nailoptics.studies.force.uncertainty import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR, ForceInterval
+from nailoptics.studies.force.uncertainty import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR_N_PER_CM2, ForceInterval
 
 # So small a part of the covariance moves readings in proportion.
 PART = 1e-4
@@ -45,7 +45,7 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
     direction of the covariance, spread as the interval says.
     """
     held = np.zeros(2)
-    held[side] = PARTS[3] * subject.person.closure()[side]
+    held[side] = PARTS[3] * subject.person.closure_n_per_cm2()[side]
     read, rest_v = risen_v(subject, held), subject.rest_v
     led = subject.light.same_led() * rest_v[:, None] * subject.noise.led_drift_per_min
     own = (subject.noise.drift_per_min * rest_v) ** 2 + subject.readings.noise_v**2
@@ -53,7 +53,9 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
 
     def force_n(told_by: Subject) -> float:
         def off(pressure: np.ndarray) -> np.ndarray:
-            return np.concatenate([white @ (risen_v(told_by, pressure) - read), (pressure - held) / PRESSURE_PRIOR])
+            return np.concatenate(
+                [white @ (risen_v(told_by, pressure) - read), (pressure - held) / PRESSURE_PRIOR_N_PER_CM2]
+            )
 
         who = told_by.person
         found = least_squares(off, held, x_scale=0.1, diff_step=1e-3, xtol=1e-12, ftol=1e-12)
