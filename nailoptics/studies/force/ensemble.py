@@ -90,15 +90,13 @@ class Terms(NamedTuple):
 
 
 def terms_of(components: int) -> Terms:
-    """The monomials of so many components of readings and of the pressures, each with its departures."""
+    """The monomials of so many components of readings, with the pressures, each with its departures."""
     every = np.arange((1 + len(LAGS_S)) * (components + PRESSURES)).reshape(1 + len(LAGS_S), -1)
-    groups, one = {"quadratic": every[:, :components], "map of the filter": every[:, components:]}, every.size
-    rows = [(i, one) for i in range(one)]
-    for group in groups.values():
-        rows += itertools.combinations_with_replacement(group.ravel().tolist(), 2)
-    indices = np.array(rows)
-    members = {name: np.asarray(np.isin(indices, [*group.ravel(), one]).all(1)) for name, group in groups.items()}
-    return Terms(indices, members | {"kernel": indices[:, 1] == one})
+    readings, one = every[:, :components].ravel(), every.size
+    products = itertools.combinations_with_replacement(readings.tolist(), 2)
+    indices = np.array([*((i, one) for i in range(one)), *products])
+    quadratic = np.asarray(np.isin(indices, [*readings, one]).all(1))
+    return Terms(indices, {"quadratic": quadratic, "kernel": indices[:, 1] == one})
 
 
 @dataclass(frozen=True, config=TABLE)
