@@ -1,6 +1,7 @@
 """Figures in space: the board on the nail from above, and the finger cut lengthwise with the light's paths."""
 
 import json
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,8 @@ TISSUE = {
     "silicon": SILICON,
 }
 DECADES = 3
+# Names of parts stand so far beside the board; mean width of their letters. [mm], [inch]
+LABEL_MM, LETTER_IN = 0.45, 0.065
 # Beside the section stand its key and the scale of the paths.
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
@@ -50,7 +53,8 @@ def order_along_nail(scene: Scene | None, count: int) -> list[int]:
 
 def coloured_along_nail(scene: Scene | None, count: int) -> list[tuple[str, int]]:
     """Colour and index of each of so many photodiodes, from the most proximal to the most distal."""
-    return list(zip(style.place_colours(count), order_along_nail(scene, count), strict=True))
+    distal = None if scene is None else sum(area.center_mm[1] > 0 for area in scene.layout.photodiode_areas)
+    return list(zip(style.place_colours(count, distal), order_along_nail(scene, count), strict=True))
 
 
 def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
@@ -98,9 +102,14 @@ def draw_top_view(axes: "Axes", scene: Scene) -> None:
         draw_rectangle(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
-    _label_parts(axes, scene, half_v)
-    # Boards may be as wide as the nail, and their labels want room beside them.
-    low, high = min(-half_u - 0.3, layout.outline.u_min - 3.0), max(half_u + 0.3, layout.outline.u_max + 1.6)
+    letters = _label_parts(axes, scene, half_v)
+    # Boards may be as wide as the nail, and their labels need room beside them.
+    box, dpi = axes.get_window_extent(), axes.figure.dpi
+    ends = np.array([layout.outline.u_min - LABEL_MM, layout.outline.u_max + LABEL_MM])
+    filled = min(LETTER_IN * (sum(letters) + 4) * dpi / box.width, 0.7)
+    mm_per_in = dpi * max(np.ptp(ends) / (1 - filled) / box.width, (2 * half_v + 0.6) / box.height)
+    low, high = ends + np.multiply((-1, 1), LETTER_IN * mm_per_in * np.add(letters, 2))
+    low, high = min(-half_u - 0.3, low), max(half_u + 0.3, high)
     axes.set(xlim=(low, high), ylim=(-half_v - 0.3, half_v + 0.3), aspect="equal", xlabel=ACROSS, ylabel=ALONG)
     axes.grid(False)
 
@@ -123,8 +132,12 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
         axes.text(*at, name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
 
 
-def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
-    """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies."""
+def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> tuple[int, int]:
+    """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies, but where
+    the line to a name would cross another part.
+
+    Returns: the longest name on the left and on the right, in letters.
+    """
     layout = scene.layout
     right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
@@ -136,9 +149,14 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
     if layout.unwired:
         lowest = min(layout.unwired, key=lambda r: r.v_min)
         others.append((Rectangle("", lowest.u_min + 0.1, lowest.u_max, lowest.v_min, lowest.v_max), "not wired"))
-    left = [(r, name) for r, name in others if r.center_mm[0] <= middle]
-    right += [(r, name) for r, name in others if r.center_mm[0] > middle]
-    gap = min(0.07 * half_v, 1.9 * half_v / len(right))
+    sides = [(1, r, name) for r, name in right] + [
+        (1 if r.center_mm[0] > middle else -1, r, name) for r, name in others
+    ]
+    parts = [*layout.leds, *layout.photodiode_areas]
+    left, right = (
+        [(r, name) for side, r, name in sides if way == (-side if _hidden(r, side, parts) else side)] for way in (-1, 1)
+    )
+    gap = min(0.07 * half_v, 1.9 * half_v / max(len(left), len(right)))
     size = max(8.0 * gap / (0.07 * half_v), 3.0)
     for group, side, bound, ha, fontsize in ((left, -1, "u_min", "right", 8.0), (right, 1, "u_max", "left", size)):
         edge = getattr(layout.outline, bound)
@@ -146,7 +164,18 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> None:
         for (r, name), place in zip(group, style.spread([r.center_mm[1] for r, _ in group], gap), strict=True):
             v, u = r.center_mm[1], [getattr(r, bound), edge, edge + side * 0.37]
             axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=6)
-            axes.text(edge + side * 0.45, place, style.plain(name), **look)
+            axes.text(edge + side * LABEL_MM, place, style.plain(name), **look)
+    return max((len(name) for _, name in left), default=0), max((len(name) for _, name in right), default=0)
+
+
+def _hidden(r: Rectangle, side: int, parts: Sequence[Rectangle]) -> bool:
+    """Whether other parts lie between a part and the board's edge on a side, 1 the right one, and none on the other."""
+    (u, v), way = r.center_mm, [0, 0]
+    for other in parts:
+        if other != r and other.v_min < v < other.v_max:
+            way[other.center_mm[0] > u] += 1
+    there, back = way[::-side]
+    return bool(there and not back)
 
 
 def _cut(result: xr.Dataset) -> xr.DataArray:

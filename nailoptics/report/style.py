@@ -134,12 +134,19 @@ def plain_log(axis: "Axis") -> None:
     axis.set_minor_formatter(Plain())
 
 
-def place_colours(count: int) -> list[str]:
-    """One colour per photodiode, from the most proximal to the most distal."""
+def place_colours(count: int, distal: int | None = None) -> list[str]:
+    """One colour per photodiode, from the most proximal to the most distal.
+
+    distal : so many of them lie distal, and have the cool half of the colours; they are spread over all if not given.
+    """
     from matplotlib.colors import LinearSegmentedColormap, to_hex
 
+    places = np.linspace(0, 1, count) if count > 1 else np.zeros(count)
+    if distal is not None:
+        halves = np.linspace(0, 1, 2 * max(distal, count - distal, 1))
+        places = np.concatenate([halves[: count - distal], halves[len(halves) - distal :]])
     scale = LinearSegmentedColormap.from_list("place", _PLACES)
-    return [to_hex(scale(x)) for x in (np.linspace(0, 1, count) if count > 1 else [0.0])]
+    return [to_hex(scale(x)) for x in places]
 
 
 def plain(text: object) -> str:

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from .finger import Finger
+from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
 from .rectangles import Rectangle, turned
 
@@ -111,11 +112,18 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -
             corners = np.concatenate([boxes - BOARD_MARGIN_MM, boxes + BOARD_MARGIN_MM])
         (u_min, v_min), (u_max, v_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
         outline = Rectangle("board", u_min, u_max, v_min, v_max)
+    # Where a size is given, it takes the place of the file's outline.
+    du, dv = board.center_mm
+    drawn = [(u + du, v + dv) for u, v in board.outline_mm or ()] if board.size_mm is None else []
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
-        if min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM:
-            why = "move it or enlarge board.size_mm" if board.outline_mm is None else "move it, or the board's origin"
-            raise ValueError(f"{name} reaches over the board's edge or the nail's; {why}")
+        off = min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM
+        if off or (drawn and not has_room(r.center_mm, (0.0, 0.0), drawn, ())):
+            cure = "move it or enlarge board.size_mm"
+            if board.outline_mm is not None:
+                cure = "move it, or give board.origin, the point of the file on the nail's centre"
+            u, v = (round(x, 2) + 0.0 for x in r.center_mm)
+            raise ValueError(f"{name} at ({u:g}, {v:g}) mm reaches over the board's edge or the nail's; {cure}")
     return outline
 
 

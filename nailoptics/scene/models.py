@@ -264,6 +264,8 @@ class Scene(Table):
         filled: dict[str, object] = {"parts": None, "unmapped": mounted.ignored}
         if mounted.outline is not None and "outline_mm" not in board:
             filled |= {"outline_mm": mounted.outline.corners_mm, "outline_holes_mm": mounted.outline.holes_mm}
+        if mounted.film_um is not None and "kapton_um" not in board:
+            filled["kapton_um"] = mounted.film_um
         leds, photodiodes = ((*data.get(name, ()), *getattr(mounted, name)) for name in ("leds", "photodiodes"))
         return data | {"board": board | filled, "leds": leds, "photodiodes": photodiodes}
 

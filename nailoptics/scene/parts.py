@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
+from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
 
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
@@ -243,8 +244,8 @@ class Board(BoardFile):
     """Corners of the outline, from the board's origin; filled from kicad. [mm]"""
     outline_holes_mm: tuple[Polygon, ...] = ()
     """Corners of each hole in it; filled from kicad. [mm]"""
-    kapton_um: Annotated[float, Field(ge=5, le=500)] = 25.0
-    """Thickness of the Kapton film. [um]"""
+    kapton_um: Annotated[float, Field(ge=FILM_UM[0], le=FILM_UM[1])] = 25.0
+    """Thickness of the Kapton film; of a flexible board from kicad that of its stackup. [um]"""
     clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
     """Thickness of the clear epoxy under the board. [um]"""
     adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0

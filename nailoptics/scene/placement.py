@@ -8,9 +8,9 @@ from pydantic import Field, ValidationInfo, model_validator
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
 from .finger import DermisAbsorption
-from .importers.board_files import read_board_file, read_outline
+from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
-from .importers.positions import UNITS_MM, FileUnit, read_positions, reading_of, warn_of_mirrored
+from .importers.positions import UNITS_MM, FileUnit, read_positions, reading_of, warn_of_mirrored, warn_of_rotation
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
@@ -66,8 +66,10 @@ class Candidate(BoardFile):
         # Fiducials and holes, which nobody asks for, may share one.
         check_unique([part.ref for part in used], f"{path}: Ref")
         warn_of_mirrored(data, parts, used)
-        filled = {f"{name}_mm": tuple(p.position_mm for p in group) for name, group in groups.items()}
-        filled |= {f"{name}_deg": tuple(p.rotation_deg % 360 for p in group) for name, group in groups.items()}
+        warn_of_rotation(data, path, [part for part in used if part.rotation_deg % 90])
+        view = view_of(data, used, data.get("faces_nail")) if used else View()
+        filled = {f"{name}_mm": tuple(view.place(p.position_mm) for p in group) for name, group in groups.items()}
+        filled |= {f"{name}_deg": tuple(view.angle(p.rotation_deg) for p in group) for name, group in groups.items()}
         filled["led_refs"] = tuple((p.ref, p.value) for p in groups["leds"])
         filled["photodiode_refs"] = tuple(p.ref for p in groups["photodiodes"])
         return data | filled | {"unmapped": tuple(p.ref for p in parts if not p.kind)}

@@ -9,6 +9,7 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import blood_over_touch, far_from_list, forces_with_two_balances_n
 from ..light import backend, optics
 from ..scene import Scene
+from ..scene.rectangles import area_mm2
 from ..sensor import electronics
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
@@ -22,6 +23,8 @@ MAY_BE_FULL = 0.6
 # Causes of noise in stage and converter; relative steps of either zone's blood; what "auto" must gain to be named.
 ELECTRONIC = tuple(name.removesuffix("_v2") for name in NoiseBudget._fields)
 BLOOD_STEP, WORTH_SAYING = 0.5, 1.2
+# An outline that leaves out more than this of the box around it is no rectangle.
+NO_RECTANGLE = 0.02
 # What lies on a board and below it, which no file of a layout program says.
 BUILD = ("kapton_um", "clear_epoxy_um", "adhesive_um", "barrier", "cover_um")
 # Forces beside which a change of posture is shown as a false one. [N]
@@ -59,7 +62,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         report["assumed"] = {
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
-    report["warnings"] += _beyond_the_nail(scene) + far_from_list(scene) + _posture(scene)
+    report["warnings"] += _beside_the_box(scene) + far_from_list(scene) + _posture(scene)
     if not backend.choose("auto").jit:
         outside = "" if scene.ambient is None else ", and [ambient] is left out"
         report["warnings"].append(
@@ -98,18 +101,23 @@ def _led(led: Any) -> dict[str, Any]:
     return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
 
 
-def _beyond_the_nail(scene: Scene) -> list[str]:
-    """What of a board file's outline the model leaves out."""
-    corners = scene.board.outline_mm
-    if corners is None or scene.board.size_mm is not None:
+def _beside_the_box(scene: Scene) -> list[str]:
+    """What of a board file's outline the model leaves out, and what of the box around it is no board."""
+    if scene.board.outline_mm is None or scene.board.size_mm is not None:
         return []
-    outline, center = scene.layout.outline, scene.board.center_mm
-    low = np.min(corners, axis=0) + center - (outline.u_min, outline.v_min)
-    high = np.max(corners, axis=0) + center - (outline.u_max, outline.v_max)
-    reach_mm = float(max(*-low, *high))
-    if reach_mm < 1e-6:
-        return []
-    return [f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"]
+    outline, corners = scene.layout.outline, np.add(scene.board.outline_mm, scene.board.center_mm)
+    low, high = (outline.u_min, outline.v_min), (outline.u_max, outline.v_max)
+    reach_mm = float(max(*(low - corners.min(axis=0)), *(corners.max(axis=0) - high)))
+    lines = []
+    if reach_mm > 1e-6:
+        lines.append(
+            f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"
+        )
+    no_board = 1 - abs(area_mm2(np.clip(corners, low, high).tolist())) / outline.area_mm2
+    if no_board > NO_RECTANGLE:
+        text = "of the box around its outline is no board, where the model of the light has one"
+        lines.append(f"board: {100 * no_board:.0f} % {text}")
+    return lines
 
 
 def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:

@@ -112,7 +112,7 @@ def test_a_check_is_reported_in_sentences():
     assert [line.split() for line in lines if "(0.5, -2)" in line] == [
         ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "1", "0.25", "+-", "0.01"]
     ]
-    assert "noise: shot noise limits" in lines and any("400 W/m^2 right below ir" in line for line in lines)
+    assert "noise: shot noise limits" in lines and any("400 W/m^2 below ir" in line for line in lines)
     assert lines[-1] == "warning: hot"
     assert "layout mine: 1 LEDs, 4 photodiodes" in lines
     assert "ignored: 9 parts of x.kicad_pcb (R0, R1, R2, R3, R4, R5, R6, R7, ...)" in lines

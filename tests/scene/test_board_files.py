@@ -7,7 +7,7 @@ import pytest
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.identity import light_digest
-from nailoptics.scene import Placement, digest, load_scene, parse_scene, to_toml
+from nailoptics.scene import Candidate, Placement, digest, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.kicad import read_board, write_board
 from nailoptics.scene.importers.outlines import Outline
 from nailoptics.scene.rectangles import Rectangle, turned
@@ -151,6 +151,68 @@ def test_the_rotation_of_a_part_beside_its_footprint_is_warned_of(tmp_path, capl
     assert "the rotation of D1 on the bottom" in caplog.text
 
 
+def test_the_rotation_of_an_array_is_warned_of(tmp_path, caplog):
+    path = write_positions(tmp_path, "Ref,PosX,PosY,Rot,Side\nD1,-3,1,0,bottom\nPD1,1,-1,90,bottom\n")
+    path.write_text(path.read_text().replace(", elements = 1, size_mm = [1.0, 0.5]", ""))
+    load_scene(path)
+    assert "the rotation of PD1 on the bottom" in caplog.text
+
+
+def test_a_candidate_of_a_position_file_lies_by_its_origin_and_turn(tmp_path, caplog):
+    text = "Ref,PosX,PosY,Rot,Side\nD1,97,-99,0,bottom\nPD1,101,-101,0,bottom\n"
+    (tmp_path / "pos.csv").write_text(text)
+    given = {"name": "mine", "positions": "pos.csv"}
+
+    def places(**how):
+        read = Candidate.model_validate(given | how, context={"folder": tmp_path})
+        return *read.leds_mm, *read.photodiodes_mm, *read.photodiodes_deg
+
+    assert places() == ((-2, 1), (2, -1), 0)
+    assert "pos.csv: has no origin; the middle of its mapped parts" in caplog.text
+    assert places(origin=(100.0, -100.0)) == ((-3, 1), (1, -1), 0)
+    assert places(origin=(100.0, -100.0), turn_deg=90.0) == ((-1, -3), (1, 1), 90)
+    assert places(origin=(100.0, -100.0), faces_nail="top") == ((3, 1), (-1, -1), 0)
+    (tmp_path / "pos.csv").write_text(text.replace("-101,0", "-101,30"))
+    places(negate_x_on_bottom=False)
+    assert "the rotation of PD1 on the bottom" in caplog.text
+
+
+STACK = '(layer "F.Cu" (type "copper") (thickness 0.018)) (layer "dielectric 1" (type "core") (thickness 0.05))'
+
+
+@pytest.mark.parametrize(
+    ("general", "setup", "more", "film_um"),
+    [
+        ("", "", "", 25),
+        ("(general (thickness 0.11))", "", "", 110),
+        ("(general (thickness 0.11))", f"(stackup {STACK})", "", 50),
+        ("(general (thickness 0.11))", "", "kapton_um = 75.0", 75),
+        ("(general (thickness 1.6))", "", "", 25),
+    ],
+)
+def test_the_film_is_as_thick_as_the_board_of_the_file(tmp_path, general, setup, more, film_um):
+    path, board = write(tmp_path, more=more), tmp_path / "x.kicad_pcb"
+    board.write_text(board.read_text().replace("(setup", f"{general}\n(setup {setup}"))
+    scene = load_scene(path)
+    assert scene.board.kapton_um == film_um
+    # What the file does not say is assumed.
+    assert ("kapton_um" in scene.board.model_fields_set) == (film_um != 25)
+
+
+@pytest.mark.parametrize(("corner", "lies_on"), [("97 96", True), ("99 96", False)])
+def test_a_part_off_an_outline_that_is_no_rectangle_is_refused(tmp_path, corner, lies_on):
+    path, board = write(tmp_path), tmp_path / "x.kicad_pcb"
+    corners = ("96 105", "104 105", "104 96", corner, "96 105")
+    lines = (f"(gr_line (start {a}) (end {b}) (layer Edge.Cuts))" for a, b in zip(corners, corners[1:], strict=False))
+    text = board.read_text().replace("(gr_rect (start 96 96) (end 104 105) (layer Edge.Cuts))", "\n".join(lines))
+    board.write_text(text)
+    if lies_on:
+        assert len(load_scene(path).board.outline_mm) == 4
+        return
+    with pytest.raises(InputError, match=r'"D1" at \(-3, 1\) mm reaches over the board\'s edge .* give board.origin'):
+        load_scene(path)
+
+
 def test_position_files_serve_as_boards(tmp_path, caplog):
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,30\nC1,9,9,Top,0\n"
     board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
@@ -283,6 +345,8 @@ def test_a_written_board_keeps_the_references_of_its_file(tmp_path):
     assert [(one.name, one.reference) for one in best.photodiodes] == [("PD2", None), ("left", "PD1"), ("PD3", None)]
     parts = result.kicad_parts(best)
     sizes = [*(led.size_mm for led in best.leds), *(one.size_mm for one in best.photodiodes)]
-    write_board(tmp_path / "best.kicad_pcb", parts, sizes, Outline(((-4, -5), (4, -5), (4, 4), (-4, 4)), ()))
+    write_board(
+        tmp_path / "best.kicad_pcb", parts, sizes, Outline(((-4, -5), (4, -5), (4, 4), (-4, 4)), ()), thickness_mm=0.025
+    )
     assert [one.ref for one in read_board(tmp_path / "best.kicad_pcb").footprints] == ["D1", "PD2", "PD1", "PD3"]
     assert light_digest(best) == light_digest(parse_scene(to_toml(best).replace('reference = "D1"\n', "")))

@@ -147,7 +147,7 @@ def test_a_written_layout_is_read_back(tmp_path):
         PlacedPart("PD1", "a", "PD", (0.3, -2.0), 0.0, "bottom"),
     )
     outline = Outline(((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0)), (((2.0, -3.0), (3.0, -3.0), (3.0, -2.0)),))
-    write_board(tmp_path / "best.kicad_pcb", parts, [(0.25, 0.25), (1.0, 0.25)], outline)
+    write_board(tmp_path / "best.kicad_pcb", parts, [(0.25, 0.25), (1.0, 0.25)], outline, thickness_mm=0.025)
     found = read_board(tmp_path / "best.kicad_pcb")
     ox, oy = found.auxiliary_mm
     moved = [(p.ref, p.value, p.rotation_deg, p.side) for p in found.footprints]
@@ -158,7 +158,7 @@ def test_a_written_layout_is_read_back(tmp_path):
     lines = [[(round(x - ox, 6), round(y - oy, 6)) for x, y in one] for one in (again.corners_mm, *again.holes_mm)]
     assert sorted(map(sorted, lines)) == sorted(map(sorted, (outline.corners_mm, *outline.holes_mm)))
     first = (tmp_path / "best.kicad_pcb").read_text()
-    write_board(tmp_path / "best.kicad_pcb", parts, [(0.25, 0.25), (1.0, 0.25)], outline)
+    write_board(tmp_path / "best.kicad_pcb", parts, [(0.25, 0.25), (1.0, 0.25)], outline, thickness_mm=0.025)
     assert (tmp_path / "best.kicad_pcb").read_text() == first
 
 

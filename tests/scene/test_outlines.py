@@ -29,7 +29,7 @@ def ring(count, radius=4.0):
 def test_an_outline_is_read_from_corners_and_from_a_board(tmp_path):
     (tmp_path / "o.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in SQUARE))
     assert read_outline(tmp_path / "o.csv") == Outline(SQUARE)
-    write_board(tmp_path / "o.kicad_pcb", [], [], Outline(SQUARE, (HOLE,)))
+    write_board(tmp_path / "o.kicad_pcb", [], [], Outline(SQUARE, (HOLE,)), thickness_mm=0.025)
     found = read_outline(tmp_path / "o.kicad_pcb")
     for line, expected in zip((found.corners_mm, *found.holes_mm), (SQUARE, HOLE), strict=True):
         assert line == tuple(pytest.approx(corner) for corner in expected)

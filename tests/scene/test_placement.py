@@ -22,7 +22,7 @@ SQUARE = [(-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0)]
 
 def test_a_scene_takes_candidates_and_outline_from_the_files_beside_it(tmp_path):
     (tmp_path / "pos.csv").write_text(POSITIONS.replace('"LED2"', '"PD2"'))
-    write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple(SQUARE)))
+    write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple(SQUARE)), thickness_mm=0.025)
     (tmp_path / "scene.toml").write_text(f"""{THUMB}
 [placement]
 outline = "board.kicad_pcb"
@@ -47,7 +47,7 @@ ON_PAGE = THUMB + '[placement]\noutline = "board.kicad_pcb"\n'
 
 @pytest.mark.parametrize("origin", ['"middle"', "[100.0, -90.0]"])
 def test_the_scene_sets_an_outlines_origin(tmp_path, origin):
-    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
+    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE, thickness_mm=0.025)
     (tmp_path / "scene.toml").write_text(f"{ON_PAGE}outline_origin = {origin}")
     placement = load_scene(tmp_path / "scene.toml").placement
     flat = [x for corner in placement.outline_mm for x in corner]
@@ -68,13 +68,15 @@ def test_the_scene_sets_the_unit_of_a_drawing_without_one(tmp_path):
 
 @pytest.mark.long
 def test_check_refuses_an_outline_beside_the_nail_as_place_does(tmp_path, capsys, shared_light):
-    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE)
+    write_board(tmp_path / "board.kicad_pcb", [], [], PAGE, thickness_mm=0.025)
     (tmp_path / "scene.toml").write_text(ON_PAGE)
     assert run(["check", str(tmp_path / "scene.toml")]) == 2
     message = capsys.readouterr().err
     assert "placement.outline: it is 8 x 10 mm around (100, -90)" in message and len(message.splitlines()) == 1
     # One that reaches beyond the nail ends there.
-    write_board(tmp_path / "board.kicad_pcb", [], [], Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)))
+    write_board(
+        tmp_path / "board.kicad_pcb", [], [], Outline(tuple((3 * x, 3 * y) for x, y in SQUARE)), thickness_mm=0.025
+    )
     assert run(["check", str(tmp_path / "scene.toml"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["valid"]
     (tmp_path / "scene.toml").write_text(ON_PAGE + 'outline_origin = "corner"')

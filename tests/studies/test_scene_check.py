@@ -117,13 +117,15 @@ def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text,
 
 
 @pytest.mark.long
-def test_a_scene_from_a_board_that_is_larger_than_the_nail_says_so(tmp_path):
-    found = check_scene(
-        parse_scene(
-            SCENE.split("[placement]")[0].replace(
-                "barrier = false",
-                "barrier = false\noutline_mm = [[-4.0, -5.0], [4.0, -5.0], [4.0, 30.0], [-4.0, 30.0]]",
-            )
-        )
-    )
-    assert any("beyond the nail" in line for line in found["warnings"])
+@pytest.mark.parametrize(
+    ("outline", "words"),
+    [
+        ("[-4.0, -5.0], [4.0, -5.0], [4.0, 30.0], [-4.0, 30.0]", ["its outline reaches"]),
+        ("[-4.0, -5.0], [4.0, -5.0], [4.0, 1.0], [0.0, 5.0], [-4.0, 5.0]", ["10 % of the box around its outline is"]),
+        ("[-4.0, -5.0], [4.0, -5.0], [4.0, 5.0], [-4.0, 5.0]", []),
+    ],
+)
+def test_it_says_where_the_models_board_is_not_that_of_the_file(outline, words):
+    text = SCENE.split("[placement]")[0].replace("barrier = false", f"barrier = false\noutline_mm = [{outline}]")
+    said = [line for line in check_scene(parse_scene(text))["warnings"] if line.startswith("board: ")]
+    assert len(said) == len(words) and all(word in line for word, line in zip(words, said, strict=True))

@@ -127,6 +127,12 @@ def _display_scale(sweep: str) -> float:
     return 1.0 if sweep == "force" else 100.0
 
 
+def _colours(result: xr.Dataset) -> list[str]:
+    """Colours of the photodiodes in that order."""
+    distal = result.zone_of_photodiode >= result.sizes["zone"] / 2
+    return style.place_colours(distal.size, int(distal.sum()))
+
+
 def _photodiode_order(result: xr.Dataset) -> list[int]:
     """Photodiodes as the figures list them: proximal ones first, in the scene's order."""
     return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
@@ -145,7 +151,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
             fitted = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
             x = fitted.setting.values * _display_scale(sweep)
-            for colour, j in zip(style.place_colours(len(places)), places, strict=True):
+            for colour, j in zip(_colours(result), places, strict=True):
                 error, stderr = 100 * fitted.range_error.values[j], 100 * fitted.range_error_stderr.values[j]
                 low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
                 axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
@@ -212,7 +218,7 @@ def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     )
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
     figure, panels = style.tiles(len(places), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
-    for k, (axes, j, colour) in enumerate(zip(panels, places, style.place_colours(len(places)), strict=True)):
+    for k, (axes, j, colour) in enumerate(zip(panels, places, _colours(result), strict=True)):
         traced = changes.reading.values[j]
         axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
         for way, model, ink, dashes, label in models:

@@ -301,7 +301,7 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any
         scene_text(best, result.attrs),
         lambda path: write_positions(path, placed, negate_x_on_bottom=negate_x_on_bottom),
         lambda path: write_outline(path, edges),
-        lambda path: write_board(path, placed, sizes, edges),
+        lambda path: write_board(path, placed, sizes, edges, thickness_mm=1e-3 * best.board.kapton_um),
         lambda path: write_mesh(best, path),
         lambda path: write_placement(result, path),
     )

@@ -10,7 +10,7 @@ import xarray as xr
 from ...errors import InputError
 from ...scene import Scene, parse_scene
 from ...tissue import bed_zone_name
-from .. import maps, style
+from .. import maps
 from ..files import Report
 from ..html import Html, document, escaped, figure, section, small, subheading, table
 from ..numbers import estimated, quantity, significant, with_error
@@ -64,10 +64,7 @@ MODELS = (
     "fitted to them over the capillary diameter D of the photodiode's own zone. Below each, the residuals (model minus "
     "traced light), on one scale for all, with the noise of one sample in grey."
 )
-VOLTS = (
-    "Volts over time: proximal photodiodes on the left, distal ones on the right. Where no band is seen it is thinner "
-    "than the line."
-)
+VOLTS = "Volts over time, the more proximal photodiodes on the left. Where no band is seen it is thinner than the line."
 FITS = "± is the trace's standard error, whose noise all samples of a reading share; the residual is no part of it."
 MEAN_PATH = (
     "Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of the "
@@ -104,7 +101,7 @@ def page(result: xr.Dataset) -> str:
             section(
                 "Readings of the photodiodes",
                 figure(figures.overview(result, scene), OVERVIEW),
-                _pair_table(reading_rows(readings), readings, kind="readings dense"),
+                _pair_table(reading_rows(readings), readings, scene, kind="readings dense"),
                 small(READINGS),
                 *map(small, disturbance_lines(result)),
             ),
@@ -161,10 +158,17 @@ def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataF
             lines.append(subheading(maps.led_name(result, i)))
         lines.append(figure(figures.volts(result, scene, led=i), text))
     rows, notes = _fits(result, readings)
-    lines += [subheading("Constants of Beer–Lambert (8) and Taylor (9)"), _pair_table(rows, readings, kind="fits")]
+    lines += [
+        subheading("Constants of Beer–Lambert (8) and Taylor (9)"),
+        _pair_table(rows, readings, scene, kind="fits"),
+    ]
     lines += [small(FITS), *(small(f"[{mark}] {note}") for note, mark in notes.items())]
     if paths := _paths(result, readings):
-        lines += [subheading("Mean path of the detected light"), MEAN_PATH, _pair_table(paths, readings, kind="paths")]
+        lines += [
+            subheading("Mean path of the detected light"),
+            MEAN_PATH,
+            _pair_table(paths, readings, scene, kind="paths"),
+        ]
     return section("Traced light beside the reduced optics", *lines)
 
 
@@ -218,7 +222,7 @@ def _cards(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]
         words = f"best force resolution of one sample (noise / slope): {name[resolved.idxmin()]}"
         lines.append((quantity(resolved.min(), "N"), words))
     if change_v.any():
-        lines.append(_signs(usable, result))
+        lines += _signs(usable, result)
     if "white_band_mm" in result:
         words = "width of the white band at the tip at the end of the hold, with less than half its blood"
         lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
@@ -243,18 +247,21 @@ def _warnings(readings: "pd.DataFrame") -> list[str]:
     return lines
 
 
-def _signs(readings: "pd.DataFrame", result: xr.Dataset) -> tuple[str, str]:
-    """Whether readings change as in the paper: down over the proximal half of the zones, up over the distal."""
+def _signs(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]]:
+    """Whether readings change as in the paper: down over the proximal half of the zones, up over the distal; nothing of
+    a board that has photodiodes over one half alone, or where no reading does."""
     distal = readings.zone.isin(result.zone.values[result.sizes["zone"] // 2 + result.sizes["zone"] % 2 :])
     right = np.sign(readings.volts_change) == np.where(distal, 1, -1)
+    if not right.any() or distal.nunique() == 1:
+        return []
     words = "readings change as in the paper: proximal ones fall, distal ones rise"
     least = readings.z_score[right].min()
     if np.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
     wrong = [*readings.photodiode[~right]]
-    if right.any() and 0 < len(wrong) < 4:
+    if 0 < len(wrong) < 4:
         words += f"; not {_list(wrong)}"
-    return f"{right.sum()} of {len(readings)}", words
+    return [(f"{right.sum()} of {len(readings)}", words)]
 
 
 def _list(words: Sequence[str]) -> str:
@@ -317,10 +324,11 @@ def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, 
     return rows, marks
 
 
-def _pair_table(rows: Sequence[dict[str, str]], readings: "pd.DataFrame", *, kind: str) -> Html:
+def _pair_table(rows: Sequence[dict[str, str]], readings: "pd.DataFrame", scene: Scene | None, *, kind: str) -> Html:
     """A table of all readings, LED by LED, with the colour of each photodiode's place along the nail."""
     order = list(dict.fromkeys(readings.photodiode))
-    colours = dict(zip(order, style.place_colours(len(order)), strict=True))
+    along = maps.coloured_along_nail(scene, len(order))
+    colours = {name: colour for name, (colour, _) in zip(order, along, strict=True)}
     shown = []
     for row, name in zip(rows, readings.photodiode, strict=True):
         swatch = f'<span class="swatch" style="background:{colours[name]}"></span>'

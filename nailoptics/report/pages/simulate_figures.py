@@ -9,7 +9,7 @@ import xarray as xr
 from ...scene import Scene
 from ...studies.simulate import hold_end
 from .. import style
-from ..maps import coloured_along_nail, led_name, order_along_nail
+from ..maps import coloured_along_nail, led_name
 from ..numbers import prefix, significant, with_error
 
 if TYPE_CHECKING:
@@ -148,10 +148,10 @@ def _legend_columns(photodiodes: int) -> int:
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     """One LED's readings, one panel per photodiode: traced volts with errors, both reduced models and residuals.
 
-    Proximal photodiodes are on the left, distal ones on the right. The band is the trace's standard error of the change
+    The more proximal photodiodes are on the left. The band is the trace's standard error of the change
     from rest; its error of the level, which all samples share, is a number in the title.
     """
-    order = order_along_nail(scene, result.sizes["photodiode"])
+    order = coloured_along_nail(scene, result.sizes["photodiode"])
     if len(order) > PANELS:
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
     rows, columns = -(-len(order) // 2), min(len(order), 2)
@@ -159,11 +159,11 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     height_in, how = 0.8 + 2.2 * rows, {"sharex": True, "squeeze": False, "height_ratios": ratios}
     room = style.Room(left=0.85, top=0.55, across=0.85, down=0.25)
     figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
-    pairs = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for j in order]
+    pairs = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for _, j in order]
     missed_v = [float(np.abs(model - traced).max()) for model, traced in pairs]
     missed_scale, missed_letter = prefix(max(*missed_v, _largest(result.volts_noise_rms[led])))
     thin, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
-    for k, (j, colour) in enumerate(zip(order, style.place_colours(len(order)), strict=True)):
+    for k, (colour, j) in enumerate(order):
         column, row = divmod(k, rows)
         main, below = grid[2 * row : 2 * row + 2, column]
         reading = thin.isel(photodiode=j)

@@ -28,6 +28,8 @@ NEAR_NM = 15.0
 # A footprint's position is its body's middle, or the first pin of one with wires: farther from its pads' middle than
 # this, the pads count. [mm]
 ANCHOR_MM = 0.5
+# Thickness of boards that bend onto a nail, as a scene's kapton_um. [um]
+FILM_UM = (5, 500)
 # No nail reaches farther from the origin: beyond this, a file's coordinates are those of a page. [mm]
 NAIL_REACH_MM = 20.0
 
@@ -38,12 +40,14 @@ class OnNail:
 
     ignored : References of the file that nothing was said of.
     outline : In the nail's coordinates; None where the file has none.
+    film_um : Thickness of the board's film; None where the file says none, or that of a rigid board. [um]
     """
 
     leds: tuple[dict[str, Any], ...]
     photodiodes: tuple[dict[str, Any], ...]
     ignored: tuple[str, ...]
     outline: Outline | None = None
+    film_um: float | None = None
 
 
 @dataclass(frozen=True)
@@ -87,16 +91,11 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     mapped = _mapped(placed, uses, name)
     if board is None:
         warn_of_mirrored(table, placed, mapped)
-        lopsided = {part.ref for part in mapped if {"module", "offset_mm"} & uses[part.ref].keys()}
-        warn_of_rotation(table, path, [part for part in mapped if part.rotation_deg % 90 or part.ref in lopsided])
+        warn_of_rotation(table, path, [part for part in mapped if _looks_turned(part, uses[part.ref], folder)])
     whole = None
     if board is not None and board.edges:  # a file may hold several boards: the outline around the parts
         whole = join(board.edges, name, around=[part.position_mm for part in mapped])
-    view = View(
-        _origin(table.get("origin"), board, whole, mapped, name),
-        _faces_nail(mapped, table.get("faces_nail")) == "top",
-        float(table.get("turn_deg", 0.0)),
-    )
+    view = view_of(table, mapped, _faces_nail(mapped, table.get("faces_nail")), board=board, outline=whole)
     tables: dict[str, list[dict[str, Any]]] = {"led": [], "photodiode": []}
     for part in mapped:
         for kind, fields in _tables(part, dict(uses[part.ref]), view, folder):
@@ -106,7 +105,25 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
         corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
         outline = Outline(corners, tuple(holes))
     ignored = tuple(part.ref for part in placed if part.ref not in uses)
-    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline)
+    film_um = 0.0 if board is None else round(1e3 * board.thickness_mm, 6)
+    bends = FILM_UM[0] <= film_um <= FILM_UM[1]
+    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline, film_um if bends else None)
+
+
+def view_of(
+    table: Mapping[str, Any],
+    parts: Sequence[PlacedPart],
+    faces_nail: str | None,
+    *,
+    board: KicadBoard | None = None,
+    outline: Outline | None = None,
+) -> View:
+    """How the coordinates of a file become the nail's, by what a table says of it; raises ValueError.
+
+    parts : those of the file that are used. faces_nail : side of the board.
+    """
+    origin = _origin(table.get("origin"), board, outline, parts, str(table.get("kicad") or table.get("positions")))
+    return View(origin, faces_nail == "top", float(table.get("turn_deg", 0.0)))
 
 
 def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
@@ -206,6 +223,15 @@ def _faces_nail(mapped: Sequence[PlacedPart], side: Any) -> str:
                 "nail; parts on the other side see nothing: take it out of the parts"
             )
     return str(side or mapped[0].side)
+
+
+def _looks_turned(part: PlacedPart, use: Mapping[str, Any], folder: str | Path | None) -> bool:
+    """Whether a part is another one at 180 degrees less its angle: oblique, a module, aside, or of several elements."""
+    if part.rotation_deg % 90 or {"module", "offset_mm", "wired"} & use.keys():
+        return True
+    name = use.get("photodiode")
+    of_part = load_part(name, beside=folder) if isinstance(name, str) else None
+    return bool(use.get("elements", getattr(of_part, "elements", 1)) != 1)
 
 
 def _tables(

@@ -39,12 +39,14 @@ class KicadBoard:
     footprints : Every part, with the name of its footprint.
     edges : Lines of the outline, in any order.
     auxiliary_mm, grid_mm : Origins of drill and position files, and of the grid; None where they are not set.
+    thickness_mm : Of the insulation in its stackup, else of the whole board; 0 where the file says neither.
     """
 
     footprints: tuple[PlacedPart, ...]
     edges: tuple[Polygon, ...]
     auxiliary_mm: Point | None
     grid_mm: Point | None
+    thickness_mm: float
 
 
 def read_board(path: Path) -> KicadBoard:
@@ -111,7 +113,10 @@ def _board(tree: list[Any]) -> KicadBoard:
     origins = {name: _numbers(setup, name) for name in ("aux_axis_origin", "grid_origin")}
     # KiCad writes an origin that nobody set as 0 0, the corner of the page, or not at all.
     auxiliary, grid = ((o[0], -o[1]) if len(o) == 2 and any(o) else None for o in origins.values())
-    return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid)
+    layers = _all(next(_all(setup, "stackup"), []), "layer")
+    films = [layer for layer in layers if str(layer[1]).startswith("dielectric")] or [*_all(tree, "general")]
+    thickness_mm = sum(sum(_numbers(film, "thickness")[:1]) for film in films)
+    return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid, thickness_mm)
 
 
 def _pads_middle(footprint: list[Any], angle_deg: float) -> Point:
@@ -202,12 +207,15 @@ def _bezier(handles: Sequence[Point]) -> Polygon:
     return tuple((x, y) for x, y in points.tolist())
 
 
-def write_board(path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline) -> None:
+def write_board(
+    path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline, *, thickness_mm: float
+) -> None:
     """Write a layout as a board of KiCad 6, which newer ones open: outline and footprints, each with its die drawn.
 
     The origin of drill and position files is the layout's.
 
     sizes_mm : Size of each part's die at a rotation of 0. [mm]
+    thickness_mm : Of the board's film.
 
     Raises: WriteError.
     """
@@ -216,7 +224,11 @@ def write_board(path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Poin
     def place(point: Point) -> str:
         return f"{point[0] + ox:.6f} {oy - point[1]:.6f}"
 
-    lines = ['(kicad_pcb (version 20211014) (generator "nailoptics")', "  (general (thickness 0.1))", '  (paper "A4")']
+    lines = [
+        '(kicad_pcb (version 20211014) (generator "nailoptics")',
+        f"  (general (thickness {thickness_mm:.9g}))",
+        '  (paper "A4")',
+    ]
     lines += ["  (layers", *(f"    {row}" for row in LAYERS), "  )"]
     lines += [f"  (setup (pad_to_mask_clearance 0) (aux_axis_origin {ox:g} {oy:g}))", '  (net 0 "")']
     for part, size in zip(parts, sizes_mm, strict=True):
