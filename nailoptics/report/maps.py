@@ -106,7 +106,7 @@ def draw_top_view(axes: "Axes", scene: Scene) -> None:
     # Boards may be as wide as the nail, and their labels need room beside them.
     box, dpi = axes.get_window_extent(), axes.figure.dpi
     ends = np.array([layout.outline.u_min - LABEL_MM, layout.outline.u_max + LABEL_MM])
-    filled = min(LETTER_IN * (sum(letters) + 4) * dpi / box.width, 0.7)
+    filled = min(LETTER_IN * (sum(letters) + 4) * dpi / box.width, 0.8)
     mm_per_in = dpi * max(np.ptp(ends) / (1 - filled) / box.width, (2 * half_v + 0.6) / box.height)
     low, high = ends + np.multiply((-1, 1), LETTER_IN * mm_per_in * np.add(letters, 2))
     low, high = min(-half_u - 0.3, low), max(half_u + 0.3, high)

@@ -59,10 +59,10 @@ def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) ->
 
 def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     """What the priors make of a simulated touch."""
-    if not traced:
-        return []
     # A converter at its limit has no change, whatever its light does.
     usable = ~result.saturated.any("time")
+    if not traced or not usable.any():
+        return []
     words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
     names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
     spreads = (

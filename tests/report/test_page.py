@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from nailoptics.errors import InputError
-from nailoptics.report import style
+from nailoptics.report import maps, style
 from nailoptics.report.pages.simulate import SIMULATION, page
+from nailoptics.scene import parse_scene
 
 VOID = {"meta", "br"}
 
@@ -222,6 +224,43 @@ def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
     assert "<b>8 of 8</b>" in text and "<b>2.3\u00a0mm</b>" in text
     result.volts_change[0, 0] *= -1
     assert "<b>7 of 8</b>" in page(result)
+
+
+def test_signs_are_no_key_figure_of_a_board_over_one_half_or_that_follows_none(undrawn, make):
+    result, words = make(section=False), "readings change as in the paper"
+    assert words in page(result)
+    of_one_half = result.copy()
+    of_one_half["zone_of_photodiode"] = 0 * result.zone_of_photodiode
+    result.volts_change.values *= -1
+    assert words not in page(of_one_half) and words not in page(result)
+
+
+def test_colours_of_distal_photodiodes_are_cool_however_few_they_are():
+    of_eight = style.place_colours(8)
+    assert style.place_colours(8, 4) == of_eight
+    assert style.place_colours(1, 1) == of_eight[-1:] and style.place_colours(1, 0) == of_eight[:1]
+    assert style.place_colours(3, 3)[-1] == of_eight[-1] and style.place_colours(3, 0)[0] == of_eight[0]
+    assert style.place_colours(5, 4) == [of_eight[0], *of_eight[4:]]
+
+
+@pytest.mark.parametrize("name", ["a", "photodiode_number_12"])
+@pytest.mark.parametrize("width_mm", [4.0, 11.3])
+def test_names_of_parts_stand_within_the_drawing_of_the_board(name, width_mm):
+    scene = parse_scene(
+        f"schema_version = 1\n[finger]\n[board]\nbarrier = false\nsize_mm = [{width_mm}, 8.0]\n"
+        f'[[leds]]\nname = "{name}"\npart = "led_800"\nposition_mm = [1.2, 0.0]\n'
+        f'[[photodiodes]]\nname = "{name}"\nposition_mm = [-1.0, 0.1]\n'
+    )
+    figure = maps.top_view.__wrapped__(scene)
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    frame = axes.get_window_extent()
+    boxes = {text.get_text(): text.get_window_extent() for text in axes.texts}
+    assert len(boxes) == 4
+    assert all(frame.x0 < box.x0 and box.x1 < frame.x1 for box in boxes.values())
+    # The line to either name runs off to the side where no other part lies.
+    middle = (frame.x0 + frame.x1) / 2
+    assert boxes[name].x1 < middle < boxes[f"LED {name}, 800 nm"].x0
 
 
 def test_where_the_light_ends_is_shown_where_it_is_known(undrawn, make):

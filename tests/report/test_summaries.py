@@ -83,6 +83,8 @@ def test_a_saturated_reading_has_no_spread(make):
     assert "10-80 %" in conclusions(result)[0]
     result.saturated[0, 7, 5] = True
     assert "10-70 %" in conclusions(result)[0]
+    result.saturated[:] = True
+    assert conclusions(result) == []
 
 
 def test_a_check_is_reported_in_sentences():

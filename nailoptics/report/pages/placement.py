@@ -127,8 +127,14 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     if tied == 1:
         others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
     noise = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
+    name = f"Layout {first['layout']}"
+    if first["origin"] == "searched":
+        places = (
+            f"{led.name} at ({led.center_mm[0]:.3g}, {led.center_mm[1]:.3g})" for led in chosen(result).layout.leds
+        )
+        name = f"The layout with {', '.join(places)} mm"
     return (
-        f"Layout {first['layout']} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
+        f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
         f"for any split between the proximal and the distal side{f', with {noise}' if noise else ''}. "
         f"{_ranked_by(result, first)}{others}"
     )

@@ -34,7 +34,7 @@ def test_an_interrupt_leaves_the_ranking_as_far_as_it_is(chosen_jit, scene):
 
 
 @pytest.mark.slow
-def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit):
+def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_jit, tmp_path):
     """Expected: no site of the LED is begun after Ctrl-C, and the best so far is judged by one batch of its own."""
     requested = parse_scene(SCENE[: SCENE.index("[placement]")] + "[placement]\nphotodiodes = 2\n")
     reports = []
@@ -49,6 +49,9 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
     assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
     assert str(found.origin.values[0]) == "searched"
     assert found.attrs["photons"] == search.FIRST_PHOTONS + JUDGE_PHOTONS
+    PLACEMENT.write(found, tmp_path)
+    head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
+    assert "The layout with ir at (" in head and str(found.layout.values[0]) not in head
 
 
 @pytest.mark.slow
