@@ -95,19 +95,16 @@ def simulate_responses(parameters: Parameters) -> Responses:
         pressure = np.vstack([state.capillary_pressure_pa, state.vein_pressure_pa[None]])
         return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]]), pressure / p.arterial_pressure_pa
 
-    venules = p.venular_share, p.venular_closing_pressure_pa
-    return responses_of(steady, lambda touch, zones: _follow(parameters, touch, zones), venules)
+    def follow(touch: Protocol, zones: Zones) -> np.ndarray:
+        widths = []
+        for proximal, distal in zip(touch.proximal_pa, touch.distal_pa, strict=True):
+            given: dict[str, Any] = {"proximal_pressure_pa": proximal, "distal_pressure_pa": distal, "zones": zones}
+            # A part in ten thousand of a diameter: no rule is that fine, and long cycles take a tenth of the time.
+            run = respond(p, touch.time_s, rtol=1e-4, **given)
+            widths.append(np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values]))
+        return np.stack(widths, axis=1)
 
-
-def _follow(parameters: Parameters, touch: Protocol, zones: Zones) -> np.ndarray:
-    """Diameters under each touch, (N+1, S, T) float: capillary units and then the vein. [m]"""
-    widths = []
-    for proximal, distal in zip(touch.proximal_pa, touch.distal_pa, strict=True):
-        given: dict[str, Any] = {"proximal_pressure_pa": proximal, "distal_pressure_pa": distal, "zones": zones}
-        # A part in ten thousand of a diameter: no rule is that fine, and long cycles take a tenth of the time.
-        run = respond(parameters, touch.time_s, rtol=1e-4, **given)
-        widths.append(np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values]))
-    return np.stack(widths, axis=1)
+    return responses_of(steady, follow, (p.venular_share, p.venular_closing_pressure_pa))
 
 
 def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[PerBed, PerBed]) -> np.ndarray:

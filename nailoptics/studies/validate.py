@@ -20,7 +20,7 @@ from ..assets import asset_path, data_dir
 from ..checks import Array
 from ..errors import InputError
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, blood_model, heart_rate_per_min, rest_beat
-from ..hemodynamics.waves import HEARTBEAT, Lines, waves_of, waves_pressure
+from ..hemodynamics.waves import HEARTBEAT, waves_of, waves_pressure
 from ..light import ProgressCallback, backend, trace
 from ..light.identity import light_digest
 from ..light.optics import zones
@@ -214,8 +214,11 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
     """Breathing and vasomotion in the blood of the bed, over the heartbeat, rms."""
     scene, ranges = _shipped_scene("heartbeat"), {prior.field: prior for prior in shipped_priors()}
     assert scene.body is not None
-    waves = {wave.name: wave.lines(**fields) for wave, fields in waves_of(scene.body)}
-    rms = {name: _blood_rms(scene, lines) for name, lines in waves.items()}
+    rms = {}
+    for wave, fields in waves_of(scene.body):
+        frequency_hz, power = wave.lines(**fields)
+        gain = blood_by_arterial_pressure(scene, frequency_hz, 0.0).mean(0)
+        rms[wave.name] = float(np.sqrt(power @ np.abs(gain) ** 2))
     result = {}
     for name, column in (("vasomotion", "vasomotion_0.05_0.15_hz_g"), ("breathing", "breathing_0.15_0.4_hz_g")):
         prior = ranges[f"body.{name}.amplitude_pa"]
@@ -224,12 +227,6 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
         values = people[column] / people["heart_0.7_3_hz_g"]
         result[f"{name}_over_heartbeat"] = _coverage(_texts("waves", people, wave=name), values, model)
     return result
-
-
-def _blood_rms(scene: Scene, lines: Lines) -> float:
-    """Of the bed's blood by a wave of the arterial pressure without touch. [1]"""
-    gain = blood_by_arterial_pressure(scene, lines[0], 0.0).mean(0)
-    return float(np.sqrt(lines[1] @ np.abs(gain) ** 2))
 
 
 def _contact_pressure(people: "pd.DataFrame") -> Comparison:

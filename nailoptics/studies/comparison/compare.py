@@ -2,8 +2,10 @@
 
 import math
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -117,8 +119,9 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
     gathered = {name: np.stack([[row[name] for row in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
     data: Variables = {}
-    for name, (dims, units, text) in _VARIABLES.items():
-        dims = ("led", "sweep", *dims)
+    described = tomllib.loads(resources.files(__package__).joinpath("variables.toml").read_text(encoding="utf-8"))
+    for name, about in described.items():
+        dims, units, text = ("led", "sweep", *about["dims"]), about["units"], about["text"]
         data |= variable(name, dims, gathered[name], text, units=units, stderr=gathered.get(f"{name}_stderr"))
         for end in ("low", "high"):
             if f"{name}_{end}" in gathered:
@@ -130,10 +133,10 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     data |= variable("setting_units", "sweep", of_sweeps, "units of what is swept, and of its limits")
     # CF: a variable has one unit; where it has another in each sweep, it says where to look.
     comment = "each sweep in the unit that setting_units has for it"
-    about = {"ancillary_variables": "setting_units", "comment": comment}
+    elsewhere = {"ancillary_variables": "setting_units", "comment": comment}
     for name in ("setting", "limit", "limit_low", "limit_high"):
         del data[name][2]["units"]
-        data[name][2].update({"units": of_sweeps[0]} if len(set(of_sweeps)) == 1 else about)
+        data[name][2].update({"units": of_sweeps[0]} if len(set(of_sweeps)) == 1 else elsewhere)
     blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
     data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
     data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
@@ -148,32 +151,6 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     attributes = transfer.attributes() | seconds | {"reused": int(transfer.reused)}
     return xr.Dataset(data, coords=coords, attrs=attributes)
-
-
-_PAIR, _CURVE, _LIMIT = ("photodiode",), ("photodiode", "point"), ("photodiode", "way", "model", "within")
-_MODEL = ("photodiode", "way", "model", "point")
-_VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "reading": (_CURVE, "1", "traced reading, as a fraction of the emitted power"),
-    "model_reading": (_MODEL, "1", "reading by the model, as a fraction of the emitted power"),
-    "error": (_MODEL, "1", "model less trace, as a part of the traced swing over the sweep"),
-    "range_error": (_MODEL, "1", "largest error of the model over the range up to here, as a part of the swing there"),
-    "part_error": (("photodiode", "way", "part", "point"), "1", "part of Taylor (9)'s error, as a part of the swing"),
-    "swing": (_PAIR, "1", "traced reading's largest less its least, as a fraction of the emitted power"),
-    "relative_swing": (
-        _PAIR,
-        "1",
-        "traced reading's largest less its least, as a part of the reading where the sweep starts",
-    ),
-    "alpha_d2": (_CURVE, "1", "alpha D^2 of the photodiode's own zone"),
-    "bed_alpha_d2": (_CURVE, "1", "alpha D^2 of all the blood in the bed, zone by zone"),
-    "path_mm": (_PAIR, "mm", "mean path in the photodiode's own zone where the sweep starts"),
-    "path_fitted_mm": (_PAIR, "mm", "mean path there that the Beer-Lambert (8) fitted over the sweep has in its place"),
-    "limit": (_LIMIT, "1", "setting up to which the model holds"),
-    "limit_ends": (_LIMIT, "1", "whether it fails within the sweep at all"),
-    "limit_blood_fraction": (_LIMIT, "1", "blood fraction of the photodiode's own zone there"),
-    "limit_alpha_d2": (_LIMIT, "1", "alpha D^2 of the photodiode's own zone there"),
-    "limit_bed_alpha_d2": (_LIMIT, "1", "alpha D^2 of all the blood in the bed there"),
-}
 
 
 def _led_errors(
