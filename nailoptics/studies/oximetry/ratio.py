@@ -16,7 +16,7 @@ from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.series import read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import Array, seed_of
+from ...statistics import Array, jackknife, seed_of
 
 # Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
 NODES = 7
@@ -98,6 +98,11 @@ class Pulsation:
 def _quotient(a: Array, b: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(a / b)
+
+
+def estimate(replicates: Array) -> tuple[Array, Array]:
+    """A value by all photons and its standard error, from (1 + groups, ...) float, the first by all photons."""
+    return replicates[0], jackknife(replicates)
 
 
 def with_saturation(scene: Scene, so2: float) -> Scene:
