@@ -1,6 +1,7 @@
 """The page of `explore` in a real browser: its numbers are Python's, and a hand can use it."""
 
 import math
+import re
 from base64 import b64decode
 from collections.abc import Iterator
 from io import BytesIO
@@ -437,6 +438,13 @@ def test_an_exported_scene_opens_again_and_a_strange_one_says_why_not(shown: Any
     shown.set_input_files("#open", strange)
     shown.locator("#message", has_text="no wavelength of this page").wait_for()
     assert shown.evaluate("workbench.layout") == layout
+
+
+def test_the_noise_in_the_dark_is_a_number(shown: Any):
+    """With fitted resistors it goes with the light, and is not given."""
+    said, fixed = shown.inner_text("body"), shown.evaluate("tables.stage.feedbackOhm !== null")
+    dark = r", 0\.0\d+ mV in the dark" if fixed else ""
+    assert re.search(f"amplifier and converter{dark}, and the shot noise", said) and "NaN" not in said
 
 
 def test_what_cannot_be_built_is_said_and_not_saved(shown: Any):

@@ -522,12 +522,14 @@ async function openFile(file) {
 }
 
 function drawFixed() {
-  const { board } = tables, quietest = 1e3 * Math.sqrt(Math.min(...tables.photodiodeKinds.map((kind) => kind.fixedNoiseV2))), lines = [
+  const { board } = tables, ohm = tables.stage.feedbackOhm, darkV2 = tables.photodiodeKinds.map((kind) => stage(kind, 0, 0, ohm ?? 0).noiseV2);
+  // With fitted resistors it goes with the light.
+  const dark = ohm === null ? "" : `, ${(1e3 * Math.sqrt(Math.min(...darkV2))).toPrecision(2)} mV in the dark`, lines = [
     `The board's outline, ${(board.outline[1] - board.outline[0]).toFixed(1)} by ${(board.outline[3] - board.outline[2]).toFixed(1)} mm, its ${board.covered ? "cover" : "film without a cover"}, epoxy and the finger are fixed.`,
     board.wall ? `The wall stays at its place: LEDs can be moved ${{ left: "left of", right: "right of", below: "below", above: "above" }[board.wall.side]} it, photodiodes on its other side.` : "The board has no wall.",
     "Blood is that of a held touch, in steady state; simulate computes its dynamics.",
     tables.touch.has_body ? "Force resolution includes the scene's physiological noise, as in place, and is given for the electronics alone, too." : "The scene has no body: force resolution is limited by the noise of the electronics alone.",
-    `The noise of one sample is that of amplifier and converter, ${quietest.toPrecision(2)} mV in the dark, and the shot noise of its light, ambient light included.`,
+    `The noise of one sample is that of amplifier and converter${dark}, and the shot noise of its light, ambient light included.`,
     `Beside photon noise, readings have an rms error of ${(100 * tables.kernelError).toFixed(1)} %, changes of ${(100 * tables.kernelChangeError).toFixed(1)} % of the sum of both zones' absolute contributions, and the force resolution of ${(100 * tables.kernelResolutionError).toFixed(1)} %, by interpolation between the table's nodes and the few percent of light that photodiodes absorb and a bare board reflects. The stated errors include this.`,
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
