@@ -31,26 +31,23 @@ if TYPE_CHECKING:
 
 # Imported when first used, so that `import nailoptics` takes no time.
 _ROOMS = ("hemodynamics", "scene", "tissue")
-_HOMES = {
-    "Scene": ".scene",
-    "Transfer": ".light",
-    "calibrate": ".studies.force.calibrate",
-    "colour": ".studies.colour.nail_colour",
-    "compare": ".studies.comparison.compare",
-    "compare_with": ".exports.other_program",
-    "explain": ".studies.model_error.explain",
-    "export": ".exports.formats",
-    "load_scene": ".scene",
-    "open_results": ".batch",
-    "oximeter": ".studies.oximetry.oxygen",
-    "parse_scene": ".scene",
-    "predict": ".studies.force.predict",
-    "place": ".studies.placement.place",
-    "simulate": ".studies.simulate",
-    "to_toml": ".scene",
-    "trace": ".light",
-    "tradeoff": ".studies.model_error.tradeoff",
+_NAMES = {
+    ".batch": "open_results",
+    ".exports.formats": "export",
+    ".exports.other_program": "compare_with",
+    ".light": "Transfer trace",
+    ".scene": "Scene load_scene parse_scene to_toml",
+    ".studies.colour.nail_colour": "colour",
+    ".studies.comparison.compare": "compare",
+    ".studies.force.calibrate": "calibrate",
+    ".studies.force.predict": "predict",
+    ".studies.model_error.explain": "explain",
+    ".studies.model_error.tradeoff": "tradeoff",
+    ".studies.oximetry.oxygen": "oximeter",
+    ".studies.placement.place": "place",
+    ".studies.simulate": "simulate",
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 __all__ = ["InputError", "NailopticsError", "NotReachedError", *_ROOMS, *_HOMES]
 
 

@@ -154,13 +154,6 @@ def plain(text: object) -> str:
     return str(text).replace("$", r"\$")
 
 
-def in_lines(text: str, width: int = 30) -> str:
-    """A text in lines of at most so many letters."""
-    import textwrap
-
-    return "\n".join(textwrap.wrap(text, width))
-
-
 def spread(places: Sequence[float], gap: float) -> np.ndarray:
     """Places for labels, in the same order, at least a gap apart and as near as can be to where they belong."""
     from scipy.optimize import isotonic_regression

@@ -12,7 +12,7 @@ from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
-from .text_files import is_there, one_line, parse_toml, read_text, short
+from .text_files import is_there, parse_toml, read_text, short
 
 Angle = Annotated[float, Field(ge=0, le=90)]
 # Rows of an angle and what is relative there. [deg, 1]
@@ -93,8 +93,8 @@ class PhotodiodeElements(Table):
     """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
 
     @model_validator(mode="after")
-    def _responsivity_is_physical(self) -> Self:
-        rows = self.responsivity
+    def _responses_are_physical(self) -> Self:
+        rows, angular = self.responsivity, self.angular_response
         if rows is not None and (len(rows) < 2 or _falls(rows)):
             raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
         for nm, value in rows or ():
@@ -103,19 +103,16 @@ class PhotodiodeElements(Table):
                     f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
                     f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _angular_response_is_physical(self) -> Self:
-        rows = self.angular_response
-        if rows is None:
+        if angular is None:
             return self
-        if len(rows) < 2 or rows[0] != (0, 1) or _falls(rows):
+        if len(angular) < 2 or angular[0] != (0, 1) or _falls(angular):
             raise ValueError(
                 "angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising"
             )
-        if rows[-1][0] == 90 and rows[-1][1] > 0:
-            raise ValueError(f"angular_response = {rows[-1][1]:g} at 90 degrees, where no light meets the face; give 0")
+        if angular[-1][0] == 90 and angular[-1][1] > 0:
+            raise ValueError(
+                f"angular_response = {angular[-1][1]:g} at 90 degrees, where no light meets the face; give 0"
+            )
         return self
 
 
@@ -194,7 +191,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     try:
         part: Part = KINDS[kind].model_validate(tables)
     except ValidationError as error:
-        raise InputError(one_line(f"{shown}: {explain(error, KINDS[kind])}")) from None
+        raise InputError(f"{shown}: {explain(error, KINDS[kind])}") from None
     if expect is not None and not isinstance(part, expect):
         needed = next(kind for kind, model in KINDS.items() if model is expect)
         raise InputError(f'part "{name}" has kind "{part.kind}", and "{needed}" is needed here; name another part')

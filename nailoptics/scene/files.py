@@ -12,7 +12,7 @@ from ..checks import explain
 from ..errors import InputError
 from .base import Table
 from .models import Scene
-from .text_files import is_there, one_line, parse_toml, read_text
+from .text_files import is_there, parse_toml, read_text
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -52,7 +52,7 @@ def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: 
         return Scene.model_validate(tables, context={"folder": folder})
     except (ValidationError, InputError) as error:
         why = explain(error, Scene) if isinstance(error, ValidationError) else str(error)
-        raise InputError(one_line(f"{name}: {why}" if name else why)) from None
+        raise InputError(f"{name}: {why}" if name else why) from None
 
 
 def digest(scene: Scene) -> str:

@@ -5,20 +5,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ..assets import read_toml
 from .base import USUAL_MELANIN_FRACTION, Fraction, Table
 
-# Sizes of adult digits in mm. Transverse nail radii and the distance from the bone's end to the tip are measured
-# means per digit. The index lies within its measured ranges: 16-20 wide and 12-15 thick, its nail 10-14 wide and
-# 11-13 long. Widths and thicknesses of the other digits are set in proportion to it.
-_SIZES = ("width_mm", "thickness_mm", "nail_width_mm", "nail_length_mm", "nail_radius_mm", "bone_to_tip_mm")
-_DIGITS = {
-    "thumb": (21.0, 15.0, 14.0, 13.0, 11.4, 5.7),
-    "index": (17.5, 13.5, 11.5, 12.0, 8.9, 3.8),
-    "middle": (18.0, 14.0, 12.0, 12.5, 8.8, 4.0),
-    "ring": (16.5, 13.0, 10.5, 12.0, 7.3, 4.0),
-    "little": (14.5, 12.0, 8.5, 11.0, 5.8, 3.7),
-}
-ANATOMY = {digit: dict(zip(_SIZES, sizes, strict=True)) for digit, sizes in _DIGITS.items()}
+ANATOMY: dict[str, dict[str, float]] = read_toml("anatomy.toml")
+"""Sizes of adult digits, by digit and field. [mm]"""
 DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
 Factor = Annotated[float, Field(ge=0.01, le=100)]
 # Fields that decide how much light tissue absorbs, and how it scatters; all others are sizes.

@@ -10,7 +10,7 @@ from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, 
 from .finger import DermisAbsorption
 from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
-from .importers.positions import UNITS_MM, FileUnit, read_positions, reading_of, warn_of_mirrored, warn_of_rotation
+from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_mirrored, warn_of_rotation
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
@@ -60,7 +60,7 @@ class Candidate(BoardFile):
             filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes}
             return data | filled | {"parts": None, "unmapped": board.ignored}
         path = Path(folder or Path()) / str(data["positions"])
-        parts = read_positions(path, **reading_of(data))
+        parts = read_positions(path, **{name: data[name] for name in READING & data.keys()})
         groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}
         used = [*groups["leds"], *groups["photodiodes"]]
         # Fiducials and holes, which nobody asks for, may share one.

@@ -15,7 +15,7 @@ from ..errors import InputError
 from .base import Table
 from .files import load_scene, scene_of, schema_of, shipped_scene
 from .models import Scene
-from .text_files import is_there, one_line, parse_toml, read_text, short
+from .text_files import is_there, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000
 # Names that the results themselves use: of every study, and of some.
@@ -176,7 +176,7 @@ def load_sweep(path: str | Path) -> Sweep:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
         text = explain(error, SweepFile) if isinstance(error, ValidationError) else str(error)
-        raise InputError(one_line(text if text.startswith(str(path)) else f"{path}: {text}")) from None
+        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
 def sweep_json_schema() -> dict[str, Any]:

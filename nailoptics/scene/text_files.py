@@ -149,7 +149,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     except ValueError as error:
         digits = "a number has thousands of digits; shorten it"
         why = digits if "int_max_str_digits" in str(error) else str(error)
-        raise InputError(short(one_line(f"{name}: is not valid TOML: {why}"), 300) + ".") from None
+        raise InputError(short(f"{name}: is not valid TOML: {why}", 300) + ".") from None
     except RecursionError:
         raise InputError(f"{name}: is not valid TOML: its tables or arrays are nested too deep.") from None
 
@@ -179,8 +179,3 @@ def finite_number(text: str, name: str, where: str, *, hint: str = "correct it")
 def short(text: str, most: int = 120) -> str:
     """A text, or its beginning where it is too long for a message."""
     return text if len(text) <= most else text[: most - 3] + "..."
-
-
-def one_line(text: str) -> str:
-    """A message without line breaks."""
-    return " ".join(text.splitlines())

@@ -1,5 +1,6 @@
 """Pages of an oximeter, forward from a scene and back from a recording, and their figures."""
 
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -220,7 +221,7 @@ def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str
     low, high = panel.get_ylim()
     panel.set_ylim(min(low, -0.5), max(high, 0.5))
     words = result[name].attrs["long_name"]
-    panel.set_xlabel(style.in_lines(f"{words} [{units}]"), fontsize=8)
+    panel.set_xlabel(textwrap.fill(f"{words} [{units}]", 30), fontsize=8)
 
 
 @style.drawing()

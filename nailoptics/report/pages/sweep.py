@@ -1,5 +1,6 @@
 """The page of a sweep: what is done, plots over its axes, its failures, and photographs on a contact sheet."""
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,7 +120,7 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
         axes.errorbar(x, y, error, color=colour, label=label, **look)
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
-    axes.set_ylabel(style.plain(style.in_lines(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
+    axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
     unit = f" [{unit_of(str(results[name].attrs.get('long_name', name)))}]" if numeric else ""
     axes.set_xlabel(style.plain(f"{name}{unit}"))
     if not numeric:

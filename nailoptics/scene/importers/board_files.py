@@ -16,7 +16,7 @@ from ..rectangles import area_mm2, turned
 from ..text_files import finite_number, read_rows
 from .kicad import KicadBoard, read_board
 from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, is_number, is_point, join, middle
-from .positions import PlacedPart, read_positions, reading_of, warn_of_mirrored, warn_of_rotation
+from .positions import READING, PlacedPart, read_positions, warn_of_mirrored, warn_of_rotation
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +83,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     uses = table.get("parts") or {}
     board = read_board(path) if table.get("kicad") is not None else None
     if board is None:
-        placed = read_positions(path, **reading_of(table))
+        placed = read_positions(path, **{name: table[name] for name in READING & table.keys()})
     else:
         placed = board.footprints
     if not uses:

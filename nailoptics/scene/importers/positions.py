@@ -11,11 +11,13 @@ from typing import Any, Literal
 from ...assets import read_toml
 from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
-from ..text_files import one_line, read_text, short
+from ..text_files import read_text, short
 
 log = logging.getLogger(__name__)
 
 COLUMNS = ("Ref", "Val", "Package", "PosX", "PosY", "Rot", "Side")
+# Fields of a scene's table that say how its position file is read, as `read_positions` calls them.
+READING = {"negate_x_on_bottom", "positions_unit", "rotation_on_bottom"}
 LENGTHS = ("PosX", "PosY")
 NEEDED = ("Ref", "PosX", "PosY", "Rot")
 # How programs call the columns, the best name first, and the sides; units of length. [mm]
@@ -57,7 +59,11 @@ class PlacedPart:
 
 
 def read_positions(
-    path: Path, *, negate_x_on_bottom: bool = False, unit: str = "mm", rotation_on_bottom: BottomRotation = "kicad"
+    path: Path,
+    *,
+    negate_x_on_bottom: bool = False,
+    positions_unit: FileUnit | None = None,
+    rotation_on_bottom: BottomRotation | None = None,
 ) -> tuple[PlacedPart, ...]:
     """Read a position file, both sides, in the order of the file.
 
@@ -71,7 +77,9 @@ def read_positions(
 
     Raises: InputError with file, line and what is wrong.
     """
-    head, rows = _table(read_text(path, "a position file (CSV or .pos)", any_encoding=True), path, UNITS_MM[unit])
+    head, rows = _table(
+        read_text(path, "a position file (CSV or .pos)", any_encoding=True), path, UNITS_MM[positions_unit or "mm"]
+    )
     at, unit_mm = head
     if "Side" not in at:
         log.warning("%s: no column states the side (Side or Layer); all its parts are read as on the top.", path.name)
@@ -95,15 +103,6 @@ def read_positions(
     if not parts:
         raise InputError(f"{path}: contains no parts; export the positions of both sides.")
     return tuple(parts)
-
-
-def reading_of(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What a scene's table that names a position file says of how it is to be read."""
-    return {
-        "unit": table.get("positions_unit") or "mm",
-        "negate_x_on_bottom": table.get("negate_x_on_bottom", False),
-        "rotation_on_bottom": table.get("rotation_on_bottom") or "kicad",
-    }
 
 
 def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
@@ -242,6 +241,8 @@ def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bott
         x, y = part.position_mm
         x = -x if part.side == "bottom" and negate_x_on_bottom else x
         numbers = ",".join(f"{value + 0.0:.6f}" for value in (x, y, part.rotation_deg))
-        texts = (plain_cell(one_line(text)).replace('"', '""') for text in (part.ref, part.value, part.package))
+        texts = (
+            plain_cell(" ".join(text.splitlines())).replace('"', '""') for text in (part.ref, part.value, part.package)
+        )
         lines.append(",".join([*(f'"{text}"' for text in texts), numbers, part.side]))
     write_text(path, "\n".join(lines) + "\n")
