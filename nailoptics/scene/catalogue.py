@@ -109,10 +109,9 @@ class PhotodiodeElements(Table):
             raise ValueError(
                 "angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising"
             )
-        if angular[-1][0] == 90 and angular[-1][1] > 0:
-            raise ValueError(
-                f"angular_response = {angular[-1][1]:g} at 90 degrees, where no light meets the face; give 0"
-            )
+        last_deg, last = angular[-1]
+        if last_deg == 90 and last > 0:
+            raise ValueError(f"angular_response = {last:g} at 90 degrees, where no light meets the face; give 0")
         return self
 
 

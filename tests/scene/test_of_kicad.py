@@ -74,7 +74,7 @@ def test_a_pad_of_a_turned_bottom_footprint_lies_where_kicad_puts_it():
     [
         ("negated.csv", {"negate_x_on_bottom": True}, 1e-6),
         ("inches.pos", {}, 2.6e-3),  # four digits of an inch
-        ("inches.csv", {"unit": "inch"}, 2.6e-5),
+        ("inches.csv", {"positions_unit": "inch"}, 2.6e-5),
     ],
 )
 def test_position_files_agree_with_the_board(name, how, within_mm):

@@ -77,10 +77,8 @@ def read_positions(
 
     Raises: InputError with file, line and what is wrong.
     """
-    head, rows = _table(
-        read_text(path, "a position file (CSV or .pos)", any_encoding=True), path, UNITS_MM[positions_unit or "mm"]
-    )
-    at, unit_mm = head
+    text = read_text(path, "a position file (CSV or .pos)", any_encoding=True)
+    (at, unit_mm), rows = _table(text, path, UNITS_MM[positions_unit or "mm"])
     if "Side" not in at:
         log.warning("%s: no column states the side (Side or Layer); all its parts are read as on the top.", path.name)
     parts: list[PlacedPart] = []
