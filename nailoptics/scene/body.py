@@ -6,7 +6,7 @@ from typing import Annotated, Self
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import NonNegative, Positive, Table
-from .importers.recordings import check_columns, read_columns
+from .importers.sensor_recordings import check_columns, read_columns
 
 
 class WaveTable(Table):

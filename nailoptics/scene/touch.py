@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
 from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .importers.recordings import PRESSURES, check_columns, read_columns
+from .importers.sensor_recordings import PRESSURES, check_columns, read_columns
 from .protocol import draw_protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}

@@ -17,7 +17,7 @@ from nailoptics.scene.catalogue import load_part
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import COLUMNS, read_positions
-from nailoptics.scene.importers.recordings import read_columns
+from nailoptics.scene.importers.sensor_recordings import read_columns
 from nailoptics.scene.sweep import load_sweep
 
 fuzz = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)

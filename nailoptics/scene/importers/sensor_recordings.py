@@ -1,4 +1,4 @@
-"""Recordings of a worn sensor or an oximeter: CSV files with time, readings in volts and, for a sensor, the force."""
+"""Recordings as CSV files: of a touch or a pressure that a scene names, of a worn sensor in volts, of an oximeter."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
@@ -6,15 +6,30 @@ from dataclasses import dataclass
 from io import StringIO
 from itertools import chain, islice, takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ...checks import Array
 from ...errors import InputError
+from ..base import LEAST_AREA_MM2
 from ..oximeter import DARK
 from ..text_files import Rows, number_columns, read_rows
-from .recordings import PRESSURES, check_columns, unloaded
 
+PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
+# What a column may hold, and its unit. A touch presses with less than 100 N/cm^2; an artery holds less than 60 kPa.
+RANGES: dict[str, tuple[float, float, str]] = {
+    "force_n": (0.0, 100.0, "N"),
+    "shear_n": (-100.0, 100.0, "N"),
+    **dict.fromkeys(PRESSURES, (0.0, 1e6, "Pa")),
+    "contact_area_mm2": (LEAST_AREA_MM2, 1e3, "mm^2"),
+    "proximal_share": (0.0, 1.0, "(a part)"),
+    "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
+}
+# A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
+UNLOADED_N = 0.05
+Columns = dict[str, tuple[float, ...]]
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
@@ -22,6 +37,60 @@ MOST_VOLTS = 50.0
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
 # Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]
 MOST_TIME_S = 1e10
+
+
+def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequence[Sequence[str]]) -> Columns:
+    """Columns of a recording by name, time_s among them; others than the known ones are left out.
+
+    name : the field that names the file, for messages.
+    known : columns that are read where they are there.
+    either : sets of columns of which one must be whole.
+
+    Raises: InputError, one line that names the file, the line and the value.
+    """
+    shown = f"{name} {str(path)!r}"
+    rows = read_rows(path, f"a CSV with columns time_s,{','.join(either[0])}", shown=shown)
+    header = [cell.strip() for cell in next(rows, (0, []))[1]]
+    if "time_s" not in header or not any(set(names) <= set(header) for names in either):
+        needed = ", or ".join(" and ".join(["time_s", *names]) for names in either)
+        raise InputError(f"{shown} needs a header with {needed}; write one, or give another file.")
+    titles = ["time_s", *(title for title in known if title in header)]
+    columns = _numbers(rows, header, titles, shown, gaps=False)
+    return {title: tuple(column.tolist()) for title, column in columns.items()}
+
+
+def _numbers(rows: Rows, header: Sequence[str], titles: Sequence[str], name: str, **how: Any) -> dict[str, Array]:
+    """Columns (T,) by title as numbers that are possible, as `number_columns` reads them."""
+    line, columns = number_columns(rows, {title: header.index(title) for title in titles}, name, **how)
+    if "force_n" in columns:
+        force_n = columns["force_n"]
+        columns["force_n"] = np.where((force_n < 0.0) & (force_n >= -UNLOADED_N), 0.0, force_n)
+    check_columns(columns, name, line)
+    return columns
+
+
+def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.int64] | None = None) -> None:
+    """Raise InputError unless there are two samples or more of each column, times rise, and values are possible.
+
+    line : (T,) int. Of each sample in its file, for messages; its number if not given.
+    """
+    arrays = {title: np.asarray(column, float) for title, column in columns.items()}
+    time_s, counts = arrays["time_s"], " and ".join(map(str, sorted({len(array) for array in arrays.values()})))
+
+    def at(sample: int) -> str:
+        return f"{name}: sample {sample + 1}:" if line is None else f"{name} line {line[sample]}:"
+
+    if len(time_s) < 2 or len(counts.split()) > 1:
+        what = "sample" if counts == "1" else "samples"
+        raise InputError(f"{name}: has {counts} {what}; two or more are needed, as many of each column.")
+    for k in np.flatnonzero(~(np.diff(time_s) > 0))[:1] + 1:
+        raise InputError(f"{at(k)} time_s = {time_s[k]:.15g} does not come after {time_s[k - 1]:.15g}; sort the rows.")
+    for title, (low, high, unit) in RANGES.items():
+        values = arrays.get(title, np.empty(0))
+        for k in np.flatnonzero((values < low) | (values > high))[:1]:
+            raise InputError(
+                f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; check its sign and unit."
+            )
 
 
 @dataclass(frozen=True)
@@ -61,10 +130,7 @@ def read_sensor_recording(path: str | Path) -> Recording:
     check_header(header, name)
     readings = reading_columns(header)
     titles = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
-    line, columns = number_columns(rows, {title: header.index(title) for title in titles}, name, codes={"site": SITES})
-    if "force_n" in columns:
-        columns["force_n"] = unloaded(columns["force_n"])
-    check_columns(columns, name, line)
+    columns = _numbers(rows, header, titles, name, codes={"site": SITES})
     time_s = columns["time_s"]
     step_s = float(np.median(np.diff(time_s)))
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S or np.abs(time_s).max() > MOST_TIME_S:
@@ -233,8 +299,7 @@ def read_oximeter_recording(
     numbers = ["time_s", *(title for of_light in titles.values() for title in of_light)]
     for missing in (title for title in numbers if title not in header):
         raise InputError(f"{name}: has no column {missing!r}; an oximeter needs both LEDs on each photodiode.")
-    line, columns = number_columns(rows, {title: header.index(title) for title in numbers}, name)
-    check_columns({"time_s": columns["time_s"]}, name, line)
+    columns = _numbers(rows, header, numbers, name)
     # Everything at the times of the red readings, which are a few milliseconds from the others.
     start_s, red = columns["time_s"], np.array([columns[title] for title in titles[leds[0]]])
     time_s = start_s + delays_s.get(leds[0], 0.0)
