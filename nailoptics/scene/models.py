@@ -256,10 +256,8 @@ class Scene(Table):
             return data
         try:
             mounted = read_board_file(board, (info.context or {}).get("folder"))
-        except InputError as error:
+        except (InputError, ValueError) as error:
             raise ValueError(f"board: {str(error).rstrip('.')}") from None
-        except ValueError as error:
-            raise ValueError(f"board: {error}") from None
         data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
         filled: dict[str, object] = {"parts": None, "unmapped": mounted.ignored}
         if mounted.outline is not None and "outline_mm" not in board:

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from .base import Name, NonNegative, Positive, Table
+from .base import Name, NonNegative, Positive, Table, check_unique
 from .parts import Led
 
 DARK = "dark"
@@ -54,9 +54,7 @@ class Oximeter(Table):
                 f"slots end at {slots[-1].start_ms + slots[-1].length_ms:g} ms, after their frame of "
                 f"{1e3 / self.frame_hz:g} ms; shorten them or lower frame_hz"
             )
-        for name in {slot.light for slot in slots}:
-            if sum(slot.light == name for slot in slots) > 1:
-                raise ValueError(f'slots: "{name}" has more than one slot in a frame; give it one')
+        check_unique([slot.light for slot in slots], "slots")
         return self
 
     def schedule(self, leds: Sequence[Led]) -> tuple[Slot, ...]:

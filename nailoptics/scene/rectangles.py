@@ -49,13 +49,11 @@ class Rectangle:
         return (self.u_min + self.u_max) / 2, (self.v_min + self.v_max) / 2
 
     @cached_property
-    def corners_mm(self) -> tuple[Point, Point, Point, Point]:
-        """Its corners against the clock. [mm]"""
+    def corners_mm(self) -> tuple[Point, ...]:
+        """Its four corners against the clock. [mm]"""
         (u, v), (du, dv) = self.center_mm, self.size_mm
-        one, two, three, four = (
-            turned((a * du / 2, b * dv / 2), self.rotation_deg) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-        )
-        return tuple((u + a, v + b) for a, b in (one, two, three, four))  # type: ignore[return-value]
+        corners = ((-du / 2, -dv / 2), (du / 2, -dv / 2), (du / 2, dv / 2), (-du / 2, dv / 2))
+        return tuple((u + a, v + b) for a, b in (turned(corner, self.rotation_deg) for corner in corners))
 
     def overlap_mm(self, other: "Rectangle") -> float:
         """How deep the two rectangles overlap; negative is the gap between them along an edge of either. [mm]"""

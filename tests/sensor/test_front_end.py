@@ -78,7 +78,7 @@ def test_the_error_of_a_ratio_is_that_of_slopes_of_noisy_pulses():
         ("start_ms = 2.5", "start_ms = 1.5", "overlaps"),
         ('light = "dark", start_ms = 5.0', 'light = "dark", start_ms = 9.0', "after their frame"),
         ('light = "infrared"', 'light = "green"', "is unknown"),
-        ('light = "infrared"', 'light = "red"', "more than one slot"),
+        ('light = "infrared"', 'light = "red"', "is used twice"),
         ('    { light = "infrared", start_ms = 2.5, length_ms = 2.0 },\n', "", "two LEDs"),
         ('part = "led_940"', 'part = "led_660"', "wavelength"),
     ],
