@@ -16,14 +16,13 @@ from .oximeter import DARK, Oximeter, two_leds
 from .parts import Board, Led, Photodiode
 from .placement import Placement
 from .priors import Prior, Priors
-from .touch import Touch
+from .touch import Force, Touch
 from .vessels import Blood
 
 Illuminant = Literal["D65", "A", "LED-B3"]
 Observer = Literal["2", "10"]
 LightFrom = Literal["sky", "lamp"]
 Pixels = Annotated[int, Field(ge=16, le=4096)]
-Force = Annotated[float, Field(ge=0, le=100)]
 
 
 class Viewing(Table):
@@ -402,9 +401,8 @@ def _with_map(placement: object, parts: object) -> object:
     """The rules of a search in which candidates from files that say no other have the board's parts."""
     if not isinstance(placement, dict) or not isinstance(placement.get("candidates"), tuple):
         return placement
-
-    def lacks(item: object) -> bool:
-        return isinstance(item, dict) and bool({"positions", "kicad"} & item.keys()) and "parts" not in item
-
-    given = placement["candidates"]
-    return placement | {"candidates": tuple(item | {"parts": parts} if lacks(item) else item for item in given)}
+    candidates = (
+        {"parts": parts} | item if isinstance(item, dict) and {"positions", "kicad"} & item.keys() else item
+        for item in placement["candidates"]
+    )
+    return placement | {"candidates": tuple(candidates)}
