@@ -725,7 +725,7 @@ def doctor(*, json_: Json = False) -> None:
 
 def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     """A scene and the engine that will trace it; says if that is the slow one, or if vessels are far off the list."""
-    from .hemodynamics.for_scene import far_from_list
+    from .hemodynamics.parameters import far_from_list
     from .light import backend as backends
     from .light.detect import engine_for
     from .scene import load_scene

@@ -1,8 +1,5 @@
 """Touch to blood: what a scene's touch makes of the blood under the nail, over time or held until nothing moves."""
 
-import math
-import operator
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -17,11 +14,12 @@ from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
 from ..scene.touch import CONTACT
 from ..variables import precision, variable
-from .arterioles import Arterioles, arterioles_of
-from .parameters import PerBed, beds, bounds, each_bed
+from .blood import Arterioles, arterioles_of
+from .parameters import PA_PER_M_OF_BLOOD, vessels, with_posture
 from .respond import Model, touch_variables
-from .touch_course import TouchCourse, touch_course
+from .touch import TouchCourse, touch_course
 from .waves import fastest_hz, waves_pressure
+from .zones import capillary_zones, zones_of_photodiodes
 
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
@@ -29,94 +27,6 @@ WARM_UP_S = 5.0
 KNOTS_PER_PERIOD = 128
 # Of one beat: its extremes are missed by less than 0.3 % of the pulse.
 SAMPLES_PER_BEAT = 64
-# Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
-PA_PER_M_OF_BLOOD = 1.04e4
-# The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
-FAR_FROM_LIST = 100.0
-
-
-def vessels(scene: Scene) -> hemodynamics.Parameters:
-    """The constants of the scene's vessels: those of the named set, but for what the scene tunes.
-
-    P_H is the mean of a body whose pressure moves.
-
-    Raises: InputError if there is no such set, or a constant cannot be.
-    """
-    blood, body = scene.blood, scene.body
-    constants = hemodynamics.parameters(blood.parameters)
-    if blood.tuning:
-        try:
-            constants = _scaled(constants, blood.tuning.factors or {}).replace(**blood.tuning.values())
-        except InputError as error:
-            raise InputError(f"blood.tuning.{error}") from None
-    factors: dict[str, PerBed] = {
-        "capillary_stiffness_n_per_m": (blood.wall_stiffness, blood.wall_stiffness * blood.distal_stiffness),
-        "vein_stiffness_n_per_m": blood.wall_stiffness * blood.vein_stiffness,
-        "vein_length_m": blood.vein_resistance,
-    }
-    constants = _scaled(constants, factors)
-    if body is None:
-        return constants
-    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-        time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
-        return constants.replace(arterial_pressure_pa=np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
-    stated_pa = body.heartbeat.mean_pressure_pa if body.heartbeat is not None else None
-    return constants if stated_pa is None else constants.replace(arterial_pressure_pa=stated_pa)
-
-
-def _scaled(constants: hemodynamics.Parameters, factors: Mapping[str, PerBed]) -> hemodynamics.Parameters:
-    scaled = {name: each_bed(operator.mul, getattr(constants, name), factor) for name, factor in factors.items()}
-    return constants.replace(**scaled)
-
-
-def far_from_list(scene: Scene) -> list[str]:
-    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`."""
-    far, constants = dict[str, None](), vessels(scene)
-    for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
-        outside = [value for value in beds(getattr(constants, name)) if not low <= value <= high]
-        far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
-    text = f"more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right"
-    return [f"blood.tuning: {text}: {', '.join(far)}"] if far else []
-
-
-def with_posture(parameters: hemodynamics.Parameters, body: Body | None) -> hemodynamics.Parameters:
-    """The vessels under the pressures that the hand's height and the veins give them."""
-    if body is None:
-        return parameters
-    fall_pa = PA_PER_M_OF_BLOOD * body.hand_height_m
-    low_pa = parameters.venous_pressure_pa if body.venous_pressure_pa is None else body.venous_pressure_pa
-    # Veins above the heart collapse: their pressure falls no further than to that around them.
-    return parameters.replace(
-        arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa,
-        venous_pressure_pa=max(low_pa - fall_pa, min(low_pa, 0.0)),
-    )
-
-
-def capillary_zones(scene: Scene) -> hemodynamics.Zones:
-    """How the scene cuts the nail bed into capillary units, and how far the touch's pressures reach."""
-    blood, edges_mm, touch = scene.blood, scene.zone_edges_mm, scene.touch
-    if len(edges_mm) == 1 and blood.decay_length is None:
-        cut = hemodynamics.PAPER_ZONES
-    else:
-        assert scene.finger is not None
-        length_mm = scene.finger.nail_length_mm
-        edges = [0.5 + edge / length_mm for edge in edges_mm]
-        end, edge = 0.5 + scene.finger.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
-        law: dict[str, Any] = {"shield": (end, edge)}
-        if blood.decay_length is not None:
-            law = {"decay_length": blood.decay_length}
-        cut = hemodynamics.zones_between(edges, **law)
-    if (everywhere := blood.distal_reach) > 0.0:
-        reach = tuple((proximal, everywhere + (1.0 - everywhere) * distal) for proximal, distal in cut.reach)
-        cut = replace(cut, reach=reach)
-    shears = touch.shear_n is not None or touch.recorded_shear_n is not None
-    return hemodynamics.with_shear(cut) if shears else cut
-
-
-def zones_of_photodiodes(scene: Scene) -> np.ndarray:
-    """The blood zone above which each photodiode lies, (photodiodes,) int: 0 is the most proximal."""
-    middle_mm = [element.area.center_mm[1] for element in scene.layout.photodiodes]
-    return np.searchsorted(scene.zone_edges_mm, middle_mm, side="right")
 
 
 @dataclass(frozen=True)

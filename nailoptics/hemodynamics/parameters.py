@@ -3,19 +3,27 @@
 import dataclasses
 import difflib
 import math
+import operator
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
+
+import numpy as np
 
 from ..assets import asset_path
 from ..checks import number
 from ..errors import InputError
+from ..scene import Body, Scene
 
 PerBed = float | tuple[float, float]
 """A constant of both beds, or those of the proximal and of the distal one."""
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
 # With less damping a wall's own force is lost beside the blood's, in floats: results are wrong, not slow.
 LEAST_DAMPING_N_S_PER_M = 1e-12
+# Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
+PA_PER_M_OF_BLOOD = 1.04e4
+# The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
+FAR_FROM_LIST = 100.0
 _BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
 
 
@@ -158,3 +166,60 @@ def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
     listed = Parameters().as_dict()
     left_out = _MAY_BE_ANY_SIGN + _BEYOND_THE_PAPER
     return {name: (value / factor, value * factor) for name, value in listed.items() if name not in left_out}
+
+
+def vessels(scene: Scene) -> Parameters:
+    """The constants of the scene's vessels: those of the named set, but for what the scene tunes.
+
+    P_H is the mean of a body whose pressure moves.
+
+    Raises: InputError if there is no such set, or a constant cannot be.
+    """
+    blood, body = scene.blood, scene.body
+    constants = parameters(blood.parameters)
+    if blood.tuning:
+        try:
+            constants = _scaled(constants, blood.tuning.factors or {}).replace(**blood.tuning.values())
+        except InputError as error:
+            raise InputError(f"blood.tuning.{error}") from None
+    factors: dict[str, PerBed] = {
+        "capillary_stiffness_n_per_m": (blood.wall_stiffness, blood.wall_stiffness * blood.distal_stiffness),
+        "vein_stiffness_n_per_m": blood.wall_stiffness * blood.vein_stiffness,
+        "vein_length_m": blood.vein_resistance,
+    }
+    constants = _scaled(constants, factors)
+    if body is None:
+        return constants
+    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
+        time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
+        return constants.replace(arterial_pressure_pa=np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
+    stated_pa = body.heartbeat.mean_pressure_pa if body.heartbeat is not None else None
+    return constants if stated_pa is None else constants.replace(arterial_pressure_pa=stated_pa)
+
+
+def _scaled(constants: Parameters, factors: Mapping[str, PerBed]) -> Parameters:
+    scaled = {name: each_bed(operator.mul, getattr(constants, name), factor) for name, factor in factors.items()}
+    return constants.replace(**scaled)
+
+
+def far_from_list(scene: Scene) -> list[str]:
+    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`."""
+    far, constants = dict[str, None](), vessels(scene)
+    for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
+        outside = [value for value in beds(getattr(constants, name)) if not low <= value <= high]
+        far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
+    text = f"more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right"
+    return [f"blood.tuning: {text}: {', '.join(far)}"] if far else []
+
+
+def with_posture(parameters: Parameters, body: Body | None) -> Parameters:
+    """The vessels under the pressures that the hand's height and the veins give them."""
+    if body is None:
+        return parameters
+    fall_pa = PA_PER_M_OF_BLOOD * body.hand_height_m
+    low_pa = parameters.venous_pressure_pa if body.venous_pressure_pa is None else body.venous_pressure_pa
+    # Veins above the heart collapse: their pressure falls no further than to that around them.
+    return parameters.replace(
+        arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa,
+        venous_pressure_pa=max(low_pa - fall_pa, min(low_pa, 0.0)),
+    )

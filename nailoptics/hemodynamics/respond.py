@@ -14,8 +14,9 @@ from . import inertial, massless
 from .drive import Drive, waveform_of
 from .parameters import Parameters
 from .steady import solve_walls
-from .touch import PAPER_ZONES, Pressures, Zones, named_pressures
+from .touch import Pressures, named_pressures
 from .walls import build_walls
+from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
     import xarray

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from ..checks import Array, finite
 from ..errors import InputError
 from .parameters import Parameters
-from .touch import PAPER_ZONES, Pressures, Zones, named_pressures
+from .touch import Pressures, named_pressures
 from .walls import CLOSED_FRACTION, MasslessNetwork, Walls, build_walls
+from .zones import PAPER_ZONES, Zones
 
 Branch = Literal["wide", "narrow"]
 _BRANCHES: tuple[Branch, ...] = ("wide", "narrow")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .parameters import Parameters, beds, each_bed
-from .touch import Zones
+from .zones import Zones
 
 CLOSED_FRACTION = 1e-3
 """Diameter of a closed vessel over its listed one: its resistance is then 1e12 times as large, yet finite. [1]"""

@@ -10,7 +10,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.touch import creeping_pressure, pressures, shear_pressure, zones_between
+from ..hemodynamics.touch import creeping_pressure, pressures, shear_pressure
+from ..hemodynamics.zones import zones_between
 from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
 

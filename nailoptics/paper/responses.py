@@ -10,7 +10,7 @@ from ..hemodynamics.blood import relative_blood
 from ..hemodynamics.parameters import Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
-from ..hemodynamics.touch import PAPER_ZONES, Zones
+from ..hemodynamics.zones import PAPER_ZONES, Zones
 from .protocols import CURVE_PA, FINGER_ZONES, PHASE_S, Protocol, cycle, even, press, steps
 
 # Steady widths [m] and blood pressures [Pa] from the (S,) proximal and distal pressures, with k_C and k_V times two

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ..hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
-from ..hemodynamics.touch_course import contact_at
+from ..hemodynamics.touch import contact_at
 from ..hemodynamics.waves import pressure_lines
 from ..scene import Led, Photodiode, Scene
 from ..scene.body import Body, Drift

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..hemodynamics.for_scene import blood_over_touch, far_from_list, forces_with_two_balances_n
+from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
+from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
 from ..scene import Scene
 from ..scene.rectangles import area_mm2

@@ -14,8 +14,8 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics.parameters import Parameters, beds, bounds, each_bed, is_of_beds
 from nailoptics.hemodynamics.rosenbrock import step
 from nailoptics.hemodynamics.steady import solve_walls
-from nailoptics.hemodynamics.touch import Zones
 from nailoptics.hemodynamics.walls import Walls, build_walls
+from nailoptics.hemodynamics.zones import Zones
 from nailoptics.paper.claims import RULES, SIMULATION, SUBJECT, Rule
 from nailoptics.paper.protocols import Protocol
 from nailoptics.paper.responses import Responses, responses_of

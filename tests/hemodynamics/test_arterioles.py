@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from small_scenes import SMALL_FINGER_BEST
 
-from nailoptics.hemodynamics.arterioles import WIDTH_PA, Arterioles
-from nailoptics.hemodynamics.for_scene import (
-    beat_at,
-    blood_by_arterial_pressure,
-    blood_over_touch,
-    steady_blood,
-)
+from nailoptics.hemodynamics.blood import WIDTH_PA, Arterioles
+from nailoptics.hemodynamics.for_scene import beat_at, blood_by_arterial_pressure, blood_over_touch, steady_blood
 from nailoptics.hemodynamics.waves import waves_of
 from nailoptics.scene import parse_scene
 

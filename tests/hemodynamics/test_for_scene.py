@@ -8,16 +8,10 @@ from small_scenes import SMALL_FINGER_BEST
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES
-from nailoptics.hemodynamics.for_scene import (
-    blood_model,
-    blood_over_touch,
-    capillary_zones,
-    steady_blood,
-    steady_blood_at,
-    vessels,
-    zones_of_photodiodes,
-)
-from nailoptics.hemodynamics.touch_course import contact_at, largest_force_n, touch_course
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood, steady_blood_at
+from nailoptics.hemodynamics.parameters import vessels
+from nailoptics.hemodynamics.touch import contact_at, largest_force_n, touch_course
+from nailoptics.hemodynamics.zones import capillary_zones, zones_of_photodiodes
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
 

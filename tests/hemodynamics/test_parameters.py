@@ -8,7 +8,7 @@ from equal_zones import equal_zones
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters
 from nailoptics.hemodynamics.parameters import beds
-from nailoptics.hemodynamics.touch import Zones
+from nailoptics.hemodynamics.zones import Zones
 
 
 def test_listed_set_holds_the_values_of_the_paper():

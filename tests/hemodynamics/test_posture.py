@@ -7,7 +7,7 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
-from nailoptics.hemodynamics.touch_course import contact_at
+from nailoptics.hemodynamics.touch import contact_at
 from nailoptics.scene import Body, parse_scene
 from nailoptics.sensor.information import (
     false_forces_n,

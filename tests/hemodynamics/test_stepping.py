@@ -5,8 +5,8 @@ import pytest
 
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.rosenbrock import step
-from nailoptics.hemodynamics.touch import PAPER_ZONES
 from nailoptics.hemodynamics.walls import Walls, build_walls
+from nailoptics.hemodynamics.zones import PAPER_ZONES
 
 TIME_S = np.arange(0.0, 3.0, 0.01)
 

@@ -8,7 +8,9 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
-from nailoptics.hemodynamics.for_scene import blood_over_touch, capillary_zones, forces_with_two_balances_n, vessels
+from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
+from nailoptics.hemodynamics.parameters import vessels
+from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.report.scene_description import blood_words, check_lines
 from nailoptics.scene import Tuning, parse_scene
 

@@ -13,8 +13,9 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import InputError, as_far_as_reached, unless_cut_off
-from ...hemodynamics.for_scene import capillary_zones, steady_blood, zones_of_photodiodes
-from ...hemodynamics.touch_course import largest_force_n
+from ...hemodynamics.for_scene import steady_blood
+from ...hemodynamics.touch import largest_force_n
+from ...hemodynamics.zones import capillary_zones, zones_of_photodiodes
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError
 from ...geometry import underside
-from ...hemodynamics.touch_course import contact_at, largest_force_n
+from ...hemodynamics.touch import contact_at, largest_force_n
 from ...light import ProgressCallback
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.tracing import Ending, StageProgress, run_until

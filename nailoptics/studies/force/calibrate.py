@@ -13,8 +13,7 @@ from pydantic import BaseModel, ValidationError
 from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
 from ...hemodynamics import steady_state
-from ...hemodynamics.for_scene import vessels
-from ...hemodynamics.parameters import Parameters, each_bed
+from ...hemodynamics.parameters import Parameters, each_bed, vessels
 from ...light import ProgressCallback, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested

@@ -18,8 +18,8 @@ from ...hemodynamics import creeping_pressure, spreading_pressure
 from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
-from ...hemodynamics.touch import PAPER_ZONES
 from ...hemodynamics.walls import Walls, build_walls
+from ...hemodynamics.zones import PAPER_ZONES
 from ...scene.base import Fraction
 from ...scene.priors import factor_priors
 

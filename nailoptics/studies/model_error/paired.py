@@ -12,7 +12,7 @@ import pandas as pd
 from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
-from ...hemodynamics.touch_course import largest_force_n
+from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.tracing import photons_engine, seconds_per_sample
 from ...light.transfer.records import LedTrace

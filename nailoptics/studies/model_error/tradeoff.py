@@ -11,7 +11,8 @@ import xarray as xr
 
 from ... import tissue
 from ...errors import NotReachedError
-from ...hemodynamics.for_scene import blood_over_touch, zones_of_photodiodes
+from ...hemodynamics.for_scene import blood_over_touch
+from ...hemodynamics.zones import zones_of_photodiodes
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.diffusion import DiffusionModel

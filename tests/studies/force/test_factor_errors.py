@@ -8,7 +8,7 @@ from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.hemodynamics.for_scene import vessels
+from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
 from nailoptics.studies.force.fit import Fit

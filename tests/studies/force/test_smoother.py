@@ -6,7 +6,7 @@ import pytest
 from force_floor import exactly_known, modelled
 from record import SIDES, Site, load_person, steps, touch_of
 
-from nailoptics.hemodynamics.touch_course import touch_course
+from nailoptics.hemodynamics.touch import touch_course
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject

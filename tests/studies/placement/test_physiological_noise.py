@@ -8,7 +8,7 @@ from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
-from nailoptics.hemodynamics.touch_course import touch_course
+from nailoptics.hemodynamics.touch import touch_course
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
 from nailoptics.report.pages.placement import write_placement
