@@ -217,9 +217,9 @@ def blood_over_touch(scene: Scene, *, model: Model = "massless", rtol: float = 1
 
     model, rtol : as for `hemodynamics.respond`.
     """
-    text, zones = "blood zone above which it lies, 0 proximal", zones_of_photodiodes(scene)
-    above = variable("zone_of_photodiode", "photodiode", zones, text)
-    return blood_model(scene).over_touch(model=model, rtol=rtol).assign(above)
+    run = blood_model(scene).over_touch(model=model, rtol=rtol)
+    text = "blood zone above which it lies, 0 proximal"
+    return run.assign(variable("zone_of_photodiode", "photodiode", zones_of_photodiodes(scene), text))
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Zones of the nail bed: capillary units along the nail, and which touch pressure reaches the wall of each."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from ..scene import Scene
 from .parameters import beds
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Zones:
     """Capillary units along the nail, from the cuticle to the tip, and the reach of the pressure inputs.
 
@@ -132,7 +132,7 @@ def with_shear(zones: Zones) -> Zones:
     law that does: it presses on the capillaries (`shear_pressure`), and on no vein.
     """
     reach = tuple((proximal, distal, distal) for proximal, distal in zones.reach)
-    return dataclasses.replace(zones, reach=reach, vein_reach=(*zones.vein_reach, 0.0))
+    return Zones(share=zones.share, reach=reach, vein_reach=(*zones.vein_reach, 0.0))
 
 
 def capillary_zones(scene: Scene) -> Zones:
@@ -151,7 +151,7 @@ def capillary_zones(scene: Scene) -> Zones:
         cut = zones_between(edges, **law)
     if (everywhere := blood.distal_reach) > 0.0:
         reach = tuple((proximal, everywhere + (1.0 - everywhere) * distal) for proximal, distal in cut.reach)
-        cut = dataclasses.replace(cut, reach=reach)
+        cut = Zones(share=cut.share, reach=reach, vein_reach=cut.vein_reach)
     shears = touch.shear_n is not None or touch.recorded_shear_n is not None
     return with_shear(cut) if shears else cut
 

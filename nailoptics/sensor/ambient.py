@@ -16,6 +16,7 @@ from ..light.transfer.reweight import attenuation
 from ..options import TraceOptions
 from ..scene import Ambient, Photodiode, Scene
 from ..statistics import seed_of
+from ..variables import Variables, variable
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
@@ -144,3 +145,28 @@ def trace_ambient(
     if store is not None:
         store.close()
     return result
+
+
+def ambient_in_readings(scene: Scene, options: TraceOptions) -> Variables:
+    """The scene's light from outside on its photodiodes, and what of it is in a reading; nothing without any."""
+    if scene.ambient is None:
+        return {}
+    current, error, bare = trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]
+    on_each: Variables = {}
+    stage = scene.electronics
+    flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    to_v, left = electronics.stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
+        for name, factor, unit, text in (
+            ("a", 1.0, "A", "photocurrent of ambient light"),
+            ("fraction", 1 / bare, "1", "photocurrent of ambient light, of that of the bare photodiode in the open"),
+            ("volts", to_v, "V", "ambient light at the stage's output, before ambient rejection"),
+            ("left_v", left * to_v, "V", "mean of ambient light that is left in a reading"),
+            ("flicker_v", flicker * to_v, "V", "flicker of ambient light that is left in a reading, rms"),
+        ):
+            how = {"units": unit, "stderr": factor * error}
+            on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
+    shot_v2 = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
+    text = "shot noise of ambient light in one reading, rms"
+    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(shot_v2), text, units="V")

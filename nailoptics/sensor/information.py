@@ -10,7 +10,7 @@ still add up one by one.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,27 +234,26 @@ def response(
     photodiode: Photodiode | Sequence[Photodiode],
     point: OperatingPoint,
     *,
-    ambient_a: float | Array = 0.0,
-    feedback_ohm: Array | None = None,
     replicates: bool = False,
+    **stage: Unpack[electronics.Stage],
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
+
+    Ambient light has no information. A resistor that is "auto" and not given fits each place by itself.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
     scene : with the electronics. led : number of its LED.
     photodiode : or several, (..., photodiodes, 4).
-    ambient_a : photocurrent by ambient light, which has no information. [A]
-    feedback_ohm : of the stages; if not given the photodiodes' own, and for "auto" what fits each place by itself.
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
         the converter's limit counts with the probability of being below it, so that information has no jumps.
     """
     detected = np.maximum(values[..., 0], 0.0)
     source, amplifier = scene.leds[led], scene.electronics
-    if feedback_ohm is None:
+    if (ohm := stage.get("feedback_ohm")) is None:
         brightest_a = brightest_current_a(values[0] if replicates else values, source, photodiode, point)
-        feedback_ohm = electronics.stage_ohm(photodiode, amplifier, largest_a=brightest_a)
-    read = electronics.read(detected, source, photodiode, amplifier, ambient_a=ambient_a, feedback_ohm=feedback_ohm)
-    per_fraction = electronics.photocurrent_a(1.0, source, photodiode) * feedback_ohm
+        ohm = stage["feedback_ohm"] = electronics.stage_ohm(photodiode, amplifier, largest_a=brightest_a)
+    read = electronics.read(detected, source, photodiode, amplifier, **stage)
+    per_fraction = electronics.photocurrent_a(1.0, source, photodiode) * ohm
     zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
     with np.errstate(invalid="ignore", divide="ignore"):
         shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Unpack
 
 import numpy as np
@@ -10,16 +9,15 @@ import xarray as xr
 
 from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..hemodynamics.for_scene import blood_over_touch
-from ..light import DetectedLight, ProgressCallback, Transfer, backend, optics, section
-from ..light.transfer.series import ReadingSeries
+from ..light import DetectedLight, ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
 from ..scene import Scene
-from ..sensor import electronics
-from ..sensor.ambient import trace_ambient
-from ..sensor.drift_motion import MovedLight, drift_and_motion, motion_artefact, worn_light
+from ..sensor.ambient import ambient_in_readings
+from ..sensor.drift_motion import MovedLight, worn_light
 from ..sensor.front_end import with_fitted_resistors
 from ..sensor.information import false_forces_n
+from ..sensor.volts import read_volts
 from ..variables import Variables, variable
 from .prior_uncertainty import read_by_groups, readings_over_priors
 
@@ -96,8 +94,8 @@ def simulate_from(
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
     scene = with_fitted_resistors(scene)
-    ambient = _ambient(scene, options)
-    result = course.merge(_read_volts(scene, light, course, moved, ambient))
+    ambient = ambient_in_readings(scene, options)
+    result = course.merge(read_volts(scene, light, course, moved, ambient))
     result = result.merge(_fit_reduced(result, light.transfer, options.seed)).assign(ambient)
     if ambient:
         volts_stderr = result.volts_stderr.values
@@ -146,99 +144,6 @@ def hold_end(result: xr.Dataset) -> int:
     """Index of the end of the hold: the last sample whose force is (nearly) as far from the first as any."""
     departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
     return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
-
-
-def _ambient(scene: Scene, options: TraceOptions) -> Variables:
-    """The scene's light from outside on its photodiodes, and what of it is in a reading; nothing without any."""
-    if scene.ambient is None:
-        return {}
-    current, error, bare = trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]
-    on_each: Variables = {}
-    stage = scene.electronics
-    flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
-    to_v, left = electronics.stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
-        for name, factor, unit, text in (
-            ("a", 1.0, "A", "photocurrent of ambient light"),
-            ("fraction", 1 / bare, "1", "photocurrent of ambient light, of that of the bare photodiode in the open"),
-            ("volts", to_v, "V", "ambient light at the stage's output, before ambient rejection"),
-            ("left_v", left * to_v, "V", "mean of ambient light that is left in a reading"),
-            ("flicker_v", flicker * to_v, "V", "flicker of ambient light that is left in a reading, rms"),
-        ):
-            how = {"units": unit, "stderr": factor * error}
-            on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
-    shot_v2 = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
-    text = "shot noise of ambient light in one reading, rms"
-    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(shot_v2), text, units="V")
-
-
-def _read_volts(
-    scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight], ambient: Variables
-) -> xr.Dataset:
-    """Detected fractions and volts over the course, with standard errors and noise, and the sensor's drift and motion.
-
-    moved : as for `simulate_from`. ambient : the light from outside, of `_ambient`.
-    """
-    blood = course.blood_fraction.values.T
-    readings = _read_light(scene, light, course)
-    worn = drift_and_motion(scene, course.time.values)
-    motion, about_motion = motion_artefact(worn, readings, moved, blood)
-    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
-    gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
-    gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
-    fraction, stderr, change_stderr = (
-        np.multiply(motion, x, out=x) for x in (readings.fraction, readings.stderr, readings.change_stderr)
-    )
-    del readings
-    gain = np.broadcast_to(gain, fraction.shape)
-    # Drift and motion scale what is read: of its error they add their own part to the change's.
-    scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
-    volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
-    ohm = electronics.stage_ohm(diodes, scene.electronics)
-    saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
-    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(fraction.shape[1])
-    for i, j in np.ndindex(*fraction.shape[:2]):
-        led, diode = scene.leds[i], diodes[j]
-        read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
-        per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
-        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
-        change[i, j] = read.volts - read.volts[0]
-        volts_stderr[i, j] = stderr[i, j] * per_fraction_v
-        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
-        responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
-    absorbers = list(optics.absorbers(scene))
-    pair = ("led", "photodiode")
-    over, paths = (*pair, "time"), (*pair, "absorber")
-    text = "detected fraction of the emitted power"
-    data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
-    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
-    text = "change of the voltage from the start"
-    data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
-    data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
-    data |= variable("saturated", over, saturated, "converter at its limit")
-    data |= variable("feedback_ohm", "photodiode", ohm, "feedback resistance of the stage", units="ohm")
-    text = "responsivity at the LED's peak"
-    data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
-    text, error = "mean path of the light detected at rest", light.mean_path_stderr
-    data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
-    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
-    data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
-    names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(data, names | {"absorber": absorbers}).merge(worn)
-
-
-def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> ReadingSeries:
-    """The light over the course, whose blood has saturations of its own where the scene balances its oxygen."""
-    blood = course.blood_fraction.values
-    if not scene.blood.oxygen_balance:
-        return light.readings_at(blood.T)
-    states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
-    by_led = [light.readings_at(state) for state in states]
-    return ReadingSeries(
-        *(np.stack([getattr(read, field.name)[i] for i, read in enumerate(by_led)]) for field in fields(ReadingSeries))
-    )
 
 
 def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:

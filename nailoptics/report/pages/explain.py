@@ -11,12 +11,13 @@ from ...studies.model_error.changes import lines_of, merged
 from ...studies.model_error.explain import Effect, Explanation
 from .. import style
 from ..files import Report, scene_text, write_files
-from ..html import Html, document, escaped, figure, section, small, table
+from ..html import Html, document, escaped, figure, section, small, table, texts
 from ..numbers import aligned, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+TEXTS = texts("explain")
 # What the axis shows of changes, and the height of a row of the figure. [%, inch]
 LEAST, MOST, ROW_IN = 1e-3, 1e3, 0.24
 KINDS = {
@@ -24,16 +25,6 @@ KINDS = {
     "in the scene": style.ZONES[0],
     "left out": style.ZONES[1],
 }
-CAPTION = (
-    "Effect on the reading of the photodiode with the largest significant change (dot, with its 95 % interval), and "
-    "the upper bound of its effect on any reading (tick, 95 % confidence). Dotted: the tolerance."
-)
-NOTE = (
-    "Change of reading: at the photodiode with the largest significant change, ± its standard error. Upper bound: not "
-    "exceeded by the change of any photodiode's reading, and signal, the same for its change by touch relative to the "
-    "largest change, with 95 % confidence each. (signal): the reading at rest does not change, and the effect is "
-    "evaluated by the signal. Unknown parameters of the finger are set to the farther end of their range."
-)
 
 
 def _files(result: Explanation) -> tuple[Any, ...]:
@@ -51,7 +42,9 @@ def page(result: Explanation) -> str:
     required: list[str] = []
     for text, lines in _requires(result):
         required += [text, Html(f"<pre>{escaped(lines)}</pre>") if lines else ""]
-    drawing, effects = figure(draw(result), CAPTION) if known else "", table(_rows(result), kind="effects dense")
+    drawing, effects = "", table(_rows(result), kind="effects dense")
+    if known:
+        drawing = figure(draw(result), TEXTS["caption"])
     return document(
         kicker="effects on the readings",
         title=_title(known),
@@ -59,7 +52,7 @@ def page(result: Explanation) -> str:
         f"common random numbers. Changes of a reading by more than {100 * result.tolerance:g} % matter.",
         cards=_cards(result, known),
         body=[
-            section("Effects on the readings", drawing, effects, small(NOTE)),
+            section("Effects on the readings", drawing, effects, small(TEXTS["note"])),
             section("What the scene requires", *required),
         ],
         attributes=result.attributes,

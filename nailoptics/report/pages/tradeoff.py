@@ -11,13 +11,14 @@ from ...io import to_json
 from ...studies.model_error.tradeoff import OWN, REFERENCE, Answer, Level, Tradeoff
 from .. import style
 from ..files import Report, scene_text
-from ..html import document, figure, section, small, subheading, table
+from ..html import document, figure, section, small, subheading, table, texts
 from ..numbers import aligned, duration, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TEXTS = texts("tradeoff")
 # What the axis shows of the errors, and the errors at which a level's curve is computed.
 LEAST, MOST = 5e-4, 10.0
 GRID = np.geomspace(LEAST, MOST, 200)
@@ -28,15 +29,6 @@ APART = 0.17
 # Errors for which the fastest answer is reported, and those that the sentence for a designer names.
 ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
-CAPTION = (
-    "Error of the worst photodiode against processor time to the answer. A level's error falls with its photons to its "
-    "bias; dots are levels without photons. Strong line: the least error that any level has in a time."
-)
-NOTE = (
-    "Bias: mean over the photodiodes, weighted by the reference's errors, ± its standard error; upper bound: not "
-    "exceeded by any photodiode's, with 95 % confidence each. The signal is the change by touch, as a part of the "
-    "largest change of any photodiode. The tolerance: {}; the bound on a bias counts in full."
-)
 
 
 def page(result: Tradeoff, drawing: "Figure") -> str:
@@ -45,9 +37,9 @@ def page(result: Tradeoff, drawing: "Figure") -> str:
     selected = "; ".join(filter(None, (*result.lines, choice.level.call))) or "none is needed"
     body = section(
         "Error against time",
-        figure(drawing, CAPTION),
+        figure(drawing, TEXTS["caption"]),
         table(_rows(result)),
-        small(NOTE.format(meaning(result))),
+        small(TEXTS["note"].format(meaning(result))),
         f"{chosen_line(result)} What selects it: {selected}",
         subheading("What each level needs"),
         table(_needs(result), kind="words"),

@@ -1,0 +1,83 @@
+"""Light to volts over a touch: what every photodiode reads, with its standard error and noise, of a worn sensor."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+import xarray as xr
+
+from ..light import DetectedLight, optics
+from ..light.transfer.series import ReadingSeries
+from ..scene import Scene
+from ..variables import Variables, variable
+from . import electronics
+from .drift_motion import MovedLight, drift_and_motion, motion_artefact
+
+
+def read_volts(
+    scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight], ambient: Variables
+) -> xr.Dataset:
+    """Detected fractions and volts over the course, with standard errors and noise, and the sensor's drift and motion.
+
+    course : of `blood_over_touch`. moved : the light under the sensor elsewhere, where the scene's body moves it.
+    ambient : the light from outside, of `ambient_in_readings`.
+    """
+    blood = course.blood_fraction.values.T
+    readings = _read_light(scene, light, course)
+    worn = drift_and_motion(scene, course.time.values)
+    motion, about_motion = motion_artefact(worn, readings, moved, blood)
+    # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
+    gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
+    gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
+    fraction, stderr, change_stderr = (
+        np.multiply(motion, x, out=x) for x in (readings.fraction, readings.stderr, readings.change_stderr)
+    )
+    del readings
+    gain = np.broadcast_to(gain, fraction.shape)
+    # Drift and motion scale what is read: of its error they add their own part to the change's.
+    scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
+    volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
+    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    ohm = electronics.stage_ohm(diodes, scene.electronics)
+    saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
+    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(fraction.shape[1])
+    for i, j in np.ndindex(*fraction.shape[:2]):
+        led, diode = scene.leds[i], diodes[j]
+        read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
+        per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
+        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
+        change[i, j] = read.volts - read.volts[0]
+        volts_stderr[i, j] = stderr[i, j] * per_fraction_v
+        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
+        responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
+    absorbers = list(optics.absorbers(scene))
+    pair = ("led", "photodiode")
+    over, paths = (*pair, "time"), (*pair, "absorber")
+    text = "detected fraction of the emitted power"
+    data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
+    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
+    text = "change of the voltage from the start"
+    data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
+    data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
+    data |= variable("saturated", over, saturated, "converter at its limit")
+    data |= variable("feedback_ohm", "photodiode", ohm, "feedback resistance of the stage", units="ohm")
+    text = "responsivity at the LED's peak"
+    data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
+    text, error = "mean path of the light detected at rest", light.mean_path_stderr
+    data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
+    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
+    data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
+    names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
+    return xr.Dataset(data, names | {"absorber": absorbers}).merge(worn)
+
+
+def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> ReadingSeries:
+    """The light over the course, whose blood has saturations of its own where the scene balances its oxygen."""
+    blood = course.blood_fraction.values
+    if not scene.blood.oxygen_balance:
+        return light.readings_at(blood.T)
+    states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
+    by_led = [light.readings_at(state) for state in states]
+    return ReadingSeries(
+        *(np.stack([getattr(read, field.name)[i] for i, read in enumerate(by_led)]) for field in fields(ReadingSeries))
+    )
