@@ -117,11 +117,12 @@ def test_every_output_variable_has_words_that_read_as_english():
 
 def names_in_code() -> Iterator[tuple[str, str]]:
     """Each variable that a study names in its code outright, and where."""
-    for path in sorted((DOCS.parent / "nailoptics/studies").rglob("*.py")):
+    package = DOCS.parent / "nailoptics"
+    for path in sorted(path for room in ("studies", "sensor") for path in (package / room).rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("variable", "estimated"):
                 if isinstance(first := call.args[0], ast.Constant):
-                    yield first.value, str(path.relative_to(DOCS.parent / "nailoptics"))
+                    yield first.value, str(path.relative_to(package))
 
 
 def test_every_variable_of_a_study_is_documented():
