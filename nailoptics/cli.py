@@ -363,7 +363,7 @@ def batch(
         status: Show the batch's progress and exit.
     """
     from . import batch as batches
-    from .hemodynamics.for_scene import far_from_list
+    from .hemodynamics.parameters import far_from_list
     from .report.pages.sweep import write_sweep
 
     if status:

@@ -12,7 +12,7 @@ from ...scene import Scene, parse_scene
 from ...tissue import bed_zone_name
 from .. import maps
 from ..files import Report
-from ..html import Html, document, escaped, figure, section, small, subheading, table
+from ..html import Html, document, escaped, figure, section, small, subheading, table, texts
 from ..numbers import estimated, quantity, significant, with_error
 from ..readings import (
     disturbance_lines,
@@ -29,47 +29,7 @@ from . import simulate_figures as figures
 if TYPE_CHECKING:
     import pandas as pd
 
-OVERVIEW = (
-    "Change of every photodiode from rest while the finger is pressed. Warm colours lie proximal, cool ones distal. "
-    "The dotted line marks the end of the hold, at which the table below is read."
-)
-READINGS = (
-    "± is one standard error of the light tracing; the z score is the change in standard errors. Both states of a "
-    "change are read from one trace, so its error is far below that of a level. Noise is that of the electronics and "
-    "the converter in one sample; the resolution is the force that equals it, by the mean slope from rest to the end "
-    "of the hold."
-)
-COURSES = (
-    "Force over time, the pressures that it exerts on the vessels, and what these do. Pressure on the pulp's veins "
-    "obstructs the return of blood, which pools in the capillaries under the nail; pressure on the distal capillaries "
-    "expels it from them."
-)
-BED = "Zones of the nail bed over time. Above the dashed line: the white band, with less than half of its blood."
-BOARD = (
-    "The board on the nail, from above and rolled flat. The tint of the nail shows which blood lies below; between the "
-    "dotted lines one passes into the other."
-)
-SECTION = "The section along the middle of the nail."
-PATHS = (
-    " On it, the paths of all the light that the LED emits, summed over the finger's width, on a logarithmic scale: "
-    "half of them lie within the solid line, 90 % within the dashed one. Above, the photodiodes in their colours and "
-    "the LED (triangle) where they lie along the nail."
-)
-ENDS = (
-    "Where the light of each LED ends, in percent of what it emits, with its standard error: what absorbs it, and what "
-    "leaves the finger. Regions that take less than 0.01 % of it are left out."
-)
-MODELS = (
-    "Each photodiode's traced volts with Beer–Lambert (8), V = V₀ + V₁ exp(−αD²), and Taylor (9), V = V′₀ − V′₁D², "
-    "fitted to them over the capillary diameter D of the photodiode's own zone. Below each, the residuals (model minus "
-    "traced light), on one scale for all, with the noise of one sample in grey."
-)
-VOLTS = "Volts over time, the more proximal photodiodes on the left. Where no band is seen it is thinner than the line."
-FITS = "± is the trace's standard error, whose noise all samples of a reading share; the residual is no part of it."
-MEAN_PATH = (
-    "Mean path, at rest, of the light that reaches each photodiode, in place of the single path length L of the "
-    "reduced optics. A reading falls by this fraction per mm⁻¹ of absorption."
-)
+TEXTS = texts("simulate")
 NAMES = {
     "barrier": "barrier, opaque epoxy",
     "cover": "cover and rim, opaque epoxy",
@@ -100,12 +60,12 @@ def page(result: xr.Dataset) -> str:
         body=[
             section(
                 "Readings of the photodiodes",
-                figure(figures.overview(result, scene), OVERVIEW),
+                figure(figures.overview(result, scene), TEXTS["overview"]),
                 _pair_table(reading_rows(readings), readings, scene, kind="readings dense"),
-                small(READINGS),
+                small(TEXTS["readings"]),
                 *map(small, disturbance_lines(result)),
             ),
-            section("The touch and the blood", figure(figures.courses(result), COURSES), _bed(result, scene)),
+            section("The touch and the blood", figure(figures.courses(result), TEXTS["courses"]), _bed(result, scene)),
             _space_section(result, scene),
             _models_section(result, scene, readings),
             spread_section(result),
@@ -118,16 +78,17 @@ def _bed(result: xr.Dataset, scene: Scene | None) -> str:
     """The blood along the nail, where it has more zones than a figure over time can show."""
     if scene is None or scene.finger is None or "white_band_mm" not in result or result.sizes["time"] < 2:
         return ""
-    return figure(figures.bed(result, scene), BED)
+    return figure(figures.bed(result, scene), TEXTS["bed"])
 
 
 def _space_section(result: xr.Dataset, scene: Scene | None) -> Html:
-    board = "" if scene is None else figure(maps.top_view(scene), BOARD, narrow=True)
+    board = "" if scene is None else figure(maps.top_view(scene), TEXTS["board"], narrow=True)
     cut, ends = small("The section of the finger was not computed."), ""
     if "section_region" in result:
-        cut = figure(maps.section(scene, result), SECTION + (PATHS if "path_density" in result else ""))
+        shown = ("section", "paths") if "path_density" in result else ("section",)
+        cut = figure(maps.section(scene, result), " ".join(TEXTS[name] for name in shown))
     if "absorbed_fraction" in result:
-        ends = table(_light_ends(result), kind="ends") + small(ENDS)
+        ends = table(_light_ends(result), kind="ends") + small(TEXTS["ends"])
     return section("The sensor on the finger", board, cut, Html(ends))
 
 
@@ -150,7 +111,7 @@ def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataFrame") -> Html:
-    lines, text = [MODELS], VOLTS
+    lines, text = [TEXTS["models"]], TEXTS["volts"]
     if result.sizes["photodiode"] > figures.PANELS:
         text += f" {figures.PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
     for i in range(result.sizes["led"]):
@@ -162,11 +123,11 @@ def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataF
         subheading("Constants of Beer–Lambert (8) and Taylor (9)"),
         _pair_table(rows, readings, scene, kind="fits"),
     ]
-    lines += [small(FITS), *(small(f"[{mark}] {note}") for note, mark in notes.items())]
+    lines += [small(TEXTS["fits"]), *(small(f"[{mark}] {note}") for note, mark in notes.items())]
     if paths := _paths(result, readings):
         lines += [
             subheading("Mean path of the detected light"),
-            MEAN_PATH,
+            TEXTS["mean_path"],
             _pair_table(paths, readings, scene, kind="paths"),
         ]
     return section("Traced light beside the reduced optics", *lines)
