@@ -18,6 +18,8 @@ NAIL_MARGIN_MM = 0.1
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK_MM = 0.05
+# Places are rounded to so many decimals of a millimetre, below which sums of floats differ. [1]
+DECIMALS = 9
 # LEDs that a search places together.
 MOST_LEDS = 4
 # One die in place of an array.
@@ -115,12 +117,13 @@ def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point
 def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | None) -> Scene:
     """The scene with its board's edges and the wall's gap spelled out; parts and the outline of the board's file stay
     where they are on the nail."""
-    board, (u, v), (du, dv) = scene.board, center_mm, scene.board.center_mm
+    board, (du, dv) = scene.board, scene.board.center_mm
+    (u, v), size_mm = (tuple(round(x, DECIMALS) for x in pair) for pair in (center_mm, size_mm))
 
     def moved(places: Sequence[Point]) -> tuple[Point, ...]:
-        return tuple((x + (du - u), y + (dv - v)) for x, y in places)
+        return tuple((round(x + du - u, DECIMALS), round(y + dv - v, DECIMALS)) for x, y in places)
 
-    update: dict[str, object] = {"center_mm": center_mm, "size_mm": size_mm, "barrier_gap_mm": gap_mm}
+    update: dict[str, object] = {"center_mm": (u, v), "size_mm": size_mm, "barrier_gap_mm": gap_mm}
     if board.outline_mm is not None:
         update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
     parts = {

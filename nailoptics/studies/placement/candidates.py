@@ -14,7 +14,7 @@ from ...scene.base import Point
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import SINGLE, PartT, loose_photodiodes, straightened
+from .boards import DECIMALS, SINGLE, PartT, loose_photodiodes, straightened
 
 Places = Sequence[Point]
 
@@ -82,7 +82,8 @@ def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodi
 def _at(base: Scene, part: PartT, place_mm: Point, **changes: Any) -> PartT:
     """A part at a place on the nail. [mm]"""
     du, dv = base.board.center_mm
-    return part.model_copy(update={"position_mm": (place_mm[0] - du, place_mm[1] - dv)} | changes)
+    at_mm = round(place_mm[0] - du, DECIMALS), round(place_mm[1] - dv, DECIMALS)
+    return part.model_copy(update={"position_mm": at_mm} | changes)
 
 
 def _laid_out(base: Scene, name: str, leds: Sequence[Led], photodiodes: Sequence[Photodiode]) -> Scene:

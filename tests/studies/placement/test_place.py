@@ -1,6 +1,7 @@
 """Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
 
 import json
+import re
 import time
 from types import SimpleNamespace
 
@@ -253,6 +254,14 @@ def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
         850,
         (0.3, 0.2),
     )
+
+
+def test_places_of_a_layout_are_written_with_few_decimals():
+    """Expected: not -3.1999999999999997, as the sums of floats are on the way to the nail and back."""
+    shifted = SCENE.replace("[board]", "[board]\ncenter_mm = [0.1, 0.1]")
+    requested = parse_scene(re.sub(r"position_mm = .*", "position_mm = [-3.2, 0.2]", shifted, count=1))
+    layout = boards.with_explicit_walls(boards.base_board(requested), "mine")
+    assert layout.leds[0].position_mm == (-3.2, 0.2)
 
 
 @pytest.mark.slow
