@@ -122,6 +122,8 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
         rms = {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
         noise += [names | rms] if rms else []
     lines = [f"photodiodes: {len(places)}{of}, on a board of {u:.3g} x {v:.3g} mm"]
+    if not readings:
+        lines += [f"  {line}" for line in aligned([{"photodiode": name} | row for name, row in places.items()])]
     for title, rows in (("reading at rest:", readings), ("noise of one sample, rms:", noise)):
         lines += [title, *(f"  {line}" for line in aligned(rows))] if rows else []
     lines += [f"noise: {report['noise']}"] if report["noise"] else []

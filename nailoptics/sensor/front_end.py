@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import Array
 from ..errors import InputError, as_far_as_reached
 from ..hemodynamics.for_scene import heart_rate_per_min
-from ..light import backend, trace
+from ..light import trace
 from ..light.detect import light_of
-from ..light.diffusion import DiffusionModel
 from ..light.transfer.series import ReadingSeries
 from ..options import TraceOptions
 from ..scene import Ambient, Oximeter, Photodiode, Scene, Slot
@@ -30,9 +29,9 @@ CAUSES = ("electronics", "converter", "ambient light")
 
 def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
     """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either, or without a backend that traces it. [A]"""
+    where it has none, (photodiodes,) float; 0 without either. [A]"""
     source = scene.ambient or usual
-    if source is None or not backend.choose("auto").jit:
+    if source is None:
         return np.zeros(len(scene.layout.photodiodes))
     current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=AMBIENT_PHOTONS)[:2, 0]
     return np.asarray(current_a + Z95 * stderr_a)
@@ -41,12 +40,8 @@ def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
 def rough_readings(scene: Scene, states: Array) -> ReadingSeries:
     """Detected fractions of a finger scene in blood states (t, zones) by a short trace, the same for every command.
 
-    Without a backend that compiles kernels they are those of layered diffusion, with a standard error of as much: it
-    reads the shipped scenes 1.3 to 2.6 times too low.
+    Raises: InputError without a backend that compiles kernels.
     """
-    if not backend.choose("auto").jit:
-        part = DiffusionModel(scene).readings(states)
-        return ReadingSeries(part, part, part - part[..., :1], part)
     photons = max(MOST_PHOTONS // len(scene.leds), LEAST_PHOTONS)
     transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
     return light_of(transfer).readings_at(states)

@@ -35,8 +35,8 @@ POSTURE_FORCES_N = (0.1, 0.5)
 def check_scene(scene: Scene) -> dict[str, Any]:
     """What a scene reads, lights and ignores, and what may not be as its author wants it.
 
-    Returns: leds, photodiodes, pairs (distances between them, readings by a short trace, their noise by cause),
-        candidates, ignored references of files, and warnings in words.
+    Returns: leds, photodiodes, pairs (distances between them, readings by a short trace, their noise by cause; none
+        without a backend that compiles kernels), candidates, ignored references of files, and warnings in words.
 
     Raises: InputError for what simulate, trace, compare or place would refuse, with the field of the scene.
     """
@@ -64,15 +64,12 @@ def check_scene(scene: Scene) -> dict[str, Any]:
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
     report["warnings"] += _beside_the_box(scene) + far_from_list(scene) + _posture(scene)
-    if not backend.choose("auto").jit:
-        outside = "" if scene.ambient is None else ", and [ambient] is left out"
-        report["warnings"].append(
-            "readings are those of layered diffusion, 1.3 to 2.6 times too low in shipped scenes"
-            f"{outside}: tracing needs a backend that compiles kernels (nailoptics doctor)"
-        )
-    blood = np.maximum(blood_over_touch(scene).blood_fraction.values.T, 0.0)
-    report["pairs"] = pairs = _pairs(with_fitted_resistors(scene), blood)
-    report |= {"noise": _limits(pairs), "exposure": exposures(scene)}
+    blood, pairs = np.maximum(blood_over_touch(scene).blood_fraction.values.T, 0.0), list[dict[str, Any]]()
+    if backend.choose("auto").jit:
+        pairs = _pairs(with_fitted_resistors(scene), blood)
+    else:
+        report["warnings"].append("readings need a backend that compiles kernels (nailoptics doctor), and are left out")
+    report |= {"pairs": pairs, "noise": _limits(pairs), "exposure": exposures(scene)}
     report["warnings"] += _saturation(scene, pairs)
     report["warnings"] += [
         f"exposure: more than skin's {SKIN_W_PER_M2:.3g} W/m^2 over 10 s below {one['led']}"

@@ -7,7 +7,9 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import backend
-from nailoptics.scene import Ambient, load_scene, parse_scene
+from nailoptics.report.scene_description import check_lines
+from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene
+from nailoptics.sensor.front_end import with_fitted_resistors
 from nailoptics.studies.scene_check import check_scene
 
 # Of the light of a scene, which is traced once.
@@ -73,9 +75,12 @@ def test_a_scene_in_ambient_light_is_checked_without_a_compiling_backend(monkeyp
     scalar = backend.choose("scalar")
     monkeypatch.setattr(backend, "choose", lambda *_, **__: scalar)
     usual = load_scene(data_dir("scenes") / "prototype.toml")
-    report, dark = check_scene(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)})), check_scene(usual)
-    assert report["pairs"] == dark["pairs"] and any("[ambient] is left out" in line for line in report["warnings"])
-    assert any("layered diffusion" in line and "[ambient]" not in line for line in dark["warnings"])
+    report = check_scene(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)}))
+    assert report["pairs"] == [] and report["noise"] == "" and len(report["photodiodes"]) == 8
+    assert any("readings need a backend that compiles kernels" in line for line in report["warnings"])
+    assert "  distal.9" in "\n".join(check_lines(report | {"scene": "prototype"}))
+    with pytest.raises(InputError, match="needs a JIT backend"):
+        with_fitted_resistors(usual.model_copy(update={"electronics": Electronics(feedback_ohm="auto")}))
 
 
 def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capfd):

@@ -15,7 +15,6 @@ from ...hemodynamics.for_scene import blood_over_touch
 from ...hemodynamics.zones import zones_of_photodiodes
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
-from ...light.diffusion import DiffusionModel
 from ...light.tracing import unlit
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
@@ -52,7 +51,6 @@ FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": 
 # Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
 COURSES: dict[str, dict[str, Any]] = {"walls with mass": {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
 FEWER_SAMPLES = 10
-DIFFUSION_CALL = "nailoptics.light.diffusion.DiffusionModel(scene).readings(blood)"
 LITERATURE_CALL = "nailoptics.studies.model_error.tradeoff.literature_changes(scene, name, blood)"
 # Mean path of detected light over the distance from source to detector: adult forearm, 807 nm, distances of
 # centimetres: 4.16 +- 0.78 (Duncan et al. 1995, Phys. Med. Biol. 40, 295). None is published for a finger or
@@ -249,7 +247,7 @@ def tradeoff(
     light, unmet = base.transfer, None
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
-    levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, options.seed), diffusion(base)]
+    levels = [measured(scene, REFERENCE, base, base), *formulas(scene, base, options.seed)]
     levels += courses(scene, base, options.seed)
     if any(led.fwhm_nm for led in full.leds):
         # The same photons, so the same cost, whatever the noise of its error.
@@ -417,13 +415,3 @@ def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Lev
     level = measured(scene, "eight zones" if two else "two zones", base, other)
     signal, changes = signal_bias(base, other.modulation), (level.changes or {}) | changes
     return replace(level, reading=Bias(0.0, 0.0, 0.0), signal=signal, changes=changes)
-
-
-def diffusion(base: PairedReadings) -> Level:
-    """Layered diffusion, without a photon."""
-    full = base.transfer.scene
-    paired, seconds = timed(lambda: DiffusionModel(full).readings(end_states(full)))
-    gain = paired[..., 0] / base.level
-    reading = bias_of(base, Estimates(gain - 1, gain * base.relative_stderr))
-    signal = signal_bias(base, paired[..., 1] / paired[..., 0] - 1)
-    return Level("layered diffusion", "numpy", reading, signal, seconds, call=DIFFUSION_CALL)

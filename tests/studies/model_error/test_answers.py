@@ -14,7 +14,7 @@ def level(name: str, *, bound: float = 0.0, signal: float = 0.0, noise: float = 
 
 
 FULL = level(REFERENCE)
-DIFFUSION = Level("diffusion", "numpy", Bias(0.3, 0.0, 0.3), Bias(0.1, 0.0, 0.1), 0.02)
+DIM = Level("dim", "numpy", Bias(0.3, 0.0, 0.3), Bias(0.1, 0.0, 0.1), 0.02)
 FORMULA = Level("formula", "numpy", None, Bias(0.3, 0.0, 0.3), 1e-5)
 
 
@@ -29,14 +29,14 @@ def test_bias_and_standard_error_add_in_squares():
 
 def test_a_level_without_a_reading_at_rest_answers_nothing():
     assert FORMULA.photon_seconds(0.9) == math.inf and FORMULA.within(0.9) is None
-    assert DIFFUSION.photon_seconds(0.31) == 0 and DIFFUSION.photon_seconds(0.29) == math.inf
-    assert DIFFUSION.within(0.31).error == 0.3 and DIFFUSION.within(0.29) is None
+    assert DIM.photon_seconds(0.31) == 0 and DIM.photon_seconds(0.29) == math.inf
+    assert DIM.within(0.31).error == 0.3 and DIM.within(0.29) is None
 
 
 def test_the_fastest_within_an_error():
     cheap = level("cheap", bound=0.03, noise=0.03)
-    levels = [FULL, cheap, FORMULA, DIFFUSION]
-    assert fastest(levels, 0.4).level is DIFFUSION and fastest(levels, 0.05).level is cheap
+    levels = [FULL, cheap, FORMULA, DIM]
+    assert fastest(levels, 0.4).level is DIM and fastest(levels, 0.05).level is cheap
     found = fastest(levels, 0.02)
     assert found.level is FULL and found.seconds == pytest.approx(2 + 25) and found.relative_error == 0.02
     assert fastest([cheap, FORMULA], 0.02) is None

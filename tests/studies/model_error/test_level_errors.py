@@ -13,7 +13,7 @@ from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
 from nailoptics.studies.model_error.changes import ONE_WAVELENGTH, revised
 from nailoptics.studies.model_error.paired import Estimates, PairedReadings, paired_readings, reweighted
-from nailoptics.studies.model_error.tradeoff import CHEAPER, FULL, Level, bias_of, diffusion, formulas, measured
+from nailoptics.studies.model_error.tradeoff import CHEAPER, FULL, Level, bias_of, formulas, measured
 
 PHOTONS, SEEDS = 40_000, range(24)
 
@@ -68,14 +68,13 @@ def test_errors_of_readings_and_modulations(traced):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_errors_of_what_formulas_and_diffusion_are_off_by(traced, scene):
+def test_errors_of_what_formulas_and_one_wavelength_are_off_by(traced, scene):
     """Expected: the reported errors are what other seeds scatter by, of every level without photons of its own."""
     found = []
     for seed, base in zip(SEEDS, traced, strict=True):
         narrow = measured(scene, "one wavelength", base, reweighted(base, revised(scene, ONE_WAVELENGTH)))
-        found.append({one.name: one for one in (diffusion(base), narrow, *formulas(scene, base, seed))})
+        found.append({one.name: one for one in (narrow, *formulas(scene, base, seed))})
     for which in ("reading", "signal"):
-        assert_pull_of_one(found, "layered diffusion", which)
         assert_pull_of_one(found, "one wavelength", which)
     for name in ("Taylor (9)", "Beer-Lambert (8)"):
         for constants in ("literature", "traced"):

@@ -6,7 +6,6 @@ import pytest
 import nailoptics as nail
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.light.diffusion import DiffusionModel
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.studies.model_error import paired
@@ -45,15 +44,8 @@ def within(found: Tradeoff) -> dict[str, list[float]]:
 
 def off(level: Level, scene: Scene, base: paired.PairedReadings, tracer: paired.PairedTracer) -> paired.Difference:
     """How far a level reads from the full model, with many photons of another seed."""
-    if level.traces:
-        return paired.difference(base, tracer.trace(revised(scene, level.changes or {})))
-    found = DiffusionModel(base.transfer.scene).readings(paired.end_states(base.transfer.scene))
-    modulation, ratio = found[..., 1] / found[..., 0] - 1, found[..., 0] / base.level - 1
-    unit = np.abs(base.modulation).max()
-    swing, noise = (modulation - base.modulation) / unit, base.modulation_stderr / unit
-    return paired.Difference(
-        paired.Estimates(ratio, (1 + ratio) * base.relative_stderr), paired.Estimates(swing, noise)
-    )
+    assert level.traces
+    return paired.difference(base, tracer.trace(revised(scene, level.changes or {})))
 
 
 @pytest.fixture(scope="module", params=SCENES)

@@ -48,7 +48,7 @@ def level(name: str, bound: float = 0.0, **changes: Any) -> Level:
     return Level(name, **(values | changes))
 
 
-DIFFUSION = level("diffusion", 0.3, setup_seconds=0.02, reading_noise=0.0, signal_noise=0.0, call="model(scene)")
+FORMULA = level("a formula", 0.3, setup_seconds=0.02, reading_noise=0.0, signal_noise=0.0, call="model(scene)")
 
 
 def made(*measured: Level) -> Tradeoff:
@@ -61,7 +61,7 @@ def made(*measured: Level) -> Tradeoff:
 def test_the_sentence_names_a_time_for_each_error():
     """Where no simpler level is faster than the full one, time is photons, and that is the sentence."""
     times = "For 20 % 2.2 s, for 5 % 6 s, for 1 % 1.7 min, for 0.1 % 2.8 h."
-    assert sentence(made(DIFFUSION)) == f"Time is photons: no simpler level is faster at any of these errors. {times}"
+    assert sentence(made(FORMULA)) == f"Time is photons: no simpler level is faster at any of these errors. {times}"
     named = made(level("no Kapton", 0.15, reading_noise=0.01, signal_noise=0.01))
     assert sentence(named).startswith("For 20 % 2 s (no Kapton), for 5 % 6 s (full)")
     assert [duration(s) for s in (3e-6, 0.0123, 1.0, 80.0, 95.0, 4000.0, 36000.0)] == [
@@ -78,16 +78,16 @@ def test_the_sentence_names_a_time_for_each_error():
 def test_the_tolerance_is_named_as_one_standard_error():
     """Rationale: 2 % as one standard error of the worst photodiode is no bound on every reading and signal: of 19 runs
     two were within it. Expected: it is named so."""
-    found = made(DIFFUSION)
+    found = made(FORMULA)
     lines = "\n".join(tradeoff_lines(found))
     assert "2 % as one standard error of the worst photodiode" in lines and "of every photodiode" not in lines
     assert "as a part of the largest change of any photodiode" in lines
 
 
 def test_json_and_dataset_hold_the_same(tmp_path):
-    found = made(DIFFUSION)
+    found = made(FORMULA)
     summary, data = tradeoff_summary(found), found.dataset()
-    assert json.loads(json.dumps(summary))["fastest_within"]["0.5"]["level"] == "diffusion"
+    assert json.loads(json.dumps(summary))["fastest_within"]["0.5"]["level"] == "a formula"
     assert summary["chosen"] == REFERENCE and summary["lines"] == ["[accuracy] relative_error = 0.02"]
     for row in summary["levels"]:
         one = data.sel(level=row["name"])
@@ -97,9 +97,9 @@ def test_json_and_dataset_hold_the_same(tmp_path):
 
 
 def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
-    found = made(DIFFUSION, level("biased", 0.05))
+    found = made(FORMULA, level("biased", 0.05))
     (axes,) = tradeoff_page.draw(found).axes
-    assert sorted(t.get_text() for t in axes.texts) == ["biased", "diffusion", REFERENCE]
+    assert sorted(t.get_text() for t in axes.texts) == ["a formula", "biased", REFERENCE]
     page = tradeoff_page.page(found, tradeoff_page.draw(found))
     assert sentence(found) in page and "model(scene)" in page and "relative_error = 0.02" in page
 
@@ -119,7 +119,7 @@ def found(chosen_jit):
 @pytest.mark.jit
 def test_the_chosen_level_is_within_the_tolerance(found):
     by_name = {one.name: one for one in found.levels}
-    expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices", "layered diffusion"}
+    expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices"}
     assert expected | {f"{name}, literature" for name in FORMULAS} <= by_name.keys()
     full = by_name[REFERENCE]
     assert full.bound == 0 and found.chosen.error <= 0.02 * (1 + 1e-9)
@@ -136,13 +136,10 @@ def test_the_chosen_level_is_within_the_tolerance(found):
 @pytest.mark.jit
 def test_levels_without_photons_answer_at_once_and_err_by_tens_of_percent(found):
     by_name = {one.name: one for one in found.levels}
-    diffusion = by_name["layered diffusion"]
-    # Of the largest signal, which is 2 % of a reading: a distal touch squeezes little blood out to 1 N.
-    assert 0.05 < diffusion.signal.bound < 1.0 and 0.1 < diffusion.reading.bound < 0.7
     for name in FORMULAS:
         formula, traced = by_name[f"{name}, literature"], by_name[f"{name}, traced"]
-        assert formula.reading is None and formula.signal.bound > diffusion.signal.bound > traced.signal.bound
-        assert formula.setup_seconds < diffusion.setup_seconds < by_name[REFERENCE].setup_seconds
+        assert formula.reading is None and formula.signal.bound > traced.signal.bound > 0
+        assert formula.setup_seconds < by_name[REFERENCE].setup_seconds
 
 
 @pytest.mark.jit
