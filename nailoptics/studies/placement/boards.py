@@ -118,12 +118,12 @@ def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | 
     """The scene with its board's edges and the wall's gap spelled out; parts and the outline of the board's file stay
     where they are on the nail."""
     board, (du, dv) = scene.board, scene.board.center_mm
-    (u, v), size_mm = (tuple(round(x, DECIMALS) for x in pair) for pair in (center_mm, size_mm))
+    u, v, across, along = (round(x, DECIMALS) for x in (*center_mm, *size_mm))
 
     def moved(places: Sequence[Point]) -> tuple[Point, ...]:
         return tuple((round(x + du - u, DECIMALS), round(y + dv - v, DECIMALS)) for x, y in places)
 
-    update: dict[str, object] = {"center_mm": (u, v), "size_mm": size_mm, "barrier_gap_mm": gap_mm}
+    update: dict[str, object] = {"center_mm": (u, v), "size_mm": (across, along), "barrier_gap_mm": gap_mm}
     if board.outline_mm is not None:
         update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
     parts = {
