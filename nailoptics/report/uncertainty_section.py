@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .html import section, small, table
+from .html import section, small, table, texts
 from .numbers import estimated, plain, significant
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
@@ -130,9 +130,5 @@ def spread_section(result: xr.Dataset) -> str:
             line[f"{KINDS[kind]}, largest std [%]"] = std
         lines.append(line | {"Method": row["how"]})
     sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
-    note = (
-        "Each std is one standard deviation over the prior, at the photodiode that it affects most or of the best "
-        "layout; together they vary as their correlations say. Ranges of absorption and scattering are factors. "
-        f"{sources}."
-    )
-    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), small(note))
+    note = small(f"{texts('uncertainty')['note']} {sources}.")
+    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), note)

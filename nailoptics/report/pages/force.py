@@ -14,32 +14,14 @@ from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import parse_subject
 from .. import style
 from ..files import Report, write_files
-from ..html import document, figure, section, small, table
+from ..html import document, figure, section, small, table, texts
 from ..numbers import estimated, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORCE = (
-    "Force estimated from the readings, with its 95 % interval. Where the vessels are closed, readings do not depend "
-    "on the force: the interval has no upper bound, which the bar at the top shows."
-)
-FIT = (
-    "Each reading less its start: recorded (wide, coloured) and fitted (thin, dark), a column for each recording. "
-    "Bottom: residuals of each reading, from proximal (warm) to distal (cool). Noise and heartbeat are expected in "
-    "them; residuals correlated with the touch are model error, which the ensemble of regressions takes up."
-)
-KINDS = f"Samples of {TOUCH_N:g} N or more, by side and by whether the force has changed by 0.1 N within half a second."
-KNOWN = (
-    "Known by the recording is a factor whose spread fell to less than 0.7 of what it was before; any other keeps its "
-    "prior, and its error is carried into intervals."
-)
-GAINS = "Gain and offset are over what the scene's own light and electronics would read."
-SHARE = (
-    "Top: the proximal share of the force with its 95 % interval; where that covers everything, the share is not "
-    "identifiable. Middle: heartbeat and slower waves, estimated by the filter beside the touch. Bottom: normalized "
-    "innovation squared of each sample, whose mean is the number of readings if the model fits."
-)
+TEXTS = texts("force")
+KINDS = TEXTS["kinds"].format(TOUCH_N)
 
 
 def calibration_page(result: xr.Dataset) -> str:
@@ -59,9 +41,9 @@ def calibration_page(result: xr.Dataset) -> str:
         cards=cards,
         body=[
             section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
-            section("Recorded and fitted", figure(_fit_figure(result), FIT)),
-            section("The person", table(_factors(summary)), small(KNOWN)),
-            section("The readings", table(_readings(result, summary)), small(GAINS)),
+            section("Recorded and fitted", figure(_fit_figure(result), TEXTS["fit"])),
+            section("The person", table(_factors(summary)), small(TEXTS["known"])),
+            section("The readings", table(_readings(result, summary)), small(TEXTS["gains"])),
         ],
         attributes=result.attrs,
     )
@@ -151,9 +133,9 @@ def prediction_page(result: xr.Dataset) -> str:
         warnings=warnings,
         cards=cards,
         body=[
-            section("Force", figure(force_figure(result), FORCE), table(methods) if methods else ""),
+            section("Force", figure(force_figure(result), TEXTS["force"]), table(methods) if methods else ""),
             section("Touches", table(_kinds(summary["touches"])), small(KINDS)) if methods else "",
-            section("Place, body and fit", figure(_share_figure(result), SHARE)),
+            section("Place, body and fit", figure(_share_figure(result), TEXTS["share"])),
             section("The virtual switch", table(events)) if events else "",
         ],
         attributes=result.attrs | {"digest": result.attrs["scene_digest"]},
@@ -241,8 +223,8 @@ def _share_figure(result: xr.Dataset) -> "Figure":
 def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
     """Write a subject file and, beside it, its page; returns their paths. Raises WriteError."""
     page = subject.with_suffix(".html")
-    texts = {subject.name: result.attrs["subject"], page.name: lambda _: calibration_page(result)}
-    write_files(subject.parent, texts)
+    files = {subject.name: result.attrs["subject"], page.name: lambda _: calibration_page(result)}
+    write_files(subject.parent, files)
     return {"subject": subject, "report": page}
 
 

@@ -15,7 +15,7 @@ from ...studies.placement import boards
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from .. import maps
 from ..files import Report, run_summary, scene_text
-from ..html import Html, document, figure, section, small, subheading, table
+from ..html import Html, document, figure, section, small, subheading, table, texts
 from ..numbers import aligned, estimated, quantity, significant, with_error
 from ..scene_description import body_words
 from ..uncertainty_section import spread_section, spread_summary
@@ -24,40 +24,11 @@ from . import placement_figures as figures
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+TEXTS = texts("placement")
 # A resolution beyond this is that of the prior alone.
 NOTHING_MN = 1e3
 # What of the ranking has no room in a terminal.
 PAGE_ALONE = ("Split known [mN]", "Proximal, distal pressure [Pa]", "Condition", "Lowest SNR", "Full scale / reading")
-RANKING = (
-    "Force resolution of each layout (smaller is better) with its 95 % interval; layouts whose intervals overlap that "
-    "of the best are tied with it (filled). Small ticks are the individual fingers; diamonds, where the scene has a "
-    "body, the resolution limited by the electronics alone. Layouts from the search are named after the position of "
-    "their LEDs, in the scene's order: led m1.25 p0 left lies at u = −1.25 mm, v = +0 mm, left of its photodiodes."
-)
-BOARD = "The board from above, rolled flat: LED, barrier and photodiodes on the nail, whose tint shows the blood below."
-BANANAS = (
-    "Sensitivity of each photodiode's reading to absorption below the nail (shaded: the mean of all photodiodes, each "
-    "normalised, over three decades). Outlined is the densest region that holds half of it, one colour for each "
-    "photodiode from proximal (warm) to distal (cool)."
-)
-MAPS = (
-    "On the flat board with this LED and wall, first finger, logarithmic scales with contours: light per area; its "
-    "shunted part, which bypassed the bed; the noise of one more photodiode centred there, rms in one sample (linear "
-    "scale); and its own force resolution if the split of the force is known. Bright is good; blank where too few "
-    "photons arrived and, around the LED, where it would saturate."
-)
-SENSITIVITY = (
-    "Relative sensitivity of the light at each place to blood in the proximal (left) and in the distal zone (right): "
-    "percent of the light for each percent of the bed that is blood. Blank where too few photons arrived."
-)
-TRIED = (
-    "Candidate positions of the LED: force resolution with the best photodiodes for each, of several LEDs with the "
-    "best positions of the others. Triangles point from the LED to its photodiodes."
-)
-AMBIENT = (
-    "The largest of all photodiodes, upper end of the 95 % interval, for ambient light from all sides with the "
-    "spectrum of a black body. A steady part can be subtracted; its noise and a saturated converter cannot."
-)
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
@@ -65,12 +36,12 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     best, ranking = chosen(result), rows(result)
     by_led = [result.isel(led=[i]) for i in range(result.sizes["led"])]
     groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
-    layout = [figure(maps.top_view(best), BOARD, narrow=True), table(_photodiodes(result), groups=groups)]
+    layout = [figure(maps.top_view(best), TEXTS["board"], narrow=True), table(_photodiodes(result), groups=groups)]
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout.append(subheading("Sensitivity of each photodiode"))
-        layout += [_of_led(figures.banana_figure(best, of_led), BANANAS, of_led, best) for of_led in by_led]
-        layout += [subheading("Ambient light"), table(_ambient(result)), small(AMBIENT)]
+        layout += [_of_led(figures.banana_figure(best, of_led), TEXTS["bananas"], of_led, best) for of_led in by_led]
+        layout += [subheading("Ambient light"), table(_ambient(result)), small(TEXTS["ambient"])]
         checked = _check(result)
     text = document(
         kicker="layout optimisation",
@@ -80,7 +51,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
         body=[
             section(
                 "The ranking",
-                figure(figures.ranking_figure(result), RANKING),
+                figure(figures.ranking_figure(result), TEXTS["ranking"]),
                 table(_ranking_rows(ranking[: figures.SHOWN]), kind="dense"),
                 small(rough_words(ranking)),
                 small(checked),
@@ -111,10 +82,10 @@ def _maps(best: Scene, of_led: xr.Dataset) -> list[Html]:
     """All maps of one LED."""
     narrow = figures.slender(of_led)
     maps = [subheading(_led_words(best, of_led))] if len(best.leds) > 1 else []
-    maps.append(_of_led(figures.map_figure(best, of_led), MAPS, of_led, best))
-    maps.append(_of_led(figures.sensitivity_figure(best, of_led), SENSITIVITY, of_led, best, narrow=narrow))
+    maps.append(_of_led(figures.map_figure(best, of_led), TEXTS["maps"], of_led, best))
+    maps.append(_of_led(figures.sensitivity_figure(best, of_led), TEXTS["sensitivity"], of_led, best, narrow=narrow))
     if of_led.sizes["led_site"]:
-        maps.append(_of_led(figures.sites_figure(of_led), TRIED, of_led, best, narrow=True))
+        maps.append(_of_led(figures.sites_figure(of_led), TEXTS["tried"], of_led, best, narrow=True))
     return maps
 
 
@@ -213,22 +184,13 @@ def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
     bandwidth_hz = result.attrs["bandwidth_hz"]
     sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
     false_force = ", ".join(dict.fromkeys(significant(1e3 * float(x)) for x in result.physiological_noise_force_n))
-    text = (
-        f"One sample is {sample}, without the samples before it, from which {body_words(best)} could be estimated. "
-        "Their waves change the blood of both zones, as two pressures do: with every layout they produce a false force "
-        f"of {false_force} mN rms, a physiological noise floor. The contribution of drift and lift depends on the "
-        "layout. nailoptics predict uses the samples before; its error is given on the page of the calibration."
-    )
-    return section("Physiological noise", text)
+    return section("Physiological noise", TEXTS["physiological"].format(sample, body_words(best), false_force))
 
 
 def _check(result: xr.Dataset) -> str:
     fresh = estimated(result.attrs, "checked_resolution_n", 1e3)
     by_map = estimated(result.isel(layout=0, finger=0), "finger_resolution_n", 1e3)
-    return (
-        "Layouts are evaluated on photon maps of the bare board. The best was verified by a trace with its photodiodes "
-        f"in place: on the first finger it resolves {fresh} mN, {by_map} mN by the map. {_mitsuba_words(result)}"
-    )
+    return TEXTS["check"].format(fresh, by_map) + " " + _mitsuba_words(result)
 
 
 def _mitsuba_words(result: xr.Dataset) -> str:
@@ -236,11 +198,7 @@ def _mitsuba_words(result: xr.Dataset) -> str:
     if "mitsuba_ratio" not in result:
         return ""
     of_leds = (f"{_by_mitsuba(result.sel(led=led), 'mitsuba_led')} for LED {led}" for led in result.led.values)
-    return (
-        "Light on all photodiodes by stock Mitsuba, which shares no code for light, over that of this trace (deviation "
-        f"from 1 in standard errors): {', '.join(of_leds)}; single photodiodes deviate by up to "
-        f"{float(abs(result.mitsuba_z).max()):.1f} standard errors."
-    )
+    return TEXTS["mitsuba"].format(", ".join(of_leds), float(abs(result.mitsuba_z).max()))
 
 
 def _by_mitsuba(result: xr.Dataset, name: str) -> str:

@@ -77,12 +77,7 @@ def _figures(results: xr.Dataset) -> str:
     if quantity is None:
         return ""
     text = str(results[quantity].attrs["long_name"])
-    lines = [
-        small(
-            "Bars are one standard error of the light tracing. Along an axis, every other axis is held at its middle "
-            "value; in a sweep of single samples every sample is a point."
-        )
-    ]
+    lines = [small(texts("sweep")["note"])]
     for name in [n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
