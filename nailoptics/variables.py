@@ -1,6 +1,9 @@
 """Variables of a Dataset under the CF conventions: dimensions, values, units, a name in words, and a standard error."""
 
-from typing import TYPE_CHECKING, Any
+import tomllib
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -40,11 +43,34 @@ def variable(
     }
 
 
-def estimated(
-    name: str, dims: str | tuple[str, ...], replicates: np.ndarray, long_name: str, *, units: str = "1"
-) -> Variables:
-    """A variable made from all groups of photons and without each, (1 + groups, ...) float, and its standard error."""
-    return variable(name, dims, replicates[0], long_name, units=units, stderr=jackknife(replicates))
+class Estimate(NamedTuple):
+    """Values with their standard errors, of one shape."""
+
+    values: Any
+    stderr: Any
+
+
+def jackknifed(replicates: np.ndarray) -> Estimate:
+    """An estimate made from all groups of photons and without each, (1 + groups, ...) float."""
+    return Estimate(replicates[0], jackknife(replicates))
+
+
+def described(package: str, /, **values: Any) -> Variables:
+    """Variables as variables.toml of a package describes them by name: dims, long_name and, unless it is 1, units.
+
+    values : arrays, or an `Estimate` where a variable has a standard error.
+    """
+    data: Variables = {}
+    for name, value in values.items():
+        of = value if isinstance(value, Estimate) else Estimate(value, None)
+        about = _descriptions(package)[name]
+        data |= variable(name, values=of.values, stderr=of.stderr, **about | {"dims": tuple(about["dims"])})
+    return data
+
+
+@cache
+def _descriptions(package: str) -> dict[str, dict[str, Any]]:
+    return tomllib.loads(resources.files(package).joinpath("variables.toml").read_text(encoding="utf-8"))
 
 
 def to_record(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -16,7 +16,7 @@ from ..light.transfer.reweight import attenuation
 from ..options import TraceOptions
 from ..scene import Ambient, Photodiode, Scene
 from ..statistics import seed_of
-from ..variables import Variables, variable
+from ..variables import Estimate, Variables, described
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
@@ -152,21 +152,12 @@ def ambient_in_readings(scene: Scene, options: TraceOptions) -> Variables:
     if scene.ambient is None:
         return {}
     current, error, bare = trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]
-    on_each: Variables = {}
     stage = scene.electronics
     flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     to_v, left = electronics.stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
     with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
-        for name, factor, unit, text in (
-            ("a", 1.0, "A", "photocurrent of ambient light"),
-            ("fraction", 1 / bare, "1", "photocurrent of ambient light, of that of the bare photodiode in the open"),
-            ("volts", to_v, "V", "ambient light at the stage's output, before ambient rejection"),
-            ("left_v", left * to_v, "V", "mean of ambient light that is left in a reading"),
-            ("flicker_v", flicker * to_v, "V", "flicker of ambient light that is left in a reading, rms"),
-        ):
-            how = {"units": unit, "stderr": factor * error}
-            on_each |= variable(f"ambient_{name}", "photodiode", factor * current, text, **how)
+        factors = {"a": 1.0, "fraction": 1 / bare, "volts": to_v, "left_v": left * to_v, "flicker_v": flicker * to_v}
+        on_each = {f"ambient_{name}": Estimate(factor * current, factor * error) for name, factor in factors.items()}
     shot_v2 = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
-    text = "shot noise of ambient light in one reading, rms"
-    return on_each | variable("ambient_noise_v", "photodiode", np.sqrt(shot_v2), text, units="V")
+    return described(__package__, **on_each, ambient_noise_v=np.sqrt(shot_v2))

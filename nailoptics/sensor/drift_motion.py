@@ -15,7 +15,7 @@ from ..light.transfer.series import ReadingSeries
 from ..options import Requested, TraceOptions
 from ..scene import Board, Scene
 from ..statistics import seed_of
-from ..variables import Variables, variable
+from ..variables import Variables, described, variable
 
 # Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
 KNOTS_PER_S = 20.0
@@ -109,10 +109,9 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
     leds, photodiodes = len(scene.leds), len(scene.layout.photodiode_names)
     if drift := body.drift:
         walk = _random_walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * drift.led_per_rt_min
-        data |= variable("led_drift", ("led", "time"), np.exp(walk), "drift of the LED, factor on its readings")
+        data |= described(__package__, led_drift=np.exp(walk))
         walk = _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * drift.reading_per_rt_min
-        text, walk = "drift of a reading by itself, factor on it", walk.reshape(leds, photodiodes, -1)
-        data |= variable("reading_drift", ("led", "photodiode", "time"), np.exp(walk), text)
+        data |= described(__package__, reading_drift=np.exp(walk).reshape(leds, photodiodes, -1))
     for name, rms_um in _rms_um(scene).items():
         assert body.motion is not None
         stream, text = _MOTIONS[name]

@@ -9,7 +9,7 @@ import xarray as xr
 from ..light import DetectedLight, optics
 from ..light.transfer.series import ReadingSeries
 from ..scene import Scene
-from ..variables import Variables, variable
+from ..variables import Estimate, Variables, described
 from . import electronics
 from .drift_motion import MovedLight, drift_and_motion, motion_artefact
 
@@ -50,25 +50,20 @@ def read_volts(
         volts_stderr[i, j] = stderr[i, j] * per_fraction_v
         change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
         responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
-    absorbers = list(optics.absorbers(scene))
-    pair = ("led", "photodiode")
-    over, paths = (*pair, "time"), (*pair, "absorber")
-    text = "detected fraction of the emitted power"
-    data = about_motion | variable("detected_fraction", over, fraction, text, stderr=stderr)
-    data |= variable("volts", over, volts, "photodiode voltage", units="V", stderr=volts_stderr)
-    text = "change of the voltage from the start"
-    data |= variable("volts_change", over, change, text, units="V", stderr=change_stderr)
-    data |= variable("volts_noise_rms", over, noise, "electronic noise of one reading, rms", units="V")
-    data |= variable("saturated", over, saturated, "converter at its limit")
-    data |= variable("feedback_ohm", "photodiode", ohm, "feedback resistance of the stage", units="ohm")
-    text = "responsivity at the LED's peak"
-    data |= variable("responsivity_a_per_w", pair, responsivity_a_per_w, text, units="A W-1")
-    text, error = "mean path of the light detected at rest", light.mean_path_stderr
-    data |= variable("mean_path_mm", paths, light.mean_path, text, units="mm", stderr=error)
-    wavelength_nm = np.array([led.wavelength_nm for led in scene.leds])
-    data |= variable("wavelength_nm", "led", wavelength_nm, "peak wavelength", units="nm")
+    data = about_motion | described(
+        __package__,
+        detected_fraction=Estimate(fraction, stderr),
+        volts=Estimate(volts, volts_stderr),
+        volts_change=Estimate(change, change_stderr),
+        volts_noise_rms=noise,
+        saturated=saturated,
+        feedback_ohm=ohm,
+        responsivity_a_per_w=responsivity_a_per_w,
+        mean_path_mm=Estimate(light.mean_path, light.mean_path_stderr),
+        wavelength_nm=[led.wavelength_nm for led in scene.leds],
+    )
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(data, names | {"absorber": absorbers}).merge(worn)
+    return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))}).merge(worn)
 
 
 def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> ReadingSeries:

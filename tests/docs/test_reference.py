@@ -4,6 +4,7 @@ import ast
 import json
 import re
 import runpy
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -116,11 +117,14 @@ def test_every_output_variable_has_words_that_read_as_english():
 
 
 def names_in_code() -> Iterator[tuple[str, str]]:
-    """Each variable that a study names in its code outright, and where."""
+    """Each variable that a study or the sensor names in its table or in its code outright, and where."""
     package = DOCS.parent / "nailoptics"
-    for path in sorted(path for room in ("studies", "sensor") for path in (package / room).rglob("*.py")):
+    rooms = [package / room for room in ("studies", "sensor")]
+    for path in sorted(path for room in rooms for path in room.rglob("variables.toml")):
+        yield from ((name, str(path.relative_to(package))) for name in tomllib.loads(path.read_text(encoding="utf-8")))
+    for path in sorted(path for room in rooms for path in room.rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("variable", "estimated"):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "variable":
                 if isinstance(first := call.args[0], ast.Constant):
                     yield first.value, str(path.relative_to(package))
 

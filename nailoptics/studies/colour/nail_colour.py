@@ -26,7 +26,7 @@ from ...options import Requested, TraceOptions
 from ...scene import Scene, Viewing
 from ...scene.models import Illuminant, LightFrom, Observer
 from ...statistics import Array, seed_of
-from ...variables import estimated, variable
+from ...variables import described, jackknifed
 from ..prior_uncertainty import only_absorbs, over_priors
 from .adaptive_sampling import ALONG, TILE_MM, sample_until_tolerance, stderr_of_colour
 from .colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000, linear
@@ -154,25 +154,21 @@ def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, view
     half = scene.finger.nail_length_mm / 2
     part = _redness_left(middle[:, on_nail, :, 1], pale[:, on_nail, 1])
     band = white_band_mm(v_mm[on_nail], part, ends_mm=(-half, half))
-    dims = ("place", "state")
-    text = "reflectance factor, seen from above"
     reflected = read[:, :ALONG, :-1]
-    data = estimated("reflectance", (*dims, "wavelength"), reflected, text)
-    data |= estimated("lab", (*dims, "band"), middle, "CIE 1976 L*a*b*")
-    data |= variable("lab_without_blood", ("place", "band"), pale[0], "L*a*b* of a bed without blood")
-    data |= variable("colour_stderr", dims, stderr_of_colour(middle), "standard error of the colour, as CIEDE2000")
-    data |= variable("srgb", (*dims, "channel"), viewer.srgb(reflected[0]), "colour on a screen")
-    text = "colour difference to the first state, CIEDE2000"
-    data |= estimated("delta_e_2000", dims, change, text)
-    text = "width of the band before the free edge that has lost more than half of its blood's redness"
-    data |= estimated("white_band_mm", "state", band, text, units="mm")
-    data |= variable("blood_fraction", ("zone", "state"), states.T, "blood fraction of the nail bed")
-    data |= variable("tile_srgb", ("tile", "state", "channel"), viewer.srgb(tiles), "colour on a screen, of a tile")
-    centers = np.array([patch.center_mm for patch in rays.patches[ALONG:]]).reshape(-1, 2)
-    data |= variable("tile_mm", ("tile", "axis"), centers, "middle of a tile, across and along", units="mm")
-    coordinates = variable("force_n", "state", np.array(viewing.forces_n), "force, held", units="N")
-    coordinates |= variable("v_mm", "place", v_mm, "place along the nail, towards the tip", units="mm")
-    coordinates |= variable("wavelength", "wavelength", WAVELENGTHS_NM, "wavelength", units="nm")
+    data = described(
+        __package__,
+        reflectance=jackknifed(reflected),
+        lab=jackknifed(middle),
+        lab_without_blood=pale[0],
+        colour_stderr=stderr_of_colour(middle),
+        srgb=viewer.srgb(reflected[0]),
+        delta_e_2000=jackknifed(change),
+        white_band_mm=jackknifed(band),
+        blood_fraction=states.T,
+        tile_srgb=viewer.srgb(tiles),
+        tile_mm=np.array([patch.center_mm for patch in rays.patches[ALONG:]]).reshape(-1, 2),
+    )
+    coordinates = described(__package__, force_n=viewing.forces_n, v_mm=v_mm, wavelength=WAVELENGTHS_NM)
     names = {"band": ["L*", "a*", "b*"], "channel": ["red", "green", "blue"], "axis": ["u", "v"]}
     return xr.Dataset(data, coordinates | names)
 
@@ -207,12 +203,9 @@ def spread_of_colours(
         return lab(rays, changed, sites) if light_digest(changed) == light_key else base + walked(changed) - twin
 
     answers = over_priors(scene, priors, answer)
-    over = ("site", "band")
-    data = answers.variables("lab", over, "L*a*b* at the first force")
-    text = "L*a*b* at the low, middle and high node of a prior"
-    data |= variable("prior_lab", ("prior", "node", *over), answers.nodes[:, :, 0], text)
+    data = answers.variables("lab", ("site", "band"), "L*a*b* at the first force")
     ends = [[p.low, p.high] for p in priors]
-    data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
+    data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends)
     names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
     return xr.Dataset(data, names)
 

@@ -15,7 +15,7 @@ from ...scene import Oximeter, Scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
-from ...variables import Variables, estimated, variable
+from ...variables import Estimate, Variables, described, jackknifed, variable
 from .disturbances import CalibratedOximeter, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
@@ -73,24 +73,24 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = outside_a
     front_ends = front_ends_of(scene, leds, ambient_a)
     path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
-    data = estimated("ratio", ("photodiode", "so2"), oximeter.curve, "ratio of ratios R")
-    data |= estimated("ratio_at_rest", "photodiode", oximeter.nominal.ratio[..., 0], "R at the scene's saturation")
-    index = oximeter.nominal.perfusion_index[..., 0]
-    data |= estimated("perfusion_index", ("led", "photodiode"), index, "perfusion index, ac over dc")
-    data |= _volts(transfer, leds, beat, front_ends, seed)
-    data |= estimated("path_ratio", "photodiode", path_ratio, "red mean path over infrared's")
-    fits, data_of_fits = _calibrations(curve(FIT_SO2).ratio)
-    data |= data_of_fits
+    calibrations = _calibrations(curve(FIT_SO2).ratio)
+    slope = np.abs(calibrations["linear"][1][:, 1])
+    volts = _volts(transfer, leds, beat, front_ends, seed)
     time_s, light = light_of_touch(scene, transfer, leds, seed=seed)
-    text = "detected fraction of the emitted power over the touch, frame by frame"
-    data |= variable("detected_fraction", ("led", "photodiode", "time"), light, text)
-    data |= _error_variables(oximeter, np.abs(fits[:, 1]), front_ends, data)
+    data = calibrations | volts | _error_variables(oximeter, slope, front_ends, volts)
+    data |= described(
+        __package__,
+        ratio=jackknifed(oximeter.curve),
+        ratio_at_rest=jackknifed(oximeter.nominal.ratio[..., 0]),
+        perfusion_index=jackknifed(oximeter.nominal.perfusion_index[..., 0]),
+        path_ratio=jackknifed(path_ratio),
+        detected_fraction=light,
+        ambient_a=Estimate(ambient_a, ambient_stderr_a),
+        sun_a=Estimate(sun_a, sun_stderr_a),
+    )
     disturbances = sensitivity_curves(oximeter, front_ends, sun_a)
     for curves in disturbances.values():
         data |= curves
-    text = "photocurrent of ambient light"
-    data |= variable("ambient_a", "photodiode", ambient_a, text, units="A", stderr=ambient_stderr_a)
-    data |= variable("sun_a", "photodiode", sun_a, "photocurrent of full sun", units="A", stderr=sun_stderr_a)
     names = {
         "photodiode": list(transfer.photodiodes),
         "led": [scene.leds[i].name for i in leds],
@@ -113,15 +113,13 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     return xr.Dataset(data, names, transfer.attributes() | about)
 
 
-def _calibrations(ratio: Array) -> tuple[Array, Variables]:
-    """The line of every photodiode, (photodiodes, 2) float, and both fits as variables; ratio : at `FIT_SO2`."""
+def _calibrations(ratio: Array) -> Variables:
+    """The quadratic and the line of every photodiode with their residuals; ratio : at `FIT_SO2`."""
     data: Variables = {}
-    for name, text in (("quadratic", "a, b, c of SpO2 = a + b R + c R^2"), ("linear", "a and b of SpO2 = a + b R")):
-        fits, miss = calibrate_curve(FIT_SO2, ratio, 2 if name == "quadratic" else 1)
-        data |= estimated(name, ("photodiode", f"{name}_term"), fits, text, units="percent")
-        text = f"largest residual of the {name} calibration from 0.70 to 1.00"
-        data |= variable(f"{name}_miss", "photodiode", miss, text, units="percent")
-    return fits[0], data
+    for degree, name in ((2, "quadratic"), (1, "linear")):
+        fits, miss = calibrate_curve(FIT_SO2, ratio, degree)
+        data |= described(__package__, **{name: jackknifed(fits), f"{name}_miss": miss})
+    return data
 
 
 def _volts(
@@ -133,13 +131,14 @@ def _volts(
     slots = np.stack([front_end.slot_volts(light[:, j])[0] for j, front_end in enumerate(front_ends)], 1)
     full = np.stack([front_end.slot_volts(light[0, j])[1].any((0, 1)) for j, front_end in enumerate(front_ends)])
     volts = np.einsum("gjts,jls->gljt", slots, np.stack([front_end.weights for front_end in front_ends]))
-    pulse, dims = volts - volts.mean(-1, keepdims=True), ("led", "photodiode", "beat_time")
-    data = estimated("volts", dims, volts, "reading over a beat, dark slot taken away", units="V")
-    data |= estimated("volts_pulse", dims, pulse, "reading less its mean over a beat", units="V")
-    text = "volts of every slot at the mean of a beat"
-    data |= variable("slot_volts", ("photodiode", "slot"), slots[0].mean(1), text, units="V")
-    data |= variable("saturated", "photodiode", full, "converter at its limit in some slot")
-    return data | variable("slot", "slot", np.array(front_ends[0].slot_names), "what is lit in a slot")
+    return described(
+        __package__,
+        volts=jackknifed(volts),
+        volts_pulse=jackknifed(volts - volts.mean(-1, keepdims=True)),
+        slot_volts=slots[0].mean(1),
+        saturated=full,
+        slot=np.array(front_ends[0].slot_names),
+    )
 
 
 def _error_variables(

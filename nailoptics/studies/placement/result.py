@@ -14,7 +14,7 @@ from ...scene.importers.positions import PlacedPart
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import FEW_TERMS, jackknife, left_out
-from ...variables import Variables, estimated, variable
+from ...variables import Estimate, Variables, described, jackknifed
 from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n
@@ -69,48 +69,39 @@ def _ranking(
     layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], conditions: Sequence[FingerCondition]
 ) -> Variables:
     """Each layout with what it resolves, over the fingers and on each; were the body still, too, if there is one."""
-    both, points = ("layout", "finger"), [condition.point for condition in conditions]
-    pressures = (*both, "pressure")
-    text = "force resolution of one sample, rms, whatever the split of the force"
-    data = _resolution("force_resolution", "finger_resolution", [score.force for score in scores], text)
+    points = [condition.point for condition in conditions]
+    data = _resolution("force", "finger", [score.force for score in scores])
     if any(point.body is not None for point in points):
-        still = [score.electronics for score in scores]
-        text = "force resolution of one sample by the noise of the electronics alone"
-        data |= _resolution("electronics_resolution", "finger_electronics_resolution", still, text)
-        text = "false force, rms, by waves of the arterial pressure: the noise floor of every layout"
-        data |= variable("physiological_noise_force_n", "finger", scores[0].force.floors_n, text, units="N")
-    tied = np.array([score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores])
-    data |= variable("tied", "layout", tied, "whether its interval overlaps that of the best")
-    text = "resolution of the part of the force that presses proximally, one sample, rms, worst finger"
-    data |= estimated("share_resolution", "layout", np.stack([score.share for score in scores], 1), text)
+        data |= _resolution("electronics", "finger_electronics", [score.electronics for score in scores])
+        data |= described(__package__, physiological_noise_force_n=scores[0].force.floors_n)
     if spo2 := [score.spo2_percent for score in scores if score.spo2_percent is not None]:
-        text = "standard error of SpO2 over 8 s, electronics alone, worst finger"
-        data |= estimated("spo2_error_percent", "layout", np.stack(spo2, 1), text, units="percent")
-    text = "given, searched or the paper's"
-    data |= variable("origin", "layout", [layout.origin for layout in layouts], text)
-    data |= variable("scene", "layout", [to_toml(layout.scene) for layout in layouts], "the layout as a scene")
+        data |= described(__package__, spo2_error_percent=jackknifed(np.stack(spo2, 1)))
     per_pa2 = np.array([score.information_per_pa2[0] for score in scores])
     fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], point) for k, point in enumerate(points)]
-    text = "force resolution if the split of the force is known"
-    data |= variable("fixed_ratio_resolution_n", both, np.stack(fixed, 1), text, units="N")
-    value, text = information.pressure_resolution_pa(per_pa2), "resolution of each pressure"
-    data |= variable("pressure_resolution_pa", pressures, value, text, units="Pa")
-    numbers = [[max(map(information.condition_number, by_led)) for by_led in score.responses] for score in scores]
-    text = "condition number of the matrix of readings by blood zones"
-    return data | variable("condition_number", both, numbers, text)
+    return data | described(
+        __package__,
+        tied=[score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores],
+        share_resolution=jackknifed(np.stack([score.share for score in scores], 1)),
+        origin=[layout.origin for layout in layouts],
+        scene=[to_toml(layout.scene) for layout in layouts],
+        fixed_ratio_resolution_n=np.stack(fixed, 1),
+        pressure_resolution_pa=information.pressure_resolution_pa(per_pa2),
+        condition_number=[[max(map(information.condition_number, leds)) for leds in s.responses] for s in scores],
+    )
 
 
-def _resolution(name: str, on_finger: str, resolutions: Sequence[ForceResolution], text: str) -> Variables:
+def _resolution(name: str, on_finger: str, resolutions: Sequence[ForceResolution]) -> Variables:
     """Force resolutions of all layouts over the fingers, with their intervals, and on each finger."""
-    value, (low, high) = [r.all_n[0] for r in resolutions], np.array([r.interval_n for r in resolutions]).T
+    low, high = np.array([r.interval_n for r in resolutions]).T
     errors = [resolution_stderr_n(r.all_n, r.floor_n) for r in resolutions]
-    data = variable(f"{name}_n", "layout", value, f"{text}, over the fingers", units="N", stderr=errors)
-    data |= variable(f"{name}_low_n", "layout", low, "lower end of its 95 % interval", units="N")
-    data |= variable(f"{name}_high_n", "layout", high, "upper end of its 95 % interval", units="N")
-    errors = [resolution_stderr_n(r.fingers_n, r.floors_n) for r in resolutions]
-    value = [r.fingers_n[0] for r in resolutions]
-    dims, text = ("layout", "finger"), f"{text}, on each finger"
-    return data | variable(f"{on_finger}_n", dims, value, text, units="N", stderr=errors)
+    finger_errors = [resolution_stderr_n(r.fingers_n, r.floors_n) for r in resolutions]
+    columns = {
+        f"{name}_resolution_n": Estimate([r.all_n[0] for r in resolutions], errors),
+        f"{name}_resolution_low_n": low,
+        f"{name}_resolution_high_n": high,
+        f"{on_finger}_resolution_n": Estimate([r.fingers_n[0] for r in resolutions], finger_errors),
+    }
+    return described(__package__, **columns)
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
@@ -121,28 +112,26 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
         for name in ("volts", "noise_v", "shunted_fraction")
     )
     most = np.array([values.max() for values in volts])
-    headroom = np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most
-    least, snr = [values.min() for values in volts], [(v / n).min() for v, n in zip(volts, noise_v, strict=True)]
-    data = variable("least_volts", "layout", least, "least reading of a photodiode over fingers", units="V")
-    data |= variable("most_volts", "layout", most, "largest reading of a photodiode over fingers", units="V")
-    data |= variable("adc_headroom", "layout", headroom, "full scale over the largest reading; 1 is saturated")
-    data |= variable("least_snr", "layout", snr, "least reading over its noise in one sample")
-    text = "largest part of a photodiode's light that was never in the bed"
-    return data | variable("shunted_fraction", "layout", [values.max() for values in shunted], text)
+    return described(
+        __package__,
+        least_volts=[values.min() for values in volts],
+        most_volts=most,
+        adc_headroom=np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most,
+        least_snr=[(v / n).min() for v, n in zip(volts, noise_v, strict=True)],
+        shunted_fraction=[values.max() for values in shunted],
+    )
 
 
 def _sites(searched: Sequence[SearchedSite]) -> Variables:
     """The sites of the LEDs that the search tried."""
     # The best layout may be a given one with fewer LEDs, such as the paper's.
     leds = len(searched[0].places_mm) if searched else 0
-    places = np.array([arrangement.places_mm for arrangement in searched]).reshape(len(searched), leds, 2)
-    sides = np.array([arrangement.row.side or "" for arrangement in searched], str)
-    reached = np.array([arrangement.resolution_n for arrangement in searched], float)
-    text = "force resolution that the search there"
-    dims, words = ("led_site", "searched_led", "axis"), "LED places tried together"
-    data = variable("led_site_mm", dims, places, words, units="mm")
-    data |= variable("led_site_resolution_n", "led_site", reached, text, units="N")
-    return data | variable("led_site_side", "led_site", sides, "side of the photodiodes where the LEDs lie")
+    return described(
+        __package__,
+        led_site_mm=np.array([site.places_mm for site in searched]).reshape(len(searched), leds, 2),
+        led_site_resolution_n=np.array([site.resolution_n for site in searched], float),
+        led_site_side=np.array([site.row.side or "" for site in searched], str),
+    )
 
 
 def _predicted(by_led: Sequence[Response]) -> Variables:
@@ -151,20 +140,13 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
     Of fewer than 25 effective photons no standard error is known.
     """
     data: Variables = {}
-    dims = ("led", "best_photodiode")
-    for name, over, units, text in (
-        ("volts", dims, "V", "volts by the map"),
-        ("shunted_fraction", dims, "1", "part of the light that was never in the bed"),
-        ("zone_v", (*dims, "blood_zone"), "V", "change of the reading with the blood fraction of a zone by the map"),
-    ):
-        replicates = np.stack([getattr(read, name) for read in by_led], 1)
-        values, errors = replicates[0], jackknife(replicates)
+    for name in ("volts", "shunted_fraction", "zone_v"):
+        values, errors = jackknifed(np.stack([getattr(read, name) for read in by_led], 1))
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
-        errors = np.where(known, errors, np.nan)
-        data |= variable(f"predicted_{name}", over, values, text, units=units, stderr=errors)
-    noise, text = [read.noise_v[0] for read in by_led], "noise of one sample by the map, rms"
-    return data | variable("predicted_noise_v", dims, noise, text, units="V")
+        estimate = Estimate(values, np.where(known, errors, np.nan))
+        data |= described(__package__, **{f"predicted_{name}": estimate})
+    return data | described(__package__, predicted_noise_v=[read.noise_v[0] for read in by_led])
 
 
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:
@@ -183,14 +165,10 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
             replicates = information.fixed_ratio_resolution_n(information.fisher_information(read), point)
             error.append((replicates[0] * jackknife(np.log(replicates))).reshape(u.shape))
         resolution.append(replicates[0].reshape(u.shape))
-    dims = ("led", "place_u", "place_v")
-    text = "noise of one photodiode centred there in one sample, rms"
-    data = variable("place_noise_v", dims, noise, text, units="V")
-    text = "force resolution of one photodiode centred there by itself, split known"
-    data |= variable("place_resolution_n", dims, resolution, text, units="N", stderr=error)
-    data |= variable("place_u", "place_u", place_u, "centre of the photodiode, across the nail", units="mm")
-    text = "centre of the photodiode, along the nail"
-    return xr.Dataset(data | variable("place_v", "place_v", place_v, text, units="mm"))
+    places = Estimate(resolution, error)
+    return xr.Dataset(
+        described(__package__, place_noise_v=noise, place_resolution_n=places, place_u=place_u, place_v=place_v)
+    )
 
 
 def chosen(result: xr.Dataset) -> Scene:

@@ -20,7 +20,7 @@ from ...sensor.information import (
     total_information,
 )
 from ...statistics import Z95, jackknife, left_out
-from ...variables import variable
+from ...variables import described
 from ..prior_uncertainty import PriorSensitivity, only_absorbs, over_priors, prior_variables
 from . import boards
 from .candidates import CandidateLayout
@@ -133,14 +133,16 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
     text = "the logarithm of the force resolution"
     data = over.variables("resolution", ("layout",), text, len(untraced))
     nodes = np.exp(np.concatenate([over.nodes[:, :, 0], np.full((len(untraced), 3, over.base.shape[-1]), np.nan)]))
-    text = "force resolution with one prior at one of its nodes"
-    data |= variable("resolution_at_node_n", ("prior", "prior_node", "layout"), nodes, text, units="N")
     # How much coarser than the first each other layout is, at every node.
     read = over.nodes[..., chosen]
     change = (read - read[..., :1]).reshape(-1, *read.shape[2:])
     behind, noise = change[:, 0], jackknife(np.moveaxis(change, 1, 0))
     ahead, surely = (behind >= 0).all(-1), (behind + Z95 * noise < 0).any(-1)
-    data |= variable("best_stays_best_at", (), int(ahead.sum()), "nodes at which the best layout is the best")
-    data |= variable("best_surely_beaten_at", (), int(surely.sum()), "nodes at which another one is better, 95 %")
-    data |= variable("nodes", (), len(change), "nodes at which the top-ranked layouts were compared")
+    data |= described(
+        __package__,
+        resolution_at_node_n=nodes,
+        best_stays_best_at=int(ahead.sum()),
+        best_surely_beaten_at=int(surely.sum()),
+        nodes=len(change),
+    )
     return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))

@@ -18,7 +18,7 @@ from ...scene import Scene
 from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
 from ...sensor.information import OperatingPoint, Response, force_resolution_n, scene_responses, total_information
 from ...statistics import Z95, left_out, seed_of, stderr_of_mean
-from ...variables import Variables, estimated, variable
+from ...variables import Estimate, Variables, described, jackknifed, variable
 from . import boards
 from .candidates import CandidateLayout
 from .objective import resolution_stderr_n
@@ -81,22 +81,20 @@ class _Verification:
             total += sensitivity
             square += sensitivity**2
         values, weights = left_out(np.stack(means)), left_out(np.stack(by_depth))
-        pair, cell = ("led", "best_photodiode"), ("under_u", "under_v", "depth")
-        text = "part of an LED's light on each photodiode, by a fresh trace of the best layout"
-        data = estimated("checked_fraction", pair, values[..., 0], text)
-        text = "fall of a photodiode's reading by absorption at a place under the nail, per volume there"
         mean, error = total / len(means), stderr_of_mean(total, square, len(means))
-        single = {"values": mean.astype(np.float32), "stderr": error.astype(np.float32)}
-        data |= variable("depth_sensitivity", (*pair, *cell), long_name=text, units="mm-2", **single)
-        data |= _middles("under_u", cells.u_mm, "across the nail, as on the board")
-        data |= _middles("under_v", cells.v_mm, "along the nail, towards the tip")
-        data |= _middles("depth", cells.depth_mm, "below the nail plate's outer face")
-        text = "volume of a cell under the nail at its depth"
-        data |= variable("cell_volume_mm3", "depth", volume, text, units="mm3")
+        under_u, under_v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in (cells.u_mm, cells.v_mm, cells.depth_mm))
         with np.errstate(invalid="ignore", divide="ignore"):
-            middle_mm = weights @ data["depth"][1] / weights.sum(-1)
-        text = "mean depth at which absorption makes a photodiode's reading fall"
-        return values, data | estimated("mean_depth_mm", pair, middle_mm, text, units="mm")
+            mean_depth_mm = jackknifed(weights @ depth / weights.sum(-1))
+        return values, described(
+            __package__,
+            checked_fraction=jackknifed(values[..., 0]),
+            depth_sensitivity=Estimate(mean.astype(np.float32), error.astype(np.float32)),
+            under_u=under_u,
+            under_v=under_v,
+            depth=depth,
+            cell_volume_mm3=volume,
+            mean_depth_mm=mean_depth_mm,
+        )
 
     def ambient(self, values: np.ndarray) -> Variables:
         """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
@@ -111,23 +109,18 @@ class _Verification:
         current, error, _ = np.stack(traced, 1)
         dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
         data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
-        text = "photocurrent by light from outside, from all sides"
-        data |= variable("ambient_a", dims, current, text, units="A", stderr=error)
         high = current + Z95 * error
-        data |= variable("ambient_high_a", dims, high, f"upper end of the 95 % interval: {text}", units="A")
         read = scene_responses(self.scene, values[0], self.point, ambient_a=high)
-        most, noise = np.max([r.volts for r in read], axis=0), np.max([r.noise_v for r in read], axis=0)
-        limit_v = self.scene.electronics.adc_range_v
+        most, limit_v = np.max([r.volts for r in read], axis=0), self.scene.electronics.adc_range_v
         text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
         data |= variable("ambient_volts", dims, most, text, units="V")
-        text = "noise of one sample with light from outside at its bound, rms"
-        data |= variable("ambient_noise_v", dims, noise, text, units="V")
-        text = "force resolution of the best layout with light from outside at its bound: its noise and saturation"
-        return data | variable("ambient_resolution_n", dims[:2], self.force_resolution_n(read), text, units="N")
-
-
-def _middles(name: str, edges: np.ndarray, text: str) -> Variables:
-    return variable(name, name, (edges[1:] + edges[:-1]) / 2, text, units="mm")
+        return data | described(
+            __package__,
+            ambient_a=Estimate(current, error),
+            ambient_high_a=high,
+            ambient_noise_v=np.max([r.noise_v for r in read], axis=0),
+            ambient_resolution_n=self.force_resolution_n(read),
+        )
 
 
 def verify_layout(
