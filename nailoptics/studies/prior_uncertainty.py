@@ -17,7 +17,7 @@ from ..light.transfer.series import read_replicates
 from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..statistics import Z95, jackknife
-from ..variables import Variables, variable
+from ..variables import Variables, described, variable
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -220,16 +220,15 @@ def _root(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:
     """Priors as a Dataset: fields, ranges and sources, where the scene's values lie, and how each was evaluated."""
     priors = (*evaluated, *untraced)
-    data: Variables = {}
-    for field, text in (("field", "field of the scene"), ("source", "where its range comes from")):
-        data |= variable(f"prior_{field}", "prior", [getattr(prior, field) for prior in priors], text)
-    ends = np.reshape([(prior.low, prior.high) for prior in priors], (-1, 2))
-    data |= variable("prior_range", ("prior", "end"), ends, "ends of the range that holds with 95 %")
-    offsets = [offset_of(scene, prior) for prior in priors]
-    text = "the scene's value less the mean of its prior, in standard deviations"
-    data |= variable("prior_offset", "prior", offsets, text)
     how = ["reweighted" if only_absorbs(scene, prior) else "retraced" for prior in evaluated]
-    data |= variable("prior_how", "prior", [*how, *["not traced"] * len(untraced)], "how it was evaluated")
+    data = described(
+        __package__,
+        prior_field=[prior.field for prior in priors],
+        prior_source=[prior.source for prior in priors],
+        prior_range=np.reshape([(prior.low, prior.high) for prior in priors], (-1, 2)),
+        prior_offset=[offset_of(scene, prior) for prior in priors],
+        prior_how=[*how, *["not traced"] * len(untraced)],
+    )
     names = ("prior", [prior.name for prior in priors], {"long_name": "prior of a parameter of the finger"})
     return xr.Dataset(data, {"prior": names})
 
@@ -254,11 +253,9 @@ class ReadingUncertainty:
         pair, count = ("led", "photodiode"), len(self.untraced)
         data = self.level.variables("reading", pair, "the logarithm of the reading at the start", count)
         data |= self.change.variables("change", pair, "the change by touch, as a part of the scene's,", count)
-        text = "change by touch as a part of the reading at the start"
-        data |= self.signal.variables("signal", pair, f"the {text}", count)
-        data |= variable("signal", pair, self.signal.base_answer[0], text)
-        text = "whether the change has one sign over the evaluated priors"
-        data |= variable("keeps_sign", pair, self.signal.keeps_sign, text)
+        signal = "the change by touch as a part of the reading at the start"
+        data |= self.signal.variables("signal", pair, signal, count)
+        data |= described(__package__, signal=self.signal.base_answer[0], keeps_sign=self.signal.keeps_sign)
         return xr.Dataset(data).merge(prior_variables(self.level.priors, self.untraced, scene))
 
 

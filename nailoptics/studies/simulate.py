@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
@@ -18,7 +18,7 @@ from ..sensor.drift_motion import MovedLight, worn_light
 from ..sensor.front_end import with_fitted_resistors
 from ..sensor.information import false_forces_n
 from ..sensor.volts import read_volts
-from ..variables import Variables, variable
+from ..variables import Estimate, Variables, described
 from .prior_uncertainty import read_by_groups, readings_over_priors
 
 COORDINATES = {
@@ -29,25 +29,8 @@ COORDINATES = {
 }
 # The errors of the fits' constants are taken at so many samples of the touch, evenly apart.
 FIT_SAMPLES = 64
-# Prefix of the variables, name, fit, and of the constants units and words.
-REDUCED_OPTICS: tuple[tuple[str, str, Callable[..., OpticsFit], dict[str, tuple[str, str]]], ...] = (
-    (
-        "beer_lambert",
-        "Beer-Lambert (8)",
-        fit_beer_lambert,
-        {
-            "v0_v": ("V", "voltage V_0 of the light that meets no blood"),
-            "v1_v": ("V", "voltage V_1 of the other light, had it met none"),
-            "alpha_per_m2": ("m-2", "constant alpha of the exponent"),
-        },
-    ),
-    (
-        "taylor",
-        "Taylor (9)",
-        fit_taylor,
-        {"v0_v": ("V", "voltage V'_0 without blood"), "v1_v_per_m2": ("V m-2", "slope V'_1 over the squared diameter")},
-    ),
-)
+# By the prefix of their variables.
+REDUCED_OPTICS: dict[str, Callable[..., OpticsFit]] = {"beer_lambert": fit_beer_lambert, "taylor": fit_taylor}
 
 
 def simulate(
@@ -101,10 +84,8 @@ def simulate_from(
         volts_stderr = result.volts_stderr.values
         np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
     if false_n := false_forces_n(scene, float(result.force_n[hold_end(result)])):
-        text = "false force at the end of the hold: rms by waves, shift by posture; NaN where touch moves little blood"
-        result = result.assign(variable("false_force_n", "disturbance", list(false_n.values()), text, units="N"))
-        names = variable("disturbance", "disturbance", list(false_n), "what moves blood beside touch")
-        result = result.assign_coords(names)
+        result = result.assign(described(__package__, false_force_n=list(false_n.values())))
+        result = result.assign_coords(described(__package__, disturbance=list(false_n)))
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.attributes | {
@@ -151,31 +132,30 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
 
     transfer : whose photons' noise, shared by all samples, makes the constants' standard errors; NaN without it.
     """
-    pair, shape = ("led", "photodiode"), result.volts.shape[:2]
+    shape = result.volts.shape[:2]
     # One row for each zone, not for each photodiode.
     diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
     few = np.unique(np.linspace(0, result.sizes["time"] - 1, FIT_SAMPLES).astype(int))
     replicates_v = None if transfer is None else _replicates_v(result.isel(time=few), transfer, seed)
     notes = np.full(shape, "", dtype=object)
     data: Variables = {}
-    for model, name, fit, constants in REDUCED_OPTICS:
+    for model, fit in REDUCED_OPTICS.items():
         fits = [[fit(*pair) for pair in zip(diameter_m, volts, strict=True)] for volts in result.volts]
         rows = [[fit.predict(width_m) for fit, width_m in zip(of_led, diameter_m, strict=True)] for of_led in fits]
-        curves = np.array(rows, result.volts.dtype)
-        data |= variable(f"volts_{model}", (*pair, "time"), curves, f"voltage by {name}, fitted", units="V")
+        columns: dict[str, Any] = {f"volts_{model}": np.array(rows, result.volts.dtype)}
+        constants = list(fits[0][0].constants)
         errors = np.full((*shape, len(constants)), np.nan)
         for i, j in np.ndindex(shape):
             if replicates_v is not None:
                 errors[i, j] = fits[i][j].stderr(diameter_m[j][few], replicates_v[i, j])
             notes[i, j] = notes[i, j] or fits[i][j].remark(errors[i, j])
-        for k, (field, (unit, words)) in enumerate(constants.items()):
-            values = [[fit.constants[field] for fit in of_led] for of_led in fits]
-            data |= variable(f"{model}_{field}", pair, values, f"{words}, in {name}", units=unit, stderr=errors[..., k])
-        missed = f"voltage that {name} misses"
-        for field, text in (("residual_rms_v", f"{missed}, rms"), ("residual_max_v", f"{missed}, at most")):
-            values = [[getattr(fit, field) for fit in of_led] for of_led in fits]
-            data |= variable(f"{model}_{field}", pair, values, text, units="V")
-    data["fit_note"] = (pair, notes.astype(str), {"long_name": "what the fit could not determine"})
+        for k, name in enumerate(constants):
+            values = [[fit.constants[name] for fit in of_led] for of_led in fits]
+            columns[f"{model}_{name}"] = Estimate(values, errors[..., k])
+        for name in ("residual_rms_v", "residual_max_v"):
+            columns[f"{model}_{name}"] = [[getattr(fit, name) for fit in of_led] for of_led in fits]
+        data |= described(__package__, **columns)
+    data |= described(__package__, fit_note=notes.astype(str))
     return xr.Dataset(data)
 
 

@@ -2,10 +2,8 @@
 
 import math
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -21,7 +19,7 @@ from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import Z95, seed_of
-from ...variables import Variables, variable
+from ...variables import Estimate, described
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
 
 OVER: tuple[Over, ...] = ("force", "blood", "saturation")
@@ -119,29 +117,27 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     zone = zones_of_photodiodes(scene)
     errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
     gathered = {name: np.stack([[row[name] for row in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
-    data: Variables = {}
-    described = tomllib.loads(resources.files(__package__).joinpath("variables.toml").read_text(encoding="utf-8"))
-    for name, about in described.items():
-        dims, units, text = ("led", "sweep", *about["dims"]), about["units"], about["text"]
-        data |= variable(name, dims, gathered[name], text, units=units, stderr=gathered.get(f"{name}_stderr"))
-        for end in ("low", "high"):
-            if f"{name}_{end}" in gathered:
-                words = f"{end} end of the 95 % interval: {text}"
-                data |= variable(f"{name}_{end}", dims, gathered[f"{name}_{end}"], words, units=units)
-    settings, text = [s.setting for s in sweeps], "what is swept: force in N, blood fraction, or saturation"
-    data |= variable("setting", ("sweep", "point"), settings, text)
     of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]
-    data |= variable("setting_units", "sweep", of_sweeps, "units of what is swept, and of its limits")
+    estimates = {
+        name: Estimate(values, gathered.get(f"{name}_stderr"))
+        for name, values in gathered.items()
+        if not name.endswith("_stderr")
+    }
+    data = described(
+        __package__,
+        **estimates,
+        setting=[s.setting for s in sweeps],
+        setting_units=of_sweeps,
+        blood_fraction=[s.blood.T for s in sweeps],
+        zone_of_photodiode=zone,
+        wavelength_nm=[led.wavelength_nm for led in scene.leds],
+    )
     # CF: a variable has one unit; where it has another in each sweep, it says where to look.
     comment = "each sweep in the unit that setting_units has for it"
     elsewhere = {"ancillary_variables": "setting_units", "comment": comment}
     for name in ("setting", "limit", "limit_low", "limit_high"):
         del data[name][2]["units"]
         data[name][2].update({"units": of_sweeps[0]} if len(set(of_sweeps)) == 1 else elsewhere)
-    blood, text = [s.blood.T for s in sweeps], "blood fraction of the nail bed"
-    data |= variable("blood_fraction", ("sweep", "zone", "point"), blood, text)
-    data |= variable("zone_of_photodiode", "photodiode", zone, "blood zone above which it lies, 0 proximal")
-    data |= variable("wavelength_nm", "led", [led.wavelength_nm for led in scene.leds], "peak wavelength", units="nm")
     coords: dict[str, Any] = {
         "led": transfer.leds,
         "photodiode": transfer.photodiodes,
