@@ -1,5 +1,6 @@
 """A command in a process of its own that gets a real Ctrl-C as it comes to a place."""
 
+import json
 import os
 import signal
 import subprocess
@@ -11,8 +12,12 @@ from pathlib import Path
 ENVIRONMENT = {"PYTHONPATH": str(Path(__file__).parents[1])}
 # At the call it waits on stdin, until the signal has come; every call is reported.
 CHILD = """
-import functools, importlib, sys
-module, names, number, *sys.argv[1:] = sys.argv[1:]
+import functools, importlib, json, sys
+module, names, number, constants, *sys.argv[1:] = sys.argv[1:]
+for place, value in json.loads(constants).items():
+    of, _, constant = place.partition(":")
+    assert hasattr(importlib.import_module(of), constant), place
+    setattr(sys.modules[of], constant, value)
 *owners, name = names.split(".")
 owner = functools.reduce(getattr, owners, importlib.import_module(module))
 function, calls = getattr(owner, name), 0
@@ -42,15 +47,23 @@ class Ended:
     later: int
 
 
-def interrupted_at(place: str, *arguments: str, call: int = 1, twice: bool = False, ignored: bool = False) -> Ended:
+def interrupted_at(
+    place: str,
+    *arguments: str,
+    call: int = 1,
+    twice: bool = False,
+    ignored: bool = False,
+    constants: dict[str, object] | None = None,
+) -> Ended:
     """The end of `nailoptics ARGUMENTS` that gets a SIGINT as it calls a place, MODULE:NAME, so many times.
 
     twice : whether another follows once the first was answered.
     ignored : whether it begins with SIGINT ignored.
+    constants : other values, as JSON has them, of module constants by MODULE:NAME.
     """
     module, _, name = place.partition(":")
     process = subprocess.Popen(
-        [sys.executable, "-c", CHILD, module, name, str(call), *arguments],
+        [sys.executable, "-c", CHILD, module, name, str(call), json.dumps(constants or {}), *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

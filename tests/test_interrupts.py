@@ -12,11 +12,21 @@ from interrupted import ENVIRONMENT, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
-from nailoptics.studies.colour.adaptive_sampling import PILOT
 from nailoptics.studies.colour.reflectance import NODES
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
+# A page of two wavelengths, with little light around its sources.
+SMALL_PAGE = {
+    "nailoptics.studies.exploration.explore:FURTHER_LEDS": ("led_660",),
+    "nailoptics.studies.exploration.explore:FLUENCE_PHOTONS": 1 << 12,
+}
+# Rays of a colour's first round and of its parts, as one to ten, as they are in the package.
+PILOT = 24_000
+SMALL_ROUNDS = {
+    "nailoptics.studies.colour.adaptive_sampling:PILOT": PILOT,
+    "nailoptics.studies.colour.adaptive_sampling:MOST_AT_ONCE": 10 * PILOT,
+}
 FINGER = SMALL_FINGER_BEST + "[priors]\nspread = false\n"
 SIMULATE = ("simulate", "finger.toml", "--photons", "8000", "-o", "out")
 COMPLETE = "nailoptics: interrupted; every file that was written is complete."
@@ -39,23 +49,23 @@ def written(folder: Path) -> set[str]:
 @pytest.mark.jit
 def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, chosen_jit):
     """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
-    ended = interrupted_at(BATCH, *EXPLORE, call=3)
+    ended = interrupted_at(BATCH, *EXPLORE, call=3, constants=SMALL_PAGE)
     assert (ended.code, ended.later) == (130, 0) and not written(folder)
-    assert ended.said[-1].startswith("nailoptics: interrupted with 12288 of 147456 photons. ")
+    assert ended.said[-1].startswith("nailoptics: interrupted with 12288 of 98304 photons. ")
     assert "No page was written." in ended.said[-1]
 
 
 @pytest.mark.long
 @pytest.mark.jit
 def test_explore_keeps_what_it_has_of_every_wavelength(folder, chosen_jit):
-    """Expected: in the second round of batches a page of all three, which says so."""
-    ended = interrupted_at(BATCH, *EXPLORE[:3], "98304", *EXPLORE[4:], call=38)
+    """Expected: in the second round of batches a page of both, which says so."""
+    ended = interrupted_at(BATCH, *EXPLORE[:3], "98304", *EXPLORE[4:], call=26, constants=SMALL_PAGE)
     assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
-    why = "interrupted with 155648 of 196608 photons."
+    why = "interrupted with 106496 of 147456 photons."
     assert ended.said[-1] == f"nailoptics: {why} What was reached is in page.html."
     page = Path("page.html").read_text(encoding="utf-8")
     assert why in page.split("</header>")[0]
-    assert "3 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
+    assert "2 wavelengths" in ended.out and ended.out.startswith(f"Cut off: {why}")
 
 
 @pytest.mark.jit
@@ -95,7 +105,8 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
 def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
-    ended = interrupted_at("nailoptics.light.walk.nail_reflectance:NailReflectance.reflect", *command, call=NODES + 2)
+    place = "nailoptics.light.walk.nail_reflectance:NailReflectance.reflect"
+    ended = interrupted_at(place, *command, call=NODES + 2, constants=SMALL_ROUNDS)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 

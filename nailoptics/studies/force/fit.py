@@ -99,6 +99,8 @@ class Fit:
         self.prior_spread = self._linear_prior_spread()
         # A gain of 1; offset, slopes and drifts of 0.
         self.prior = np.eye(self.prior_spread.shape[1])[0]
+        # A search ends, is weighted anew and goes on at the same factors, of which the columns know no weights.
+        self._columns_at = lru_cache(2)(self._moved_columns)
 
     def solve(self, report: Callable[[float], None] = lambda done: None) -> Fitted:
         """Search the factors, from the best of several starts; report : takes the part that is done."""
@@ -160,8 +162,11 @@ class Fit:
 
     def _columns(self, free_ln: Array) -> Array:
         """`model`, (3, R, 1 + P, T), at the factors (P,) and with each free one a step larger."""
+        return self._columns_at(tuple(free_ln))
+
+    def _moved_columns(self, free_ln: tuple[float, ...]) -> Array:
         moved = np.zeros((len(NAMES), 1 + len(free_ln)))
-        moved[self.free] = free_ln[:, None] + STEP_LN * np.eye(len(free_ln), 1 + len(free_ln), 1)
+        moved[self.free] = np.array(free_ln)[:, None] + STEP_LN * np.eye(len(free_ln), 1 + len(free_ln), 1)
         return np.concatenate(self.model(moved, self.averaged), axis=-1)
 
     def _design(self, model: Array) -> Array:
