@@ -30,7 +30,7 @@ KNOWN = (
     "finger.nail_thickness_mm",
     "finger.bed_thickness_mm",
 )
-PHOTONS = 1 << 19
+PHOTONS = 1 << 18
 
 
 def prototype(**touch) -> Scene:
