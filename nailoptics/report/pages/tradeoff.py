@@ -104,7 +104,7 @@ def _curve(level: Level) -> np.ndarray:
 def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float | None, room: float) -> None:
     """Names beside their places, or in a column at x, at least so far apart that each is read."""
     heights = np.array(style.spread([float(np.log10(place[1])) for _, place in places], APART))
-    heights = np.maximum(heights, np.log10(100 * LEAST) + APART / 2)
+    heights = np.maximum(heights, np.log10(100 * LEAST) + APART * (0.5 + np.argsort(np.argsort(heights))))
     # Beside its place a name would lie on the line that goes on from there.
     for (name, place), height in zip(places, heights + (APART / 2 if x is None else 0.0), strict=True):
         axes.annotate(
