@@ -433,10 +433,10 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
 
 @app.command
 def check(scene: ScenePath, *, json_: Json = False) -> None:
-    """Validate a scene and list its LEDs, photodiodes, separations, ignored fields and errors.
+    """Validate a scene and list its LEDs, photodiodes, separations, ignored fields and warnings.
 
     Readings and their noise are those of a short trace, stored as any other; without a backend that compiles kernels
-    they are a rough estimate.
+    they are left out.
     """
     from .report.scene_description import blood_words, body_words, check_lines, touch_words
     from .scene import load_scene

@@ -70,8 +70,8 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
         for kind in ("reading", "change")
     )
     lines = [words.format(*spreads, " and ".join(names))]
-    if off := [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE]:
-        shift = result.reading_shift.where(usable).values
+    off, shift = [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE], result.reading_shift.where(usable)
+    if off and np.isfinite(shift).any():
         ends = " to ".join(f"{100 * x:+.0f} %" for x in (np.nanmin(shift), np.nanmax(shift)))
         lines.append(
             f"The scene is not at the mean of its priors ({', '.join(off)}): readings over them are shifted by {ends} "
@@ -129,6 +129,9 @@ def spread_section(result: xr.Dataset) -> str:
             std = estimated(row, f"{kind}_spread", 100) if traced else "not traced"
             line[f"{KINDS[kind]}, largest std [%]"] = std
         lines.append(line | {"Method": row["how"]})
-    sources = "; ".join(f"{row['name']}: {row['source']}" for row in rows)
+    sources = "; ".join(
+        f"{', '.join(row['name'] for row in rows if row['source'] == source)}: {source}"
+        for source in dict.fromkeys(row["source"] for row in rows)
+    )
     note = small(f"{texts('uncertainty')['note']} {sources}.")
     return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), note)

@@ -26,7 +26,7 @@ KINDS = TEXTS["kinds"].format(TOUCH_N)
 
 def calibration_page(result: xr.Dataset) -> str:
     """The page of a calibration."""
-    summary = calibration_summary(result)
+    summary, count = calibration_summary(result), len(result.attrs["recordings"])
     cards = [
         (f"{significant(1e3 * summary['rms_n'], 2)} mN", f"rms error of the force of {_judged_on(summary)}"),
         (f"± {significant(1e3 * summary['half_width_n'], 2)} mN", "median 95 % interval of a touch"),
@@ -35,7 +35,7 @@ def calibration_page(result: xr.Dataset) -> str:
     return document(
         kicker="calibration",
         title="A person's sensor, calibrated",
-        lead=f"{len(result.attrs['recordings'])} recordings of a known force, "
+        lead=f"{count} recording{'s' if count > 1 else ''} of a known force, "
         f"{result.sizes['reading']} readings, {result.sizes['sample']} samples.",
         warnings=summary["warnings"],
         cards=cards,

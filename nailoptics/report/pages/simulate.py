@@ -9,6 +9,7 @@ import xarray as xr
 
 from ...errors import InputError
 from ...scene import Scene, parse_scene
+from ...scene.touch import SHARES
 from ...tissue import bed_zone_name
 from .. import maps
 from ..files import Report
@@ -56,7 +57,7 @@ def page(result: xr.Dataset) -> str:
         title=_title(scene),
         lead=_sentence(scene, result),
         warnings=_warnings(readings),
-        cards=_cards(readings, result),
+        cards=_cards(readings, result, scene),
         body=[
             section(
                 "Readings of the photodiodes",
@@ -166,7 +167,7 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
     return f"{text}. Light traced to: {accuracy}." if accuracy else f"{text}."
 
 
-def _cards(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]]:
+def _cards(readings: "pd.DataFrame", result: xr.Dataset, scene: Scene | None) -> list[tuple[str, str]]:
     """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
     usable = readings[~readings.saturated]
@@ -182,7 +183,7 @@ def _cards(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]
     if len(resolved):
         words = f"best force resolution of one sample (noise / slope): {name[resolved.idxmin()]}"
         lines.append((quantity(resolved.min(), "N"), words))
-    if change_v.any():
+    if change_v.any() and (scene is None or scene.touch is None or scene.touch.proximal_share == SHARES["even"]):
         lines += _signs(usable, result)
     if "white_band_mm" in result:
         words = "width of the white band at the tip at the end of the hold, with less than half its blood"
@@ -209,8 +210,8 @@ def _warnings(readings: "pd.DataFrame") -> list[str]:
 
 
 def _signs(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]]:
-    """Whether readings change as in the paper: down over the proximal half of the zones, up over the distal; nothing of
-    a board that has photodiodes over one half alone, or where no reading does."""
+    """Whether readings change under an even touch as in the paper, down over the proximal half of the zones and up over
+    the distal; nothing of a board that has photodiodes over one half alone, or where no reading does."""
     distal = readings.zone.isin(result.zone.values[result.sizes["zone"] // 2 + result.sizes["zone"] % 2 :])
     right = np.sign(readings.volts_change) == np.where(distal, 1, -1)
     if not right.any() or distal.nunique() == 1:

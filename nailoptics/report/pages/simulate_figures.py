@@ -67,6 +67,7 @@ def courses(result: xr.Dataset) -> "Figure":
             _line(axes, scale * values, **look)
         _over_time(axes, result, title, label)
         _not_too_close(axes)
+        axes.tick_params(labelbottom=True)
         if len(lines) > 1:
             axes.legend(loc="upper right", fontsize=7, handlelength=1.8)
     return figure
