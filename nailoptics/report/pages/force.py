@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ...scene import parse_scene
-from ...studies.force.baselines import WORDS
+from ...studies.force.baselines import BASELINES
 from ...studies.force.predict import csv_rows
 from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import parse_subject
@@ -249,7 +249,7 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
     names += ["half_width_n", "touch_open_above"]
     touches = {
-        kind: {name: float(result[f"touch_{name}"].sel(kind=kind)) for name, *_ in TOUCH_SCORES}
+        kind: {name: float(result[f"touch_{name}"].sel(kind=kind)) for name in TOUCH_SCORES}
         for kind in result.kind.values.tolist()
     }
     events = (result[f"event_{name}"].values.tolist() for name in EVENT)
@@ -261,7 +261,7 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
         "consistent": bool(result.attrs["consistent"]),
         "warnings": list(result.attrs["warnings"]),
         "baseline_rms_n": {
-            name: result.attrs[f"touch_rms_{name}_n"] for name in ("filter", *WORDS) if f"force_{name}_n" in result
+            name: result.attrs[f"touch_rms_{name}_n"] for name in ("filter", *BASELINES) if f"force_{name}_n" in result
         },
         "events": [dict(zip(EVENT, event, strict=True)) for event in zip(*events, strict=True)],
     }

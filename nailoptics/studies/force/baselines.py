@@ -14,11 +14,7 @@ from .person import TABLE, Array, Numbers
 # Part of the readings' variance that the principal components hold; readings that hang together have components of
 # rounding alone, so small a part of the largest.
 COMPONENT_VARIANCE, ROUNDING = 0.999, 1e-13
-WORDS = {
-    "cubic": "force by cubic regression on sum and difference of both zones' readings",
-    "components": "force by linear regression on the readings' principal components",
-    "sigmoid": "force by a sigmoid of each reading, weighted",
-}
+BASELINES = ("cubic", "components", "sigmoid")
 
 
 @dataclass(frozen=True, config=TABLE)

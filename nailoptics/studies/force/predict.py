@@ -22,8 +22,7 @@ from ...scene.importers.sensor_recordings import (
 )
 from ...scene.text_files import number_columns
 from ...sensor.electronics import recorded_at_limit
-from ...variables import Variables, variable
-from .baselines import WORDS
+from ...variables import Estimate, Variables, described
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
@@ -141,16 +140,9 @@ def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -
     return switched
 
 
-# What is estimated of each sample, in the order of predict.csv and of `ForceEstimate`: names in words, and units.
-FORCE_COLUMNS = {
-    "force_n": ("force, estimated from the readings", "N"),
-    "force_low_n": ("lower bound of the force, 95 %", "N"),
-    "force_high_n": ("upper bound of the force, 95 %; infinite where the vessels are closed", "N"),
-    "proximal_share": ("proximal share of the force", "1"),
-    "proximal_share_low": ("lower bound of the proximal share, 95 %", "1"),
-    "proximal_share_high": ("upper bound of the proximal share, 95 %", "1"),
-}
-CSV_COLUMNS = ("time_s", *list(FORCE_COLUMNS)[:3], "open_above", *list(FORCE_COLUMNS)[3:], "outlier")
+# What is estimated of each sample, in the order of predict.csv and of `ForceEstimate`.
+FORCE_COLUMNS = ForceEstimate._fields[:6]
+CSV_COLUMNS = ("time_s", *FORCE_COLUMNS[:3], "open_above", *FORCE_COLUMNS[3:], "outlier")
 
 
 def csv_rows(result: xr.Dataset) -> Iterator[str]:
@@ -176,26 +168,22 @@ def _dataset(
     known_n: Array,
 ) -> xr.Dataset:
     force, filter_n, over_rest = estimated
-    columns = {name: (getattr(force, name), *about) for name, about in FORCE_COLUMNS.items()} | {
-        "force_filter_n": (filter_n, "force by the filter on the vessels alone", "N"),
-        "arterial_change_pa": (estimates.arterial_pa, "arterial pressure less its mean", "Pa"),
-        "normalized_innovation_squared": (estimates.nis, "normalized innovation squared of the readings (NIS)", "1"),
-        "outlier": (estimates.outlier, "NIS too large to be chance", "1"),
-        "known_force_n": (known_n, "known force", "N"),
-    }
     compared_n = {name: baseline.force_n(over_rest) for name, baseline in subject.comparisons.items()}
-    columns |= {f"force_{name}_n": (series, WORDS[name], "N") for name, series in compared_n.items()}
-    data: Variables = {}
-    for name, (values, text, units) in columns.items():
-        data |= variable(name, "time", values, text, units=units)
-    for side, *pressure in zip(SIDES, force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2, strict=True):
-        pressure_pa, stderr_pa = (N_PER_CM2 * column for column in pressure)
-        text = f"{side} touch pressure"
-        data |= variable(f"{side}_pressure_pa", "time", pressure_pa, text, units="Pa", stderr=stderr_pa)
+    compared_n["filter"] = filter_n
     touches = _scored(recording, force, known_n)
-    for name, text, units in TOUCH_SCORES:
-        values = [kind[name] for kind in touches.values()]
-        data |= variable(f"touch_{name}", "kind", values, text, units=units)
+    pressures_pa = (N_PER_CM2 * column for column in (force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2))
+    of_sides = zip(SIDES, *pressures_pa, strict=True)
+    data = described(
+        __package__,
+        **dict(zip(FORCE_COLUMNS, force, strict=False)),
+        **{f"force_{name}_n": series for name, series in compared_n.items()},
+        arterial_change_pa=estimates.arterial_pa,
+        normalized_innovation_squared=estimates.nis,
+        outlier=estimates.outlier,
+        known_force_n=known_n,
+        **{f"{side}_pressure_pa": Estimate(*of_side) for side, *of_side in of_sides},
+        **{f"touch_{name}": [kind[name] for kind in touches.values()] for name in TOUCH_SCORES},
+    )
     misfit = _misfit(subject, recording, estimates, force.force_n)
     inside = (known_n >= force.force_low_n) & (known_n <= force.force_high_n)
     judged, is_open = np.isfinite(known_n), np.isinf(force.force_high_n)
@@ -214,11 +202,8 @@ def _dataset(
         "title": "force from volts",
     } | code_attributes()
     touched = known_n >= TOUCH_N
-    compared_n["filter"] = filter_n
     attributes |= {f"touch_rms_{name}_n": rms((series - known_n)[touched]) for name, series in compared_n.items()}
-    coordinates = variable("time", "time", recording.time_s, "time", units="s") | variable(
-        "kind", "kind", list(touches), "kind of touch"
-    )
+    coordinates = described(__package__, time=recording.time_s, kind=list(touches))
     return xr.Dataset(data, coordinates, attributes)
 
 
@@ -234,10 +219,8 @@ def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds
     switched, true = (events(time_s, series, **thresholds_n) for series in (force_n, np.nan_to_num(known_n)))
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
     true_s = [max((t for t, kind in true if kind == key and t <= at), default=np.nan) for at, key in switched]
-    data = variable("event_time_s", "event", at_s, "when the switch acts", units="s")
-    data |= variable("event_kind", "event", kinds, "press or release")
-    text = "time from the known force to the switch"
-    return data | variable("event_latency_s", "event", at_s - np.array(true_s), text, units="s")
+    latency_s = at_s - np.array(true_s)
+    return described(__package__, event_time_s=at_s, event_kind=kinds, event_latency_s=latency_s)
 
 
 def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate, force_n: Array) -> str:

@@ -10,12 +10,7 @@ TOUCH_N = 0.15
 # Force is still where it has changed by less than this within a while. [N, s]
 STILL_N, SETTLING_S = 0.1, 0.5
 # What is said of the touches of a kind.
-TOUCH_SCORES = (
-    ("rms_n", "rms error of the force over touches", "N"),
-    ("relative_error", "the same over the rms force of the touches", "1"),
-    ("coverage_95", "part of the touches' samples within the 95 % interval", "1"),
-    ("half_width_n", "median half width of the 95 % interval over touches", "N"),
-)
+TOUCH_SCORES = ("rms_n", "relative_error", "coverage_95", "half_width_n")
 
 
 def is_still(time_s: Array, force_n: Array) -> NDArray[np.bool_]:
@@ -56,5 +51,5 @@ def touches_by_kind(
         error, size = rms(error_n[touched]), rms(force_n[touched])
         covered, half = (np.mean(inside[touched]), np.median(half_n[touched])) if touched.any() else (np.nan, np.nan)
         values = error, error / size, float(covered), float(half)
-        scores[kind] = {name: value for (name, *_), value in zip(TOUCH_SCORES, values, strict=True)}
+        scores[kind] = dict(zip(TOUCH_SCORES, values, strict=True))
     return scores
