@@ -35,7 +35,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import record
 
 from nailoptics import load_scene
 from nailoptics.scene import Scene
@@ -43,9 +42,10 @@ from nailoptics.studies.force.calibrate import open_table
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.subject import Subject, parse_subject
 
-sys.path.append(str(Path(__file__).parents[1]))
+sys.path += [str(Path(__file__).parents[up] / folder) for up, folder in ((1, ""), (2, "scenes/subjects"))]
 
 import force_page  # noqa: E402
+import record  # noqa: E402
 from force_floor import floor_n, one_sample_n  # noqa: E402
 from force_scores import (  # noqa: E402
     CALIBRATIONS,
