@@ -89,6 +89,7 @@ def test_taylor_fits_each_person_within_a_hundredth_of_the_change(readings):
 
 @pytest.mark.long
 def test_skin_matters_where_light_meets_it_and_only_there(readings):
-    """Rationale: a nail 4 mm wide lets some of the light cross the skin at its folds; a thumb's does not."""
+    """Rationale: a nail 4 mm wide lets some of the light cross the skin at its folds; a thumb's does not. Expected: of
+    three numbers of photons 0.9 to 1.3 thousandths of a reading, and 0.02 to 0.07."""
     thumb, narrow = np.abs(readings.skin_effect).max((0, 2))
-    assert thumb < 1e-3 < narrow
+    assert thumb < 2e-4 and narrow > max(5e-4, 5 * thumb)
