@@ -87,6 +87,6 @@ def test_taylor_fits_each_person_within_a_hundredth_of_the_change(readings):
 @pytest.mark.long
 def test_skin_matters_where_light_meets_it_and_only_there(readings):
     """Rationale: a nail 4 mm wide lets some of the light cross the skin at its folds; a thumb's does not. Expected: by
-    2^18 photons 1.37 thousandths of a reading, and 0.04; by half of them 1.1 to 1.3, and up to 0.11, over three seeds."""
+    2^18 photons 1.37 thousandths of a reading, and 0.04; by half as many 1.1 to 1.3, and up to 0.11, of three seeds."""
     thumb, narrow = np.abs(readings.skin_effect).max((0, 2))
     assert thumb < 2e-4 and 1e-3 < narrow
