@@ -1,6 +1,7 @@
 """Light from outside on a photodiode: by reciprocity, from the part of its own light that would leave the finger."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
     return relative(wavelength_nm) * (ambient.illuminance_lux or 0.0) / lumens
 
 
+@lru_cache(maxsize=16)
 def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Array, Array]:
     """Wavelengths to which silicon responds [nm], and the photocurrent of each per area without a finger [A/mm^2], (q,)
     float each.

@@ -36,15 +36,16 @@ MOST_OF_FREE = 0.25
 # A file is written so often where its folder goes meanwhile.
 WRITE_ATTEMPTS = 5
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
-_ROOMS = ("light", "geometry", "tissue", "scene")
+ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
 
 
 @cache
-def program_digest() -> str:
-    """Digest of the code and the spectra that decide a photon's way; versions alone miss changes between releases."""
+def program_digest(rooms: tuple[str, ...] = ROOMS) -> str:
+    """Digest of the code, by the package's folders, and the spectra that decide a photon's way, or what is made of it;
+    versions alone miss changes between releases."""
     package, digest = Path(__file__).parents[2], hashlib.sha256()
-    code = [path for room in _ROOMS for path in package.glob(f"{room}/**/*.py")]
+    code = [path for room in rooms for path in package.glob(f"{room}/**/*.py")]
     for path in (package / "statistics.py", *sorted(code), *sorted((data_dir("assets") / "spectra").glob("*.csv"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:_KEY]

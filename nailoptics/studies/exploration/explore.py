@@ -22,12 +22,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...geometry import underside
 from ...hemodynamics.touch import contact_at, largest_force_n
 from ...light import ProgressCallback
+from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
+from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
+from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, stored_or_made
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
@@ -57,6 +60,8 @@ BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
 AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
 # Photons of the fluence around a source, and the width of its rings. [mm]
 FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
+# What is traced of each wavelength.
+TRACED = ("coefficients", "direct", "blocks", "fluence", "photons")
 # Streams of random numbers.
 EVERYWHERE, FLUENCE, PILOT = 11, 12, 13
 
@@ -204,29 +209,97 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
     touch = touch_table(base)
-    bare, sources = boards.bare_board(base), colours(base)
+    sources = colours(base)
     # What is venous depends on the blood at rest, so that there is none to choose.
     most = BLOOD_RANGE[1] if base.blood.venous_so2 is None else 1.0
     highest = min(1.0, most * base.blood.rest_blood_fraction * float(np.max(touch["blood"])))
     polynomial = BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
-    scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
-    usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
-    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
-    photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_colours else usual // 2) for k in range(len(sums))]
-    fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
-    cut_off = _trace(sums, photons, report)
-    there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
-    radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
-    projection = PairProjection(basis, radial)
-    tables = [band.table(led, projection, light) for band, led, light in zip(sums, sources, fluence, strict=True)]
-    attributes: dict[str, Any] = {"seed": options.seed, "photons": sum(table.photons for table in tables)}
-    attributes |= {"backend": sums[0].tracer.backend.name, "scene": to_toml(scene), "digest": digest(scene)}
+    light, unmet = as_far_as_reached(_stored_light, base, basis, polynomial, sources, options, report)
+    attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
+    attributes |= {"backend": choose_jit(options.backend, "explore").name}
+    attributes |= {"scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
-    exploration = Exploration(base, basis, radial, polynomial, tables, touch, *sums[0].ambient(), attributes)
-    if cut_off:
-        attributes["cut_off"] = cut_off
-        raise NotReachedError(cut_off, result=exploration)
+    exploration = Exploration(
+        base,
+        basis,
+        RadialFunction(light["radial"]),
+        polynomial,
+        _tables(sources, light),
+        touch,
+        ambient_nodes=(light["nodes_u"], light["nodes_v"]),
+        ambient_a_per_mm2=light["ambient_a_per_mm2"],
+        attributes=attributes,
+    )
+    if unmet and unmet.interrupted:
+        attributes["cut_off"] = str(unmet)
+        raise NotReachedError(str(unmet), result=exploration)
     return exploration
+
+
+def _stored_light(
+    base: Scene,
+    basis: PairBasis,
+    polynomial: BloodPolynomial,
+    sources: list[Led],
+    options: TraceOptions,
+    report: StageProgress,
+) -> dict[str, Array]:
+    """All that is traced of a board, as arrays of which the first axis of a wavelength's is the wavelength, from the
+    store if it is there.
+
+    Raises: NotReachedError with the same of fewer photons.
+    """
+    bare = boards.bare_board(base)
+    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
+    usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
+    scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
+    photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_colours else usual // 2) for k in range(len(sums))]
+
+    def trace() -> tuple[dict[str, Any], dict[str, Array]]:
+        fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
+        cut_off = _trace(sums, photons, report)
+        there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
+        radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
+        projection = PairProjection(basis, radial)
+        tables = [band.table(led, projection, light) for band, led, light in zip(sums, sources, fluence, strict=True)]
+        of_colours = {name: np.stack([getattr(table, name) for table in tables]) for name in TRACED}
+        rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
+        (nodes_u, nodes_v), ambient_a = sums[0].ambient()
+        light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}
+        light |= {"ambient_a_per_mm2": ambient_a, **of_colours, **rings}
+        if (light["photons"] < photons).any():
+            raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
+        return {}, light
+
+    lights = [store.light(_made(sums, options.seed)) for store in LightStore.of_command(options)]
+    return stored_or_made(lights, "-".join(map(str, photons)), trace, lambda _, arrays: arrays)[0]
+
+
+def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
+    """All that decides the tables' bits: beside the light's ways what absorbs it, what reads it, and this program."""
+    base, polynomial, backend = sums[0].tracer.scene, sums[0].polynomial, sums[0].tracer.backend.name
+    read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
+    light = digest(light_scene(base).model_copy(update=read_by))
+    leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.tracer.scene.leds[0] for band in sums)]
+    made = made_by("explore", light, leds[0][0], seed=seed, backend=backend)
+    made |= {"leds": leds, "states": [[*polynomial.blood_fraction], [*polynomial.so2]]}
+    return made | {"program": program_digest((*ROOMS, "sensor", "studies/exploration"))}
+
+
+def _tables(sources: list[Led], light: dict[str, Array]) -> list[ColourTable]:
+    """The tables of the wavelengths from all that was traced."""
+    rings = {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
+    return [
+        ColourTable(
+            led,
+            light["coefficients"][k],
+            light["direct"][k],
+            light["blocks"][k],
+            fluence=xr.DataArray(light["fluence"][k], rings),
+            photons=int(light["photons"][k]),
+        )
+        for k, led in enumerate(sources)
+    ]
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:

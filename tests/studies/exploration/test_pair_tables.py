@@ -1,5 +1,6 @@
 """The kernel between places of a board is that of the light, and what the page cannot show is refused."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light.tracing import StageProgress
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
@@ -59,6 +61,27 @@ def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
     # The photons' places are random, so that their number at each pair of nodes is; their weights are exact.
     assert np.sqrt(np.mean((found / truth(x, y) - 1) ** 2)) < 0.1
     assert np.mean(found / truth(x, y)) == pytest.approx(1.0, abs=0.01)
+
+
+def test_stored_tables_are_those_of_the_blood_and_photodiodes():
+    """What changes the tables is traced anew; what only names parts or lights them more is not."""
+    plain = scene()
+
+    def digest_of(changed, seed=0):
+        polynomial = BloodPolynomial((0.0, 0.1), (0.7, 1.0))
+        bare = study.lit_by(boards.bare_board(explored_board(changed)), changed.leds[0])
+        sums = study.ColourSums(bare, 0, pair_basis(BOARD, None), polynomial, TraceOptions(seed=seed))
+        return json.dumps(study._made([sums], seed), sort_keys=True)
+
+    led, blood = plain.leds[0], plain.blood
+    brighter = plain.model_copy(update={"leds": (led.model_copy(update={"flux_mw": 2 * led.flux_mw}),)})
+    assert digest_of(brighter) == digest_of(plain)
+    wider = led.model_copy(update={"fwhm_nm": led.fwhm_nm + 10})
+    others = [plain.model_copy(update={"leds": (wider,)})]
+    others += [plain.model_copy(update={"blood": blood.model_copy(update={"so2": blood.so2 - 0.1})})]
+    slow = [p.model_copy(update={"quantum_efficiency": 0.5}) for p in plain.photodiodes]
+    others += [plain.model_copy(update={"photodiodes": tuple(slow)})]
+    assert len({digest_of(plain), digest_of(plain, seed=1), *map(digest_of, others)}) == 5
 
 
 @pytest.mark.parametrize("name", ["left", "right", "below", "above"])

@@ -29,7 +29,18 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     dim = tuple(led.model_copy(update={"flux_mw": 0.25 * led.flux_mw}) for led in scene.leds)
     scene = scene.model_copy(update={"leds": dim})
     path = tmp_path / "explore.html"
-    path.write_text(page(study.explore(scene, photons=EXPLORED, seed=3)), encoding="utf-8")
+    monkeypatch.setenv("NAILOPTICS_STORE", str(tmp_path / "light"))
+    explored = study.explore(scene, photons=EXPLORED, seed=3)
+    path.write_text(page(explored), encoding="utf-8")
+    with monkeypatch.context() as patch:
+        # What is stored is not traced again, also for other electronics.
+        patch.delattr(study.ColourSums, "traced")
+        again = study.explore(
+            scene.model_copy(update={"electronics": type(scene.electronics)()}), photons=EXPLORED, seed=3
+        )
+    np.testing.assert_equal(again.colours[0].blocks, explored.colours[0].blocks)
+    np.testing.assert_equal(again.colours[0].fluence.values, explored.colours[0].fluence.values)
+    np.testing.assert_equal(again.ambient_a_per_mm2, explored.ambient_a_per_mm2)
     shown = browser.new_page()
     shown.goto(path.as_uri())
     shown.evaluate("change((layout) => { layout.leds[0].u -= 0.2; layout.leds[0].v += 0.6; layout.force = 0.8; })")
