@@ -1,5 +1,6 @@
 """Touch to blood: what a scene's touch makes of the blood under the nail, over time or held until nothing moves."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -13,13 +14,14 @@ from .. import hemodynamics
 from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
 from ..scene.touch import CONTACT
+from ..statistics import covariance_root
 from ..variables import precision, variable
 from .blood import Arterioles, arterioles_of
 from .parameters import PA_PER_M_OF_BLOOD, vessels, with_posture
 from .respond import Model, touch_variables
 from .touch import TouchCourse, touch_course
-from .waves import fastest_hz, waves_pressure
-from .zones import capillary_zones, zones_of_photodiodes
+from .waves import fastest_hz, pressure_lines, waves_pressure
+from .zones import capillary_zones
 
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
@@ -27,6 +29,40 @@ WARM_UP_S = 5.0
 KNOTS_PER_PERIOD = 128
 # Of one beat: its extremes are missed by less than 0.3 % of the pulse.
 SAMPLES_PER_BEAT = 64
+# Step of a touch pressure over which blood's change with it is taken. [Pa]
+STEP_PA = 100.0
+# Pressures to which blood's change with them holds at most: some arterial pressure, by which vessels are shut. [Pa]
+FAR_PA = 1e4
+# Fields of the body that move the blood once and for all, as they are where nothing does.
+POSTURE = {"hand_height_m": 0.0, "venous_pressure_pa": None}
+
+
+@dataclass(frozen=True)
+class SteadyTouch:
+    """A touch that is held.
+
+    blood_fraction : (2,) float. Blood of the proximal and distal zone there.
+    blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
+    force_n : the force. [N]
+    force_per_pa : (2,) float. Change of the force with each pressure: the area of either side, unless it grows. [N/Pa]
+    pressure_per_n : (2,) float. Change of the pressures with the force of the scene's touch. [Pa/N]
+    """
+
+    blood_fraction: np.ndarray
+    blood_per_pa: np.ndarray
+    force_n: float
+    force_per_pa: np.ndarray
+    pressure_per_n: np.ndarray
+
+    def as_force_n(self, blood: np.ndarray) -> np.ndarray:
+        """The force of touch pressures that change the blood of both zones as given, (zones, ...) float, to first
+        order, (...) float; NaN where pressures move too little blood for that. [N]
+        """
+        if np.linalg.cond(self.blood_per_pa) > 1 / np.finfo(float).eps:
+            return np.full(blood.shape[1:], np.nan)
+        pressure_pa = np.linalg.lstsq(self.blood_per_pa, blood)[0]
+        far = np.linalg.norm(pressure_pa.reshape(len(pressure_pa), -1), axis=1).max() > FAR_PA
+        return np.full(blood.shape[1:], np.nan) if far else np.asarray(self.force_per_pa @ pressure_pa)
 
 
 @dataclass(frozen=True)
@@ -71,6 +107,91 @@ class BloodModel:
         if small is not None:
             fraction = fraction + small.fraction(self.parameters.arterial_pressure_pa - touch_pa)
         return fraction.T
+
+    def in_posture(self, posture: Mapping[str, Any]) -> "BloodModel":
+        """The same with another height of the hand or pressure of the veins, by their names in [body]."""
+        assert self.body is not None
+        body = self.body.model_copy(update=posture)
+        return replace(self, body=body, parameters=with_posture(self.rest, body))
+
+    def forces_with_two_balances_n(self) -> np.ndarray:
+        """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states. [N]
+
+        There the blood depends on whether the force has grown or fallen to what it is.
+        """
+        force_n = np.linspace(0.0, float(self.touch.force_n.max()), 101)
+        pressure_pa = self.touch.held_pa(force_n)
+        state = hemodynamics.steady_state(self.parameters, pressure_pa=pressure_pa, zones=self.zones)
+        return force_n[state.two_branches]
+
+    def by_arterial_pressure(self, frequency_hz: ArrayLike, force_n: float) -> np.ndarray:
+        """Change of the blood fraction of each zone with a small wave of P_H while a force is held, (zones, F) complex.
+
+        frequency_hz : (F,) float. [Hz]
+
+        Returns: amplitude and phase against the wave's. A touch that shears is taken without its shear. [Pa^-1]
+        """
+        model, p = self.without_shear(), self.parameters
+        pressure_pa = np.array(model.touch.sides_pa(force_n))
+        gain = hemodynamics.arterial_gain_m_per_pa(p, frequency_hz, pressure_pa=pressure_pa, zones=model.zones)
+        state = hemodynamics.steady_state(p, pressure_pa=pressure_pa[:, None], zones=model.zones)
+        # Blood of capillaries goes with the square of the diameter; venules, shut here, stay as they are.
+        capillary = model.fraction(state.capillary_diameter_m, np.inf)
+        change = np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
+        if (small := model.arterioles) is not None:
+            # All that is slower than a beat has the height in arterioles that it has in P_H.
+            beats = np.asarray(frequency_hz) > 0.99 * beats_per_min(self.body) / 60.0
+            transmural_pa = p.arterial_pressure_pa - model.zones.on_walls(pressure_pa[:, None])[:-1]
+            change = change + small.compliance_per_pa(transmural_pa) * np.where(beats, small.pulse_ratio, 1.0)
+        return change
+
+    def covariance(self, waves: Body, force_n: float, *, bandwidth_hz: float) -> np.ndarray:
+        """Covariance of both zones' blood by a body's waves of the arterial pressure while a force is held, (2, 2)
+        float.
+
+        They reach the blood through the network, each with the gain G of its frequency: the sum of G G^H times their
+        variances. Waves faster than a stage's bandwidth are left out, as its noise is.
+        """
+        frequency_hz, variance_pa2 = pressure_lines(waves)
+        slow = frequency_hz <= bandwidth_hz
+        gain = self.by_arterial_pressure(frequency_hz[slow], force_n)
+        return np.asarray(np.real(np.einsum("if,f,jf->ij", gain, variance_pa2[slow], gain.conj())))
+
+    def at_force(self, force_n: float) -> SteadyTouch:
+        """The blood at a steady force, and its change with either pressure; a touch that shears is taken without it."""
+        held_pa, per_n, force_per_pa = self.touch.contact_at(force_n)
+        # In columns: there, and half a step up and down in either pressure.
+        step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
+        pressure = np.maximum(held_pa[:, None] + step, 0.0)
+        blood = self.without_shear().steady(pressure)
+        width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
+        per_pa = np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width
+        return SteadyTouch(blood[0], per_pa, force_n, force_per_pa=force_per_pa, pressure_per_n=per_n)
+
+    def posture_force_n(self, force_n: float) -> float:
+        """The false force by the hand's height and venous pressure of the body while a force is held: what their change
+        of both zones' blood is as a change of both touch pressures, on their areas; NaN as for
+        `SteadyTouch.as_force_n`. [N]
+        """
+        usual = self.in_posture(POSTURE).at_force(force_n)
+        return float(usual.as_force_n(self.at_force(force_n).blood_fraction - usual.blood_fraction))
+
+    def false_forces_n(self, force_n: float, *, bandwidth_hz: float) -> dict[str, float]:
+        """The false force by each thing that moves blood beside the touch while a force is held, by its name in [body]:
+        of waves of the arterial pressure, as far as a stage of some bandwidth follows them, the rms, of the hand's
+        height and venous pressure the shift. [N]
+        """
+        if (body := self.body) is None:
+            return {}
+        point, out = self.at_force(force_n), {}
+        waves = {name: Body().model_copy(update={name: wave}) for name, wave in body.waves.items()}
+        for name, alone in ({"file": body} if body.recorded_time_s is not None else waves).items():
+            blood = covariance_root(self.covariance(alone, force_n, bandwidth_hz=bandwidth_hz))
+            out[name] = float(np.linalg.norm(point.as_force_n(blood)))
+        for name, usual in POSTURE.items():
+            if getattr(body, name) != usual:
+                out[name] = self.in_posture(POSTURE | {name: getattr(body, name)}).posture_force_n(force_n)
+        return out
 
     def without_shear(self) -> "BloodModel":
         """The same for the proximal and the distal pressure alone."""
@@ -143,8 +264,13 @@ class BloodModel:
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
-    def over_touch(self, *, model: Model, rtol: float) -> xr.Dataset:
-        """What `blood_over_touch` returns of the blood."""
+    def over_touch(self, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
+        """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
+
+        The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
+
+        model, rtol : as for `hemodynamics.respond`.
+        """
         course, high = self.touch, self.arterial_waveform()
         time_s, pressures = course.samples_s, course.waveforms()
         # Vessels that beat forget within seconds that they began at rest.
@@ -211,63 +337,14 @@ def blood_model(scene: Scene) -> BloodModel:
 
 
 def blood_over_touch(scene: Scene, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
-    """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
-
-    The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
-
-    model, rtol : as for `hemodynamics.respond`.
-    """
-    run = blood_model(scene).over_touch(model=model, rtol=rtol)
-    text = "blood zone above which it lies, 0 proximal"
-    return run.assign(variable("zone_of_photodiode", "photodiode", zones_of_photodiodes(scene), text))
+    """What a scene's touch makes of its blood, as `BloodModel.over_touch`."""
+    return blood_model(scene).over_touch(model=model, rtol=rtol)
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:
     """Blood fractions once each of the forces has been held for long, (n, zones) float for (n,) forces. [1]"""
     model = blood_model(scene)
     return model.steady(model.touch.held_pa(force_n))
-
-
-def steady_blood_at(scene: Scene, *, proximal_pressure_pa: ArrayLike, distal_pressure_pa: ArrayLike) -> np.ndarray:
-    """Blood fractions once both pressures have been held for long, (n, zones) float for (n,) pressures. [1]
-
-    A touch that shears is taken without its shear.
-    """
-    rows = np.array(np.broadcast_arrays(proximal_pressure_pa, distal_pressure_pa))
-    return blood_model(scene).without_shear().steady(rows)
-
-
-def forces_with_two_balances_n(scene: Scene) -> np.ndarray:
-    """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states. [N]
-
-    There the blood depends on whether the force has grown or fallen to what it is.
-    """
-    model = blood_model(scene)
-    force_n = np.linspace(0.0, float(model.touch.force_n.max()), 101)
-    pressure_pa = model.touch.held_pa(force_n)
-    return force_n[hemodynamics.steady_state(model.parameters, pressure_pa=pressure_pa, zones=model.zones).two_branches]
-
-
-def blood_by_arterial_pressure(scene: Scene, frequency_hz: ArrayLike, force_n: float) -> np.ndarray:
-    """Change of the blood fraction of each zone with a small wave of P_H while a force is held, (zones, F) complex.
-
-    frequency_hz : (F,) float. [Hz]
-
-    Returns: amplitude and phase against the wave's. A touch that shears is taken without its shear. [Pa^-1]
-    """
-    model = blood_model(scene).without_shear()
-    pressure_pa, p = np.array(model.touch.sides_pa(force_n)), model.parameters
-    gain = hemodynamics.arterial_gain_m_per_pa(p, frequency_hz, pressure_pa=pressure_pa, zones=model.zones)
-    state = hemodynamics.steady_state(p, pressure_pa=pressure_pa[:, None], zones=model.zones)
-    # Blood of capillaries goes with the square of the diameter; venules, shut here, stay as they are.
-    capillary = model.fraction(state.capillary_diameter_m, np.inf)
-    change = np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
-    if (small := model.arterioles) is not None:
-        # All that is slower than a beat has the height in arterioles that it has in P_H.
-        beats = np.asarray(frequency_hz) > 0.99 * heart_rate_per_min(scene) / 60.0
-        compliance = small.compliance_per_pa(p.arterial_pressure_pa - model.zones.on_walls(pressure_pa[:, None])[:-1])
-        change = change + compliance * np.where(beats, small.pulse_ratio, 1.0)
-    return change
 
 
 @dataclass(frozen=True)
@@ -299,11 +376,13 @@ class BloodBeat:
 
 
 def heart_rate_per_min(scene: Scene) -> float:
-    """Beats in a minute of a scene's heart.
+    """Beats in a minute of a scene's heart; raises InputError where it does not beat."""
+    return beats_per_min(scene.body)
 
-    Raises: InputError where it does not beat.
-    """
-    heart = scene.body.heartbeat if scene.body else None
+
+def beats_per_min(body: Body | None) -> float:
+    """Beats in a minute of a body's heart; raises InputError where it does not beat."""
+    heart = body.heartbeat if body else None
     if heart is None or heart.pulse_pressure_pa == 0:
         what = "a heart without a pulse" if heart else "no [body.heartbeat]"
         raise InputError(

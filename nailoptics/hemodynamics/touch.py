@@ -241,6 +241,20 @@ class TouchCourse:
             return pressures(force_n, **contact(self.touch))
         return self.per_n_pa[0] * np.asarray(force_n, float), self.per_n_pa[1] * np.asarray(force_n, float)
 
+    def contact_at(self, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the touch presses at a force: both pressures [Pa], their change by newton, and the change of the force
+        on either side by pascal [N/Pa], (2,) each.
+        """
+        touch, areas_m2 = self.touch, 1e-6 * np.array(side_areas_mm2(**_stated(self.touch)))
+        if touch.contact_force_n is None and not touch.distal_onset_n:
+            per_n = np.array(self.sides_pa(1.0))
+            return force_n * per_n, per_n, areas_m2
+        low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
+        before, here, after = np.transpose(self.sides_pa([low_n, force_n, high_n]))
+        # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
+        growth = 1.0 if touch.contact_force_n is None else 3.0 * (high_n / touch.contact_force_n) ** (2.0 / 3.0)
+        return here, (after - before) / (high_n - low_n), growth * areas_m2
+
     def held_pa(self, force_n: ArrayLike) -> np.ndarray:
         """All pressures once each of the forces has been held for long, (M, n) float. [Pa]"""
         rows, most = list(self.sides_pa(force_n)), int(np.argmax(self.force_n))
@@ -326,19 +340,3 @@ def _with_knots_after(time_s: np.ndarray, rows: np.ndarray, relaxation_s: float)
 def largest_force_n(scene: Scene) -> float:
     """The largest force of the scene's touch. [N]"""
     return float(touch_course(scene.touch).force_n.max())
-
-
-def contact_at(scene: Scene, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the scene's touch presses at a force: both pressures [Pa], their change by newton, and the change of the
-    force on either side by pascal [N/Pa], (2,) each.
-    """
-    touch, sides_pa = scene.touch, touch_course(scene.touch).sides_pa
-    areas_m2 = 1e-6 * np.array(side_areas_mm2(**_stated(touch)))
-    if touch.contact_force_n is None and not touch.distal_onset_n:
-        per_n = np.array(sides_pa(1.0))
-        return force_n * per_n, per_n, areas_m2
-    low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
-    before, here, after = np.transpose(sides_pa([low_n, force_n, high_n]))
-    # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
-    growth = 1.0 if touch.contact_force_n is None else 3.0 * (high_n / touch.contact_force_n) ** (2.0 / 3.0)
-    return here, (after - before) / (high_n - low_n), growth * areas_m2

@@ -154,9 +154,3 @@ def capillary_zones(scene: Scene) -> Zones:
         cut = Zones(share=cut.share, reach=reach, vein_reach=cut.vein_reach)
     shears = touch.shear_n is not None or touch.recorded_shear_n is not None
     return with_shear(cut) if shears else cut
-
-
-def zones_of_photodiodes(scene: Scene) -> np.ndarray:
-    """The blood zone above which each photodiode lies, (photodiodes,) int: 0 is the most proximal."""
-    middle_mm = [element.area.center_mm[1] for element in scene.layout.photodiodes]
-    return np.searchsorted(scene.zone_edges_mm, middle_mm, side="right")

@@ -1,6 +1,7 @@
 """A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
 
 import math
+from bisect import bisect_right
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
@@ -364,6 +365,11 @@ class Scene(Table):
         if count is None or self.finger is None:
             return self.blood.zone_edges_mm
         return tuple(self.finger.nail_length_mm * (k / count - 0.5) for k in range(1, count))
+
+    @property
+    def zones_of_photodiodes(self) -> tuple[int, ...]:
+        """The blood zone above which each photodiode lies: 0 is the most proximal."""
+        return tuple(bisect_right(self.zone_edges_mm, one.area.center_mm[1]) for one in self.layout.photodiodes)
 
     @property
     def zone_width_mm(self) -> float:

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from ..hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
-from ..hemodynamics.touch import contact_at
-from ..hemodynamics.waves import pressure_lines
+from ..hemodynamics.for_scene import SteadyTouch, blood_model
 from ..scene import Led, Photodiode, Scene
-from ..scene.body import Body, Drift
+from ..scene.body import Drift
 from ..statistics import covariance_root, jackknife
 from . import electronics
 
@@ -29,16 +27,11 @@ Array = NDArray[np.float64]
 # What is known of a pressure before any reading: that it is less than some ten N/cm^2. It keeps two unknowns
 # solvable where a layout sees one, and is nothing beside any reading worth having. [Pa]
 PRIOR_PA = 1e5
-STEP_PA = 100.0
-# Pressures to which blood's change with them holds at most: some arterial pressure, by which vessels are shut. [Pa]
-FAR_PA = 1e4
 # By how much all readings of a board change with a micrometre more between it and the nail. On the prototype, traced,
 # those 1.5 mm from the LED fall by 0.0014 (+- 0.0002), those beyond 2 mm by less than 0.0005; here all alike. [1/um]
 LIFT_PER_UM = 0.001
 # The same of a slide along the nail: on the prototype, traced, it moves no reading by more.
 SLIDE_PER_UM = 1e-4
-# Fields of the body that move the blood once and for all, as they are where nothing does.
-POSTURE = {"hand_height_m": 0.0, "venous_pressure_pa": None}
 
 
 @dataclass(frozen=True)
@@ -75,14 +68,16 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
 
     Drift and lift of the sensor move all readings of an LED alike, as parts of themselves.
     """
-    body = scene.body
+    body, waves = scene.body, np.zeros((2, 2))
     if body is None or not (body.moves or body.drift or body.motion):
         return None
+    if body.moves:
+        waves = blood_model(scene).covariance(body, force_n, bandwidth_hz=scene.electronics.bandwidth_hz)
     drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
     led_drift, reading_drift = float(drift.led_per_rt_min * rt_min), float(drift.reading_per_rt_min * rt_min)
     lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if (motion := body.motion) else (0, 0)
     return PhysiologicalNoise(
-        blood=covariance_root(_blood_covariance(scene, force_n, body) if body.moves else np.zeros((2, 2))),
+        blood=covariance_root(waves),
         led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),
         reading_gain=reading_drift,
         led_drift=led_drift,
@@ -91,35 +86,13 @@ def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) ->
     )
 
 
-def _blood_covariance(scene: Scene, force_n: float, waves: Body) -> Array:
-    """Covariance of both zones' blood by a body's waves of the arterial pressure, (2, 2) float.
-
-    They reach the blood through the network, each with the gain G of its frequency: the sum of G G^H times their
-    variances. Waves faster than the stage's bandwidth are left out, as its noise is.
-    """
-    frequency_hz, variance_pa2 = pressure_lines(waves)
-    slow = frequency_hz <= scene.electronics.bandwidth_hz
-    gain = blood_by_arterial_pressure(scene, frequency_hz[slow], force_n)
-    return np.asarray(np.real(np.einsum("if,f,jf->ij", gain, variance_pa2[slow], gain.conj())))
-
-
 @dataclass(frozen=True)
-class OperatingPoint:
+class OperatingPoint(SteadyTouch):
     """The touch at which a layout is evaluated.
 
-    blood_fraction : (2,) float. Blood of the proximal and distal zone there.
-    blood_per_pa : (zone, pressure) float. How it changes with the proximal and distal pressure. [Pa^-1]
-    force_n : the force. [N]
-    force_per_pa : (2,) float. Change of the force with each pressure: the area of either side, unless it grows. [N/Pa]
-    pressure_per_n : (2,) float. Change of the pressures with the force of the scene's touch. [Pa/N]
     body : what the body adds; None where the scene has no body, or one that is still.
     """
 
-    blood_fraction: Array
-    blood_per_pa: Array
-    force_n: float
-    force_per_pa: Array
-    pressure_per_n: Array
     body: PhysiologicalNoise | None = None
 
 
@@ -128,59 +101,8 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
 
     since_rest_s : time since the untouched finger was read, in which readings of a scene with a body drift. [s]
     """
-    held_pa, per_n, force_per_pa = contact_at(scene, force_n)
-    # In columns: there, and half a step up and down in either pressure.
-    step = 0.5 * STEP_PA * np.array([[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]])
-    pressure = np.maximum(held_pa[:, None] + step, 0.0)
-    blood = steady_blood_at(scene, proximal_pressure_pa=pressure[0], distal_pressure_pa=pressure[1])
-    width = np.array([pressure[0, 1] - pressure[0, 2], pressure[1, 3] - pressure[1, 4]])
-    return OperatingPoint(
-        blood_fraction=blood[0],
-        blood_per_pa=np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width,
-        force_n=force_n,
-        force_per_pa=force_per_pa,
-        pressure_per_n=per_n,
-        body=physiological_noise(scene, force_n, since_rest_s=since_rest_s),
-    )
-
-
-def _as_force_n(point: OperatingPoint, blood: Array) -> Array:
-    """The force of touch pressures that change the blood of both zones as given, (zones, ...) float, to first order,
-    (...) float; NaN where pressures move too little blood for that. [N]
-    """
-    if np.linalg.cond(point.blood_per_pa) > 1 / np.finfo(float).eps:
-        return np.full(blood.shape[1:], np.nan)
-    pressure_pa = np.linalg.lstsq(point.blood_per_pa, blood)[0]
-    far = np.linalg.norm(pressure_pa.reshape(len(pressure_pa), -1), axis=1).max() > FAR_PA
-    return np.full(blood.shape[1:], np.nan) if far else np.asarray(point.force_per_pa @ pressure_pa)
-
-
-def posture_force_n(scene: Scene, force_n: float) -> float:
-    """The false force by the hand's height and venous pressure of a scene while a force is held: what their change of
-    both zones' blood is as a change of both touch pressures, on their areas; NaN as for `_as_force_n`. [N]
-    """
-    assert scene.body is not None
-    without = scene.body.model_copy(update=POSTURE)
-    usual = operating_point(scene.model_copy(update={"body": without}), force_n)
-    return float(_as_force_n(usual, operating_point(scene, force_n).blood_fraction - usual.blood_fraction))
-
-
-def false_forces_n(scene: Scene, force_n: float) -> dict[str, float]:
-    """The false force by each thing that moves blood beside the touch while a force is held, by its name in [body]:
-    of waves of the arterial pressure the rms, of the hand's height and venous pressure the shift. [N]
-    """
-    if (body := scene.body) is None:
-        return {}
-    point, out = operating_point(scene, force_n), {}
-    waves = {name: Body().model_copy(update={name: wave}) for name, wave in body.waves.items()}
-    for name, alone in ({"file": body} if body.recorded_time_s is not None else waves).items():
-        blood = covariance_root(_blood_covariance(scene, force_n, alone))
-        out[name] = float(np.linalg.norm(_as_force_n(point, blood)))
-    for name, usual in POSTURE.items():
-        if getattr(body, name) != usual:
-            alone = body.model_copy(update=POSTURE | {name: getattr(body, name)})
-            out[name] = posture_force_n(scene.model_copy(update={"body": alone}), force_n)
-    return out
+    body = physiological_noise(scene, force_n, since_rest_s=since_rest_s)
+    return OperatingPoint(**vars(blood_model(scene).at_force(force_n)), body=body)
 
 
 @dataclass(frozen=True)
@@ -372,9 +294,9 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
     """False force, rms, by waves of the arterial pressure where light resolves the blood of both zones exactly. [N]
 
     Their blood b is what the pressures B^-1 b would make of it: light from two zones cannot distinguish them, so
-    that no layout resolves finer unless the split of the touch is known. NaN as for `_as_force_n`.
+    that no layout resolves finer unless the split of the touch is known. NaN as for `as_force_n`.
     """
-    return 0.0 if point.body is None else float(np.linalg.norm(_as_force_n(point, point.body.blood)))
+    return 0.0 if point.body is None else float(np.linalg.norm(point.as_force_n(point.body.blood)))
 
 
 def pressure_resolution_pa(information: Array) -> Array:

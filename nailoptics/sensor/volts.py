@@ -61,6 +61,7 @@ def read_volts(
         responsivity_a_per_w=responsivity_a_per_w,
         mean_path_mm=Estimate(light.mean_path, light.mean_path_stderr),
         wavelength_nm=[led.wavelength_nm for led in scene.leds],
+        zone_of_photodiode=list(scene.zones_of_photodiodes),
     )
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))}).merge(worn)

@@ -51,7 +51,7 @@ def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dic
         given |= {"profile": "recorded", "site": None, "proximal_share": 1.0 - side, "sample_rate_hz": rate_hz}
         blood = blood_over_touch(scene.model_copy(update={"touch": scene.touch.model_copy(update=given)}))
         states, diameter_m = blood.blood_fraction.values.T, blood.capillary_diameter_m.values
-        reading, zone = light.readings_at(states).fraction[0], blood.zone_of_photodiode.values
+        reading, zone = light.readings_at(states).fraction[0], scene.zones_of_photodiodes
         fit = sum(fit_taylor(diameter_m[zone[j]], reading[j]).predict(diameter_m[zone[j]]) for j in here)
         both = np.stack([reading[here].sum(0), fit]) / reading[here, 0].sum() - 1.0
         return *(np.interp(protocol.time_s, blood.time.values, values) for values in both), states

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
+from ..hemodynamics.for_scene import BloodModel, blood_model
 from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
 from ..scene import Scene
@@ -15,7 +15,7 @@ from ..sensor import electronics
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
 from ..sensor.front_end import ambient_bound_a, rough_readings, with_fitted_resistors
-from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, posture_force_n, scene_responses
+from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, scene_responses
 from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the
@@ -63,8 +63,8 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         report["assumed"] = {
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
-    report["warnings"] += _beside_the_box(scene) + far_from_list(scene) + _posture(scene)
-    blood, pairs = np.maximum(blood_over_touch(scene).blood_fraction.values.T, 0.0), list[dict[str, Any]]()
+    report["warnings"] += _beside_the_box(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
+    blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)
     else:
@@ -76,7 +76,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
         for one in report["exposure"]
         if one["nail_w_per_m2"] > SKIN_W_PER_M2
     ]
-    two = forces_with_two_balances_n(scene)
+    two = model.forces_with_two_balances_n()
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:
         report["candidates"] = _candidates(scene)
@@ -85,11 +85,11 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     return report
 
 
-def _posture(scene: Scene) -> list[str]:
+def _posture(model: BloodModel) -> list[str]:
     """The false force that the hand's height and venous pressure make, beside some forces."""
-    if scene.body is None or not (scene.body.hand_height_m or scene.body.venous_pressure_pa is not None):
+    if model.body is None or not (model.body.hand_height_m or model.body.venous_pressure_pa is not None):
         return []
-    false_n = [posture_force_n(scene, force_n) for force_n in POSTURE_FORCES_N]
+    false_n = [model.posture_force_n(force_n) for force_n in POSTURE_FORCES_N]
     shown = " and ".join(f"{n:+.2g} N at {at:g} N" for n, at in zip(false_n, POSTURE_FORCES_N, strict=True))
     return [f"body: hand_height_m and venous_pressure_pa are a false force of {shown}, if rest was read without them"]
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError, as_far_as_reached, unless_cut_off
-from ..hemodynamics.for_scene import blood_over_touch
+from ..hemodynamics.for_scene import blood_model, blood_over_touch
 from ..light import DetectedLight, ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
@@ -16,7 +16,6 @@ from ..scene import Scene
 from ..sensor.ambient import ambient_in_readings
 from ..sensor.drift_motion import MovedLight, worn_light
 from ..sensor.front_end import with_fitted_resistors
-from ..sensor.information import false_forces_n
 from ..sensor.volts import read_volts
 from ..variables import Estimate, Variables, described
 from .prior_uncertainty import read_by_groups, readings_over_priors
@@ -76,6 +75,8 @@ def simulate_from(
 
     moved : the light under the sensor elsewhere, where the scene's body moves it.
     """
+    hold_n, bandwidth_hz = float(course.force_n[hold_end(course)]), scene.electronics.bandwidth_hz
+    false_n = blood_model(scene).false_forces_n(hold_n, bandwidth_hz=bandwidth_hz)
     scene = with_fitted_resistors(scene)
     ambient = ambient_in_readings(scene, options)
     result = course.merge(read_volts(scene, light, course, moved, ambient))
@@ -83,7 +84,7 @@ def simulate_from(
     if ambient:
         volts_stderr = result.volts_stderr.values
         np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
-    if false_n := false_forces_n(scene, float(result.force_n[hold_end(result)])):
+    if false_n:
         result = result.assign(described(__package__, false_force_n=list(false_n.values())))
         result = result.assign_coords(described(__package__, disturbance=list(false_n)))
     for name, text in COORDINATES.items():

@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from ..assets import asset_path, data_dir
 from ..checks import Array
 from ..errors import InputError
-from ..hemodynamics.for_scene import blood_by_arterial_pressure, blood_model, heart_rate_per_min, rest_beat
+from ..hemodynamics.for_scene import blood_model, heart_rate_per_min, rest_beat
 from ..hemodynamics.waves import HEARTBEAT, waves_of, waves_pressure
 from ..light import ProgressCallback, backend, trace
 from ..light.identity import light_digest
@@ -214,18 +214,18 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
     """Breathing and vasomotion in the blood of the bed, over the heartbeat, rms."""
     scene, ranges = _shipped_scene("heartbeat"), {prior.field: prior for prior in shipped_priors()}
     assert scene.body is not None
-    rms = {}
+    rms, model = {}, blood_model(scene)
     for wave, fields in waves_of(scene.body):
         frequency_hz, power = wave.lines(**fields)
-        gain = blood_by_arterial_pressure(scene, frequency_hz, 0.0).mean(0)
+        gain = model.by_arterial_pressure(frequency_hz, 0.0).mean(0)
         rms[wave.name] = float(np.sqrt(power @ np.abs(gain) ** 2))
     result = {}
     for name, column in (("vasomotion", "vasomotion_0.05_0.15_hz_g"), ("breathing", "breathing_0.15_0.4_hz_g")):
         prior = ranges[f"body.{name}.amplitude_pa"]
         amplitudes_pa = np.array([[prior.low], [getattr(scene.body, name).amplitude_pa], [prior.high]])
-        model = rms[name] / rms[HEARTBEAT.name] * amplitudes_pa / amplitudes_pa[1]
+        modelled = rms[name] / rms[HEARTBEAT.name] * amplitudes_pa / amplitudes_pa[1]
         values = people[column] / people["heart_0.7_3_hz_g"]
-        result[f"{name}_over_heartbeat"] = _coverage(_texts("waves", people, wave=name), values, model)
+        result[f"{name}_over_heartbeat"] = _coverage(_texts("waves", people, wave=name), values, modelled)
     return result
 
 

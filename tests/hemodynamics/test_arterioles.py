@@ -5,7 +5,7 @@ import pytest
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.hemodynamics.blood import WIDTH_PA, Arterioles
-from nailoptics.hemodynamics.for_scene import beat_at, blood_by_arterial_pressure, blood_over_touch, steady_blood
+from nailoptics.hemodynamics.for_scene import beat_at, blood_model, blood_over_touch, steady_blood
 from nailoptics.hemodynamics.waves import waves_of
 from nailoptics.scene import parse_scene
 
@@ -70,7 +70,7 @@ def test_a_small_beat_moves_the_blood_as_its_course_does() -> None:
     for force_n in (0.0, 0.5):
         beat = beat_at(scene, force_n).blood_fraction
         lines, variance = waves_of(scene.body)[0][0].lines(**waves_of(scene.body)[0][1])
-        gain = blood_by_arterial_pressure(scene, lines, force_n)
+        gain = blood_model(scene).by_arterial_pressure(lines, force_n)
         assert (np.abs(gain) ** 2 * variance).sum(1) == pytest.approx(beat.var(1), rel=0.01)
 
 
@@ -80,7 +80,7 @@ def test_waves_over_the_heartbeat_are_as_in_light_through_fingertips(named: str)
     scene, rms = scene_with(BODY, named=named), {}
     for wave, fields in waves_of(scene.body):
         frequency_hz, variance = wave.lines(**fields)
-        gain = blood_by_arterial_pressure(scene, frequency_hz, 0.0)
+        gain = blood_model(scene).by_arterial_pressure(frequency_hz, 0.0)
         rms[wave.name] = np.sqrt((np.abs(gain) ** 2 * variance).sum())
     assert 0.4 < rms["vasomotion"] / rms["heartbeat"] < 0.8
     assert 0.3 < rms["breathing"] / rms["heartbeat"] < 0.7

@@ -8,10 +8,10 @@ from small_scenes import SMALL_FINGER_BEST
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood, steady_blood_at
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
 from nailoptics.hemodynamics.parameters import vessels
-from nailoptics.hemodynamics.touch import contact_at, largest_force_n, touch_course
-from nailoptics.hemodynamics.zones import capillary_zones, zones_of_photodiodes
+from nailoptics.hemodynamics.touch import largest_force_n, touch_course
+from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
 
@@ -206,10 +206,10 @@ def test_recorded_contact_says_where_the_force_presses(tmp_path):
 
 def test_the_local_contact_is_the_slope_of_the_pressures():
     scene = scene_with("[touch]\ncontact_force_n = 1.0\n")
-    held, per_n, force_per_pa = contact_at(scene, 2.0)
+    held, per_n, force_per_pa = blood_model(scene).touch.contact_at(2.0)
     assert held == pytest.approx(1e4 * np.cbrt([2.0, 2.0])) and per_n == pytest.approx(held / 6.0, rel=1e-3)
     assert force_per_pa @ per_n == pytest.approx(1.0, rel=2e-3)
-    plain = contact_at(scene_with(""), 2.0)
+    plain = blood_model(scene_with("")).touch.contact_at(2.0)
     assert plain[0] == pytest.approx([2e4, 2e4]) and plain[2] @ plain[1] == pytest.approx(1.0)
 
 
@@ -224,8 +224,8 @@ position_mm = [2.0, {v}]
         + "{}"
         + "".join(board.format(name=f"p{k}", v=v) for k, v in enumerate((-4.0, -2.0, 2.0, 4.0)))
     )
-    assert zones_of_photodiodes(parse_scene(text.format("zones = 8"))).tolist() == [4, 1, 2, 5, 6]
-    assert zones_of_photodiodes(parse_scene(text.format(""))).tolist() == [1, 0, 0, 1, 1]
+    assert parse_scene(text.format("zones = 8")).zones_of_photodiodes == (4, 1, 2, 5, 6)
+    assert parse_scene(text.format("")).zones_of_photodiodes == (1, 0, 0, 1, 1)
 
 
 @pytest.mark.parametrize("name", ["best", "compromise"])
@@ -253,7 +253,7 @@ def test_shear_is_a_third_pressure_left_out_of_two_pressure_states():
     assert run.distal_pressure_pa.max() == pytest.approx(2e4)
     still = steady_blood(zoned(), [2.0])[0]
     assert steady_blood(sheared, [2.0])[0, -2] < still[-2]
-    assert steady_blood_at(sheared, proximal_pressure_pa=[2e4], distal_pressure_pa=[2e4])[0] == pytest.approx(still)
+    assert blood_model(sheared).without_shear().steady(np.full((2, 1), 2e4))[0] == pytest.approx(still)
     assert steady_blood(sheared, [0.0])[0] == pytest.approx(np.full(8, 0.03), rel=1e-9)
 
 

@@ -7,13 +7,10 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import parameters, steady_state
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
-from nailoptics.hemodynamics.touch import contact_at
 from nailoptics.scene import Body, parse_scene
 from nailoptics.sensor.information import (
-    false_forces_n,
     operating_point,
     physiological_noise_force_n,
-    posture_force_n,
 )
 from nailoptics.studies.scene_check import check_scene
 
@@ -22,6 +19,10 @@ FORCES_N = [0.0, 0.5, 1.0]
 
 def scene_with(body: str, more: str = ""):
     return parse_scene(SMALL_FINGER_BEST + more + body)
+
+
+def false_n(scene, force_n):
+    return blood_model(scene).false_forces_n(force_n, bandwidth_hz=scene.electronics.bandwidth_hz)
 
 
 def test_a_height_moves_both_pressures_by_the_weight_of_the_blood() -> None:
@@ -58,16 +59,16 @@ def test_the_false_force_of_a_small_change_moves_the_blood_as_it_does() -> None:
     scene, force_n = scene_with("[body]\nvenous_pressure_pa = 20.0\n"), 0.3
     change = steady_blood(scene, [force_n]) - steady_blood(scene_with(""), [force_n])
     # A touch on both sides whose pressures change by what the force of either side is.
-    false_n = posture_force_n(scene, force_n)
-    areas_m2 = contact_at(scene, force_n)[2]
+    shift_n = blood_model(scene).posture_force_n(force_n)
+    areas_m2 = blood_model(scene).touch.contact_at(force_n)[2]
     per_pa = []
     for step in np.eye(2):
         moved = blood_model(scene_with("")).touch.held_pa([force_n])[:, 0] + step
         per_pa.append(
             blood_model(scene_with("")).steady(moved[:, None])[0] - steady_blood(scene_with(""), [force_n])[0]
         )
-    assert false_n == pytest.approx(areas_m2 @ np.linalg.solve(np.transpose(per_pa), change[0]), rel=0.02)
-    assert posture_force_n(scene_with("[body]\nhand_height_m = 0.0\n"), force_n) == 0.0
+    assert shift_n == pytest.approx(areas_m2 @ np.linalg.solve(np.transpose(per_pa), change[0]), rel=0.02)
+    assert blood_model(scene_with("[body]\nhand_height_m = 0.0\n")).posture_force_n(force_n) == 0.0
 
 
 def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
@@ -75,18 +76,18 @@ def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
     body = "[body]\nhand_height_m = 0.3\nvenous_pressure_pa = {}\n[body.breathing]\n[body.heartbeat]\n"
     tuning = "mean_pressure_pa = 9000.0\n[blood.tuning]\nvenous_pressure_pa = 1000.0\n"
     scene = scene_with(body.format(1000.0) + tuning)
-    parts = false_forces_n(scene, 0.5)
+    parts = false_n(scene, 0.5)
     waves_n = physiological_noise_force_n(operating_point(scene, 0.5))
     assert np.hypot(parts["breathing"], parts["heartbeat"]) == pytest.approx(waves_n, rel=1e-9)
-    assert parts["hand_height_m"] == posture_force_n(scene, 0.5) and parts["venous_pressure_pa"] == 0.0
-    assert false_forces_n(scene_with(body.format(0.0) + tuning), 0.5)["venous_pressure_pa"] < -0.001
-    assert false_forces_n(scene_with(""), 0.5) == {}
+    assert parts["hand_height_m"] == blood_model(scene).posture_force_n(0.5) and parts["venous_pressure_pa"] == 0.0
+    assert false_n(scene_with(body.format(0.0) + tuning), 0.5)["venous_pressure_pa"] < -0.001
+    assert false_n(scene_with(""), 0.5) == {}
     time_s = np.linspace(0.0, 10.0, 501)
     columns = {"time_s": time_s, "arterial_pressure_pa": 1e4 + 2e3 * np.sin(6.0 * time_s)}
     body = Body(**{f"recorded_{name}": tuple(column) for name, column in columns.items()})
     recorded = scene_with("").model_copy(update={"body": body})
     waves_n = physiological_noise_force_n(operating_point(recorded, 0.5))
-    assert false_forces_n(recorded, 0.5) == {"file": pytest.approx(waves_n, rel=1e-9)} and waves_n > 0.01
+    assert false_n(recorded, 0.5) == {"file": pytest.approx(waves_n, rel=1e-9)} and waves_n > 0.01
 
 
 def test_check_states_the_false_force(shared_light: None) -> None:
@@ -107,5 +108,5 @@ def test_a_posture_that_cannot_be_is_refused_in_one_line(line: str, words: str) 
 def test_where_touch_hardly_moves_blood_there_is_no_false_force() -> None:
     """A vein that is shut at 1.5 N would take hundreds of newtons to first order."""
     scene = scene_with("[body]\nhand_height_m = 0.3\n[body.heartbeat]\n")
-    assert all(np.isfinite(x) for x in false_forces_n(scene, 0.3).values())
-    assert all(np.isnan(x) for x in false_forces_n(scene, 1.5).values())
+    assert all(np.isfinite(x) for x in false_n(scene, 0.3).values())
+    assert all(np.isnan(x) for x in false_n(scene, 1.5).values())

@@ -8,7 +8,7 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
-from nailoptics.hemodynamics.for_scene import blood_over_touch, forces_with_two_balances_n
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
 from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.report.scene_description import blood_words, check_lines
@@ -80,8 +80,8 @@ def test_forces_with_two_balances_are_reported():
     """Strong feedback on soft capillaries: few of them, with walls that give way."""
     listed = SMALL_FINGER_BEST.replace("best", "listed")
     soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL
-    assert forces_with_two_balances_n(parse_scene(listed + "[touch]\n" + DISTAL)).size == 0
-    two = forces_with_two_balances_n(parse_scene(soft))
+    assert blood_model(parse_scene(listed + "[touch]\n" + DISTAL)).forces_with_two_balances_n().size == 0
+    two = blood_model(parse_scene(soft)).forces_with_two_balances_n()
     assert 0.0 < two.min() < two.max() <= 1.0
     found = {"regions": [], "triangles": 1, "vessels": "best"}
     report = found | {"scene": "soft", "valid": True, "two_balances_n": [two.min(), two.max()]}

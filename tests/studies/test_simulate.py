@@ -14,12 +14,11 @@ from small_scenes import phantom
 from nailoptics import variables
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.hemodynamics.for_scene import blood_over_touch
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
-from nailoptics.sensor.information import posture_force_n
 from nailoptics.studies.simulate import simulate, simulate_from
 
 # Priors that need traces of their own, but for one: each takes as long as the scene's own light of few photons.
@@ -320,7 +319,7 @@ def test_simulate_states_the_false_force_of_what_the_body_does(chosen_jit):
     result = simulate(worn, photons=1 << 13, seed=1)
     at_hold_n = float(result.force_n.max())
     assert list(result.disturbance.values) == ["heartbeat", "hand_height_m"]
-    assert float(result.false_force_n[1]) == pytest.approx(posture_force_n(worn, at_hold_n), rel=0.02)
+    assert float(result.false_force_n[1]) == pytest.approx(blood_model(worn).posture_force_n(at_hold_n), rel=0.02)
     assert 0 < float(result.false_force_n[0]) < 1
 
 

@@ -13,7 +13,7 @@ from ... import tissue
 from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
-from ...hemodynamics.zones import capillary_zones, zones_of_photodiodes
+from ...hemodynamics.zones import capillary_zones
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
@@ -114,7 +114,7 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     seed : of the photons' groups, from which the standard errors come.
     """
     scene = transfer.scene
-    zone = zones_of_photodiodes(scene)
+    zone = np.array(scene.zones_of_photodiodes)
     errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
     gathered = {name: np.stack([[row[name] for row in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
     of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...geometry import underside
-from ...hemodynamics.touch import contact_at, largest_force_n
+from ...hemodynamics.touch import touch_course
 from ...light import ProgressCallback
 from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
@@ -405,10 +405,11 @@ def touch_table(scene: Scene) -> dict[str, Any]:
 
     All blood goes with that at rest, so that each is per unit of it.
     """
-    reach_n = max(LEAST_REACH_N, 1.25 * largest_force_n(scene))
+    touch = touch_course(scene.touch)
+    reach_n = max(LEAST_REACH_N, 1.25 * float(touch.force_n.max()))
     force_n = reach_n * np.linspace(0.0, 1.0, FORCES) ** 1.5
     since_rest_s = boards.rules(scene).since_rest_s
-    _, per_n, force_per_pa = contact_at(scene, 1.0)
+    _, per_n, force_per_pa = touch.contact_at(1.0)
     points = [operating_point(scene, float(force), since_rest_s=since_rest_s) for force in force_n]
     rest = scene.blood.rest_blood_fraction
     bodies = [p.body or PhysiologicalNoise(np.zeros((2, 2)), np.zeros((0, 0)), 0.0) for p in points]

@@ -12,7 +12,6 @@ import xarray as xr
 from ... import tissue
 from ...errors import NotReachedError
 from ...hemodynamics.for_scene import blood_over_touch
-from ...hemodynamics.zones import zones_of_photodiodes
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.tracing import unlit
@@ -346,7 +345,7 @@ def literature_changes(scene: Scene, name: str, blood_fraction: np.ndarray) -> n
         [[math.dist(led.center_mm, area.center_mm) for area in layout.photodiode_areas] for led in layout.leds]
     )
     mu_a = np.array([tissue.blood_mu_a_per_mm(led.wavelength_nm, scene.blood.rest_so2) for led in scene.leds])
-    more = (blood_fraction - blood_fraction[0])[:, zones_of_photodiodes(scene)]
+    more = (blood_fraction - blood_fraction[0])[:, list(scene.zones_of_photodiodes)]
     return FORMULAS[name]((path_mm * mu_a[:, None])[..., None] * more.T)
 
 

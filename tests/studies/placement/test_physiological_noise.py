@@ -7,7 +7,7 @@ import pytest
 from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
-from nailoptics.hemodynamics.for_scene import blood_by_arterial_pressure, steady_blood_at
+from nailoptics.hemodynamics.for_scene import blood_model
 from nailoptics.hemodynamics.touch import touch_course
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
@@ -183,7 +183,7 @@ def test_a_wave_moves_the_blood_as_a_simulation_says():
     blood = hemodynamics.blood_fraction(parameters, run.capillary_diameter_m.values, rest_blood_fraction=0.03)[:, -64:]
     turning = np.exp(-2j * np.pi * frequency_hz * time_s[-64:])
     found = 2j * (blood * turning).mean(1) / 20.0
-    assert np.allclose(blood_by_arterial_pressure(scene, [frequency_hz], force_n)[:, 0], found, rtol=5e-3)
+    assert np.allclose(blood_model(scene).by_arterial_pressure([frequency_hz], force_n)[:, 0], found, rtol=5e-3)
 
 
 def test_the_slowest_waves_move_the_blood_as_steady_states_do():
@@ -196,10 +196,10 @@ def test_the_slowest_waves_move_the_blood_as_steady_states_do():
         parameters = hemodynamics.parameters("best").replace(arterial_pressure_pa=1e4 + change_pa)
         state = hemodynamics.steady_state(parameters, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
         blood.append(state.capillary_diameter_m)
-        assert np.isfinite(steady_blood_at(moved, proximal_pressure_pa=[proximal], distal_pressure_pa=[distal])).all()
+        assert np.isfinite(blood_model(moved).steady(np.array([[proximal], [distal]]))).all()
     rest = hemodynamics.steady_state(hemodynamics.parameters("best")).capillary_diameter_m
     steady = 0.03 * (blood[1] ** 2 - blood[0] ** 2) / rest**2 / 20.0
-    found = blood_by_arterial_pressure(scene, [1e-5], 0.5)[:, 0]
+    found = blood_model(scene).by_arterial_pressure([1e-5], 0.5)[:, 0]
     assert np.allclose(found, steady, rtol=1e-4)
 
 
