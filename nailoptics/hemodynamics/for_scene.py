@@ -17,12 +17,14 @@ from ..scene.touch import CONTACT
 from ..statistics import covariance_root
 from ..variables import precision, variable
 from .blood import Arterioles, arterioles_of
-from .parameters import PA_PER_M_OF_BLOOD, vessels, with_posture
+from .parameters import posture_pa, vessels, with_posture
 from .respond import Model, touch_variables
 from .touch import TouchCourse, touch_course
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
 
+# Pressures that a body moves.
+MOVING = {"arterial_pressure_pa": "arterial pressure P_H", "venous_pressure_pa": "venous pressure P_L"}
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
 # Its pressure goes through so many knots in the shortest of its periods: a pulse is off by 0.4 % of its height at most.
@@ -34,7 +36,7 @@ STEP_PA = 100.0
 # Pressures to which blood's change with them holds at most: some arterial pressure, by which vessels are shut. [Pa]
 FAR_PA = 1e4
 # Fields of the body that move the blood once and for all, as they are where nothing does.
-POSTURE = {"hand_height_m": 0.0, "venous_pressure_pa": None}
+POSTURE: dict[str, Any] = {"hand_height_m": 0.0, "venous_pressure_pa": None}
 
 
 @dataclass(frozen=True)
@@ -168,29 +170,35 @@ class BloodModel:
         per_pa = np.stack([blood[1] - blood[2], blood[3] - blood[4]], -1) / width
         return SteadyTouch(blood[0], per_pa, force_n, force_per_pa=force_per_pa, pressure_per_n=per_n)
 
-    def posture_force_n(self, force_n: float) -> float:
+    def posture_force_n(self, force_n: float, at_rest: Mapping[str, Any] = POSTURE) -> float:
         """The false force by the hand's height and venous pressure of the body while a force is held: what their change
         of both zones' blood is as a change of both touch pressures, on their areas; NaN as for
         `SteadyTouch.as_force_n`. [N]
+
+        at_rest : the posture in which rest was read, as for `in_posture`.
         """
-        usual = self.in_posture(POSTURE).at_force(force_n)
+        usual = self.in_posture(POSTURE | at_rest).at_force(force_n)
         return float(usual.as_force_n(self.at_force(force_n).blood_fraction - usual.blood_fraction))
 
     def false_forces_n(self, force_n: float, *, bandwidth_hz: float) -> dict[str, float]:
         """The false force by each thing that moves blood beside the touch while a force is held, by its name in [body]:
         of waves of the arterial pressure, as far as a stage of some bandwidth follows them, the rms, of the hand's
-        height and venous pressure the shift. [N]
+        height and venous pressure the shift, of recorded ones the largest from their first value. [N]
         """
         if (body := self.body) is None:
             return {}
         point, out = self.at_force(force_n), {}
         waves = {name: Body().model_copy(update={name: wave}) for name, wave in body.waves.items()}
-        for name, alone in ({"file": body} if body.recorded_time_s is not None else waves).items():
+        for name, alone in (waves if body.recorded_arterial_pressure_pa is None else {"file": body}).items():
             blood = covariance_root(self.covariance(alone, force_n, bandwidth_hz=bandwidth_hz))
             out[name] = float(np.linalg.norm(point.as_force_n(blood)))
+        still = POSTURE | {f"recorded_{name}": None for name in POSTURE}
         for name, usual in POSTURE.items():
-            if getattr(body, name) != usual:
-                out[name] = self.in_posture(POSTURE | {name: getattr(body, name)}).posture_force_n(force_n)
+            first, *later = body.recorded.get(name, (usual, getattr(body, name)))
+            ends = [still | {name: end} for end in {min(later), max(later)} - {first}]
+            if ends:
+                shifts_n = [self.in_posture(end).posture_force_n(force_n, {name: first}) for end in ends]
+                out[name] = max(shifts_n, key=abs)
         return out
 
     def without_shear(self) -> "BloodModel":
@@ -207,26 +215,41 @@ class BloodModel:
         ends, part = self.zone_ends_mm, blood_fraction / self.rest_fraction
         return hemodynamics.white_band_mm(0.5 * (ends[1:] + ends[:-1]), part, ends_mm=(ends[0], ends[-1]))
 
-    def arterial_waveform(self) -> hemodynamics.Waveform | None:
-        """The arterial pressure P_H of the body over the touch and a while before; None where it does not move."""
+    def body_waveforms(self) -> dict[str, hemodynamics.Waveform]:
+        """P_H and P_L, where they move, over the touch and a while before, as inputs of `respond`."""
         body, times_s = self.body, self.touch.samples_s
-        if body is None or not body.moves:
-            return None
-        if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-            pressure_pa = np.array(body.recorded_arterial_pressure_pa) - PA_PER_M_OF_BLOOD * body.hand_height_m
-            return hemodynamics.Waveform(time_s=body.recorded_time_s, pressure_pa=pressure_pa)
-        spacing_s = 1.0 / (KNOTS_PER_PERIOD * fastest_hz(body))
-        since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
-        pressure = waves_pressure(body, since_s, mean_pressure_pa=self.parameters.arterial_pressure_pa)
-        return hemodynamics.Waveform(time_s=times_s[0] + since_s, pressure_pa=pressure)
+        if body is None:
+            return {}
+        recorded_s, (fall_pa, low_pa) = body.recorded_time_s, posture_pa(self.rest, body)
+        high_pa = np.asarray(body.recorded_arterial_pressure_pa or self.rest.arterial_pressure_pa) - fall_pa
+        moved = {"arterial_pressure_pa": (recorded_s, high_pa), "venous_pressure_pa": (recorded_s, low_pa)}
+        if body.waves:
+            spacing_s = 1.0 / (KNOTS_PER_PERIOD * fastest_hz(body))
+            since_s = np.arange(-WARM_UP_S, times_s[-1] - times_s[0] + spacing_s, spacing_s)
+            moved["arterial_pressure_pa"] = (tuple(times_s[0] + since_s), self._waves_pa(since_s))
+        return {
+            name: hemodynamics.Waveform(time_s=time_s, pressure_pa=pressure_pa)
+            for name, (time_s, pressure_pa) in moved.items()
+            if pressure_pa.ndim and time_s is not None
+        }
+
+    def _waves_pa(self, since_s: np.ndarray, **how: float) -> np.ndarray:
+        """The waves of P_H about its mean at some times from the start of the touch, under the hand's height. [Pa]"""
+        assert self.body is not None
+        mean_pa, (fall_pa, _) = self.parameters.arterial_pressure_pa, posture_pa(self.rest, self.body)
+        pressure_pa = waves_pressure(self.body, since_s, mean_pressure_pa=mean_pa, **how)
+        if fall_pa.ndim == 0 or self.body.recorded_time_s is None:
+            return pressure_pa
+        at_s = self.touch.samples_s[0] + since_s
+        above_mean_pa = self.rest.arterial_pressure_pa - mean_pa
+        return pressure_pa + above_mean_pa - np.interp(at_s, self.body.recorded_time_s, fall_pa)
 
     def arteriolar_pressure_pa(self) -> np.ndarray:
         """The pressure in arterioles at the samples of the touch, (t,) float, or that of arterioles at rest. [Pa]"""
         small, since_s = self.arterioles, self.touch.samples_s - self.touch.samples_s[0]
-        mean_pa = self.parameters.arterial_pressure_pa
         if self.body is None or small is None:
-            return np.full(since_s.shape, mean_pa)
-        return waves_pressure(self.body, since_s, mean_pressure_pa=mean_pa, pulse_ratio=small.pulse_ratio)
+            return np.full(since_s.shape, self.parameters.arterial_pressure_pa)
+        return self._waves_pa(since_s, pulse_ratio=small.pulse_ratio)
 
     def capillary_saturation(self, run: xr.Dataset, fraction: np.ndarray) -> np.ndarray:
         """Saturation of the capillaries' blood by the balance of oxygen, whose pulse is arterial, (zones, t) float. [1]
@@ -256,9 +279,11 @@ class BloodModel:
 
         at_rest = flows(*untouched(self.rest))
         names = "capillary_diameter_m", "capillary_pressure_pa", "vein_pressure_pa", "arterial_pressure_pa"
-        flow, high_pa = through(*(run[name].values for name in names)), without_pulse(run.arterial_pressure_pa.values)
+        flow = through(*(run[name].values for name in names))
+        ends = ("arterial_pressure_pa", "venous_pressure_pa")
+        first = {name: float(without_pulse(run[name].values)[0]) for name in ends}
         # A touch that is there from the first sample finds the finger as it was without it.
-        before = through(*untouched(self.parameters.replace(arterial_pressure_pa=float(high_pa[0]))))
+        before = through(*untouched(self.parameters.replace(**first)))
         steady = without_pulse(fraction.astype(float))
         so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(flow), flow_before=before)
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
@@ -271,15 +296,15 @@ class BloodModel:
 
         model, rtol : as for `hemodynamics.respond`.
         """
-        course, high = self.touch, self.arterial_waveform()
+        course, moving = self.touch, self.body_waveforms()
         time_s, pressures = course.samples_s, course.waveforms()
         # Vessels that beat forget within seconds that they began at rest.
-        before_s = time_s[:1] - WARM_UP_S if high is not None else time_s[:0]
+        before_s = time_s[:1] - WARM_UP_S if "arterial_pressure_pa" in moving else time_s[:0]
         run = hemodynamics.respond(
             self.parameters,
             np.concatenate([before_s, time_s]),
             pressure_pa=pressures,
-            arterial_pressure_pa=high,
+            **moving,
             zones=self.zones,
             start="steady",
             model=model,
@@ -309,8 +334,8 @@ class BloodModel:
         if course.shear_n is not None:
             text = "longitudinal force, positive towards the tip"
             data |= variable("shear_n", "time", np.interp(time_s, course.time_s, course.shear_n), text, units="N")
-        if high is not None:
-            data |= variable("arterial_pressure_pa", "time", high.at(time_s), "arterial pressure P_H", units="Pa")
+        for name, waveform in moving.items():
+            data |= variable(name, "time", waveform.at(time_s), MOVING[name], units="Pa")
         data |= variable("blood_fraction", over, fraction, "blood fraction of the nail bed")
         if self.blood.venous_so2 is not None:
             so2 = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2

@@ -190,9 +190,8 @@ def vessels(scene: Scene) -> Parameters:
     constants = _scaled(constants, factors)
     if body is None:
         return constants
-    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
-        time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
-        return constants.replace(arterial_pressure_pa=np.trapezoid(pressure_pa, time_s) / (time_s[-1] - time_s[0]))
+    if body.recorded_arterial_pressure_pa is not None:
+        return constants.replace(arterial_pressure_pa=_mean(np.array(body.recorded_arterial_pressure_pa), body))
     stated_pa = body.heartbeat.mean_pressure_pa if body.heartbeat is not None else None
     return constants if stated_pa is None else constants.replace(arterial_pressure_pa=stated_pa)
 
@@ -213,13 +212,27 @@ def far_from_list(scene: Scene) -> list[str]:
 
 
 def with_posture(parameters: Parameters, body: Body | None) -> Parameters:
-    """The vessels under the pressures that the hand's height and the veins give them."""
+    """The vessels under the pressures that the hand's height and the veins give them; of a recording, their means."""
     if body is None:
         return parameters
-    fall_pa = PA_PER_M_OF_BLOOD * body.hand_height_m
-    low_pa = parameters.venous_pressure_pa if body.venous_pressure_pa is None else body.venous_pressure_pa
+    fall_pa, low_pa = (_mean(values, body) for values in posture_pa(parameters, body))
+    return parameters.replace(arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa, venous_pressure_pa=low_pa)
+
+
+def posture_pa(parameters: Parameters, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """By how much the hand's height lowers P_H, and P_L under it: (K,) float each at the times of a recording that has
+    either, else (). [Pa]"""
+    recorded = body.recorded
+    fall_pa = PA_PER_M_OF_BLOOD * np.asarray(recorded.get("hand_height_m", body.hand_height_m))
+    stated_pa = parameters.venous_pressure_pa if body.venous_pressure_pa is None else body.venous_pressure_pa
+    low_pa = np.asarray(recorded.get("venous_pressure_pa", stated_pa))
     # Veins above the heart collapse: their pressure falls no further than to that around them.
-    return parameters.replace(
-        arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa,
-        venous_pressure_pa=max(low_pa - fall_pa, min(low_pa, 0.0)),
-    )
+    return fall_pa, np.maximum(low_pa - fall_pa, np.minimum(low_pa, 0.0))
+
+
+def _mean(values: np.ndarray, body: Body) -> float:
+    """Mean over the time of a body's recording; of one value, that."""
+    if values.ndim == 0 or body.recorded_time_s is None:
+        return float(values)
+    time_s = np.array(body.recorded_time_s)
+    return float(np.trapezoid(values, time_s) / (time_s[-1] - time_s[0]))

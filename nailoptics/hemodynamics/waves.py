@@ -233,7 +233,7 @@ def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float, pulse_
 
 def pressure_lines(body: Body) -> Lines:
     """The arterial pressure of a body that moves as lines: frequencies (F,) and variances (F,). [Hz], [Pa^2]"""
-    if body.recorded_time_s is not None and body.recorded_arterial_pressure_pa is not None:
+    if body.recorded_time_s and body.recorded_arterial_pressure_pa:
         time_s, pressure_pa = np.array(body.recorded_time_s), np.array(body.recorded_arterial_pressure_pa)
         even_s = np.linspace(time_s[0], time_s[-1], 2 * len(time_s))
         return spectral_lines(np.interp(even_s, time_s, pressure_pa), duration_s=time_s[-1] - time_s[0])

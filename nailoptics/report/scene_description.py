@@ -67,7 +67,7 @@ def body_words(scene: Scene) -> str:
     if body is None:
         return ""
     parts = [
-        f"arterial pressure recorded in {body.file}" if body.recorded_time_s is not None else "",
+        f"{' and '.join(body.recorded)} recorded in {body.file}" if body.recorded else "",
         *(
             f"{name}, {rate:g} a minute" if (rate := getattr(wave, "rate_per_min", None)) else name
             for name, wave in body.waves.items()

@@ -8,6 +8,9 @@ from pydantic import Field, ValidationInfo, model_validator
 from .base import NonNegative, Positive, Table
 from .importers.sensor_recordings import check_columns, read_columns
 
+# Columns of a recording of the body.
+RECORDED = ("arterial_pressure_pa", "venous_pressure_pa", "hand_height_m")
+
 
 class WaveTable(Table):
     """What users set of a wave of the arterial pressure; `WAVES` of hemodynamics.waves has its physics by its name."""
@@ -119,32 +122,44 @@ class Body(Table):
     motion: Motion | None = None
     """Motion of the sensor relative to the nail."""
     file: str | None = None
-    """Recorded pressure beside the scene file, in place of heartbeat, breathing and vasomotion: a CSV with columns
-    time_s (from the start of the touch) and arterial_pressure_pa."""
+    """Recording beside the scene file: a CSV with columns time_s (from the start of the touch) and one or more of
+    arterial_pressure_pa, in place of heartbeat, breathing and vasomotion, venous_pressure_pa and hand_height_m, in
+    place of the fields of these names. Blood at rest holds at the mean arterial pressure."""
     recorded_time_s: tuple[float, ...] | None = None
     """The recorded times; filled from file. [s]"""
     recorded_arterial_pressure_pa: tuple[float, ...] | None = None
-    """The recorded pressures; filled from file. [Pa]"""
+    """The recorded arterial pressures; filled from file. [Pa]"""
+    recorded_venous_pressure_pa: tuple[float, ...] | None = None
+    """The recorded venous pressures; filled from file. [Pa]"""
+    recorded_hand_height_m: tuple[float, ...] | None = None
+    """The recorded heights of the hand; filled from file. [m]"""
 
     @model_validator(mode="before")
     @classmethod
     def _read_the_recording(cls, data: object, info: ValidationInfo) -> object:
         if isinstance(data, dict) and isinstance(data.get("file"), str) and "recorded_time_s" not in data:
             path = Path((info.context or {}).get("folder") or Path()) / data["file"]
-            names = ("arterial_pressure_pa",)
-            columns = read_columns(path, "body.file", names, either=(names,))
+            columns = read_columns(path, "body.file", RECORDED, either=[(name,) for name in RECORDED])
             return data | {f"recorded_{name}": column for name, column in columns.items()}
         return data
 
     @model_validator(mode="after")
     def _is_recorded_or_made(self) -> Self:
-        if self.recorded_time_s is None or self.recorded_arterial_pressure_pa is None:
+        if self.recorded_time_s is None:
             return self
-        columns = {"time_s": self.recorded_time_s, "arterial_pressure_pa": self.recorded_arterial_pressure_pa}
-        check_columns(columns, "body.file")
-        for name in self.waves:
+        check_columns({"time_s": self.recorded_time_s} | self.recorded, "body.file")
+        for name in self.waves if "arterial_pressure_pa" in self.recorded else ():
             raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
+        for name in self.recorded.keys() & {"venous_pressure_pa", "hand_height_m"}:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"file holds {name} over time; leave out {name} = {getattr(self, name):g}")
         return self
+
+    @property
+    def recorded(self) -> dict[str, tuple[float, ...]]:
+        """The recorded columns beside time_s, by name."""
+        columns = {name: getattr(self, f"recorded_{name}") for name in RECORDED}
+        return {name: column for name, column in columns.items() if column is not None}
 
     @property
     def waves(self) -> dict[str, WaveTable]:
@@ -153,5 +168,5 @@ class Body(Table):
 
     @property
     def moves(self) -> bool:
-        """Whether the arterial pressure changes over time at all."""
-        return self.recorded_time_s is not None or bool(self.waves)
+        """Whether the arterial pressure changes over time, the hand's height aside."""
+        return self.recorded_arterial_pressure_pa is not None or bool(self.waves)

@@ -90,6 +90,57 @@ def test_false_forces_are_parts_of_that_of_the_whole_body() -> None:
     assert false_n(recorded, 0.5) == {"file": pytest.approx(waves_n, rel=1e-9)} and waves_n > 0.01
 
 
+def moving(**columns) -> Body:
+    return Body(recorded_time_s=(0.0, 4.0, 6.0, 20.0), **{f"recorded_{name}": row for name, row in columns.items()})
+
+
+def worn(body: Body, force_n: float = 0.0):
+    touch = f'[touch]\nprofile = "hold"\nforce_n = {force_n}\nduration_s = 20.0\nsample_rate_hz = 10.0\n'
+    return scene_with("", touch).model_copy(update={"body": body})
+
+
+@pytest.mark.parametrize(
+    ("columns", "ends"),
+    [
+        ({"hand_height_m": (0.0, 0.0, 0.2, 0.2)}, ("hand_height_m = 0.0", "hand_height_m = 0.2")),
+        ({"hand_height_m": (-0.1, -0.1, -0.3, -0.3)}, ("hand_height_m = -0.1", "hand_height_m = -0.3")),
+        ({"venous_pressure_pa": (0.0, 0.0, 800.0, 800.0)}, ("venous_pressure_pa = 0.0", "venous_pressure_pa = 800.0")),
+    ],
+)
+def test_blood_goes_from_one_posture_to_the_other_as_it_was_recorded(columns, ends) -> None:
+    course = blood_over_touch(worn(moving(**columns)))
+    for at, line in zip((30, -1), ends, strict=True):
+        still = steady_blood(scene_with(f"[body]\n{line}\n"), [0.0])[0]
+        assert course.blood_fraction.values[:, at] == pytest.approx(still, rel=1e-4)
+    assert "venous_pressure_pa" in course and course.venous_pressure_pa.dims == ("time",)
+
+
+def test_a_recorded_height_moves_what_beats() -> None:
+    """Expected: the pressure of the beating artery is that of the level hand, less the weight of the blood."""
+    beats = scene_with("[body.heartbeat]\n").body
+    bodies = [
+        beats.model_copy(update={"recorded_time_s": (0.0, 20.0), "recorded_hand_height_m": (h, h)}) for h in (0.0, 0.2)
+    ]
+    level, raised = (blood_over_touch(worn(body)) for body in bodies)
+    fall_pa = level.arterial_pressure_pa - raised.arterial_pressure_pa
+    assert fall_pa.values == pytest.approx(2080.0, rel=1e-9)
+    still = blood_over_touch(worn(beats.model_copy(update={"hand_height_m": 0.2})))
+    assert raised.blood_fraction.values == pytest.approx(still.blood_fraction.values, rel=1e-4)
+
+
+def test_the_false_force_of_a_recording_is_its_largest_shift_from_the_start() -> None:
+    columns = {"hand_height_m": (0.1, 0.12, 0.05, 0.1), "venous_pressure_pa": (200.0, 200.0, 250.0, 210.0)}
+    false_n = false_forces_n(worn(moving(**columns), 0.5), 0.5)
+    at_rest = {"hand_height_m": 0.1, "venous_pressure_pa": None}
+    lowered = scene_with("[body]\nhand_height_m = 0.05\n")
+    assert false_n["hand_height_m"] == pytest.approx(posture_force_n(lowered, 0.5, at_rest), rel=1e-9)
+    before, after = (
+        posture_force_n(scene_with(f"[body]\nvenous_pressure_pa = {low_pa}\n"), 0.5) for low_pa in (200.0, 250.0)
+    )
+    assert false_n["venous_pressure_pa"] == pytest.approx(after - before, rel=0.05)
+    assert 0.01 < abs(false_n["hand_height_m"]) < 0.1 and "file" not in false_n
+
+
 def test_check_states_the_false_force(shared_light: None) -> None:
     (line,) = [x for x in check_scene(scene_with("[body]\nhand_height_m = -0.1\n"))["warnings"] if "hand_height" in x]
     assert "false force of +0." in line and "N at 0.5 N" in line

@@ -50,11 +50,13 @@ def test_a_recorded_pressure_becomes_part_of_the_scene(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("time_s,force_n\n0,1\n4,1\n", "needs a header with time_s and arterial_pressure_pa; write one"),
+        ("time_s,force_n\n0,1\n4,1\n", "needs a header with time_s and arterial_pressure_pa, or"),
         (
             "time_s,arterial_pressure_pa\n0,75\n4,7e4\n",
             "line 3: arterial_pressure_pa = 70000 must lie in -10000 to 60000 Pa",
         ),
+        ("time_s,hand_height_m\n0,0\n4,1.2\n", "line 3: hand_height_m = 1.2 must lie in -1 to 1 m"),
+        ("time_s,venous_pressure_pa\n0,0\n4,90000\n", "line 3: venous_pressure_pa = 90000 must lie in -5000 to 10000"),
         ("time_s,arterial_pressure_pa\n0,1e4\n3,1e4\n", "reaches from 0 to 3 s, but the touch from 0 to 4 s"),
     ],
 )
@@ -76,6 +78,10 @@ def test_a_recorded_pressure_that_cannot_be_used_is_refused_in_one_line(tmp_path
         (
             lambda: Body(heartbeat=Heartbeat(), recorded_time_s=(0.0, 1.0), recorded_arterial_pressure_pa=(1e4, 1e4)),
             r"leave out \[body.heartbeat\]",
+        ),
+        (
+            lambda: Body(hand_height_m=0.1, recorded_time_s=(0.0, 1.0), recorded_hand_height_m=(0.0, 0.2)),
+            "file holds hand_height_m over time; leave out hand_height_m = 0.1",
         ),
     ],
 )

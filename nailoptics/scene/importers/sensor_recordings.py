@@ -26,6 +26,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "contact_area_mm2": (LEAST_AREA_MM2, 1e3, "mm^2"),
     "proximal_share": (0.0, 1.0, "(a part)"),
     "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
+    "venous_pressure_pa": (-5e3, 1e4, "Pa"),
+    "hand_height_m": (-1.0, 1.0, "m"),
 }
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
 UNLOADED_N = 0.05

@@ -14,9 +14,9 @@ from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
 from ...hemodynamics import steady_state
 from ...hemodynamics.parameters import Parameters, each_bed, vessels
-from ...light import ProgressCallback, open_light
+from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
-from ...options import Requested
+from ...options import Requested, TraceOptions
 from ...scene import Scene, digest, to_toml
 from ...scene.importers.sensor_recordings import SITES, Recording, read_sensor_recording
 from ...variables import variable
@@ -74,13 +74,15 @@ def open_table(
 
     Raises: NotReachedError with both as result where the trace falls short of what is required.
     """
+    if scene.ambient is not None:
+        backend.choose_jit(requested.get("backend", "auto"), "[ambient]")
     # A person is the paper's network of two zones, whatever the scene has.
     two = {"zones": None, "zone_edges_mm": (0.0,), "decay_length": None}
     scene = scene.model_copy(update={"blood": scene.blood.model_copy(update=two), "body": None})
     most_blood = min(1.0, MOST_OVER_REST * scene.blood.rest_blood_fraction)
     how: dict[str, Any] = {"states": nodes_of(most_blood), "progress": progress, **requested}
     light, unmet = as_far_as_reached(open_light, scene, **how)
-    table = reading_table(scene, light, most_blood)
+    table = reading_table(scene, light, most_blood, TraceOptions(**requested))
     if unmet:
         raise NotReachedError(str(unmet), result=(scene, table))
     return scene, table

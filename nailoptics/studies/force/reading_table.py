@@ -12,9 +12,11 @@ from pydantic.dataclasses import dataclass
 
 from ...errors import InputError
 from ...light import DetectedLight
+from ...options import TraceOptions
 from ...scene import Scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
+from ...sensor.ambient import ambient_in_readings
 from ...sensor.front_end import with_fitted_resistors
 from ...statistics import seed_of
 from .person import MOST_GAIN, TABLE, Array, Numbers, within
@@ -34,12 +36,12 @@ class ReadingTable:
     """The volts of R readings where two zones hold some blood, as the electronics of a scene show them.
 
     ln_volts : (P,) float by reading, named by photodiode, or LED:photodiode where there are several LEDs. Coefficients
-        of ln volts without dark current, over POWERS of blood / most_blood_fraction.
-    dark_v : (R,) float. Volts by the photodiode's dark current.
+        of ln volts by the LED's light, over POWERS of blood / most_blood_fraction.
+    dark_v : (R,) float. What a reading has of dark current and light from outside. [V]
     most_blood_fraction : blood up to which the table holds. [1]
     slope_stderr : (R, 2) float. Standard error of d ln volts / d blood of each zone at rest, of the trace.
     noise_v : (R,) float. Noise of the electronics at rest, rms. [V]
-    range_v : the converter's full scale. [V]
+    range_v : reading from which a converter may be at its full scale. [V]
     """
 
     ln_volts: Annotated[dict[str, Annotated[Numbers, within(0, MOST_GAIN)]], Field(min_length=1)]
@@ -140,8 +142,8 @@ def nodes_of(most_blood: float) -> Array:
     return np.array(list(itertools.product(along, along)))
 
 
-def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> ReadingTable:
-    """Fit the table to a scene's traced light.
+def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options: TraceOptions) -> ReadingTable:
+    """Fit the table to a scene's traced light, in its light from outside, which is traced with the options.
 
     Raises: InputError where a photodiode sees no light, or a converter is at its limit at rest.
     """
@@ -149,17 +151,21 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     step, stage = 0.5 * rest, scene.electronics
     near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
+    ambient = ambient_in_readings(scene, options)
+    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(len(diodes))
+    unlit = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=ambient_a)
     pairs = [(led, diode) for led in scene.leds for diode in diodes]
     names, noise_v = reading_names(scene), []
     is_known = np.isfinite(near.change_stderr).all(-1).ravel()
-    for name, part, known, pair in zip(names, near.fraction[..., 0].ravel(), is_known, pairs, strict=True):
+    parts = zip(near.fraction[..., 0].ravel(), np.tile(ambient_a, len(scene.leds)), is_known, strict=True)
+    for name, pair, (part, outside_a, known) in zip(names, pairs, parts, strict=True):
         if not (part > 0 and known):
             raise InputError(f"{name}: sees too little light for a standard error; trace more photons or leave it out.")
-        read = electronics.read(part, *pair, stage)
+        read = electronics.read(part, *pair, stage, ambient_a=outside_a)
         if read.saturated:
             raise InputError(
-                f"{name}: its converter is at its limit ({stage.adc_range_v:g} V) at rest; lower flux_mw or "
-                "feedback_ohm."
+                f"{name}: its converter is at its limit ({stage.adc_range_v:g} V) at rest; lower flux_mw, "
+                "feedback_ohm or the light of [ambient]."
             )
         noise_v.append(float(read.volts_noise_rms))
     nodes = nodes_of(most_blood)
@@ -169,12 +175,12 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float) -> Read
     design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)
     coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
     rest_fraction = near.fraction.reshape(len(names), -1)[:, :1]
-    dark_a = np.array([diode.dark_current_a(stage.temperature_k) for _, diode in pairs])
+    removed_v = unlit.amplified_v.max() if stage.ambient_rejection else 0.0
     return ReadingTable(
         ln_volts=dict(zip(names, coefficients, strict=True)),
-        dark_v=dark_a * electronics.stage_ohm([diode for _, diode in pairs], stage),
+        dark_v=np.tile(unlit.volts, len(scene.leds)),
         most_blood_fraction=most_blood,
         slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / rest_fraction / step,
         noise_v=np.array(noise_v),
-        range_v=stage.adc_range_v,
+        range_v=stage.adc_range_v - removed_v,
     )
