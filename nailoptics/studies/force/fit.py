@@ -185,9 +185,7 @@ class Fit:
         rest_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
         volts, slopes = self.table.slopes(np.full(2, self.finger.rest_blood_fraction))
         slope = np.maximum(np.hypot(self.table.slope_stderr, OPTICS_PART * slopes / volts[:, None]), LEAST_SLOPE)
-        # The gain is the LED's, too, of which light from outside knows nothing.
-        offset_v = np.hypot(rest_v, self.table.dark_v)
-        return np.column_stack([np.full(len(rest_v), GAIN_SPREAD), offset_v, slope, *[rest_v] * len(self.averaged)])
+        return np.column_stack([np.full(len(rest_v), GAIN_SPREAD), rest_v, slope, *[rest_v] * len(self.averaged)])
 
     def _linear_fit(self, model: Array) -> tuple[Array, Array]:
         """Least squares of gains, offsets, slopes and drifts, (R, S, 4 + K), and residuals (R, S, T), 0 in gaps."""
