@@ -177,7 +177,7 @@ class BloodModel:
 
         at_rest : the posture in which rest was read, as for `in_posture`.
         """
-        usual = self.in_posture(POSTURE | at_rest).at_force(force_n)
+        usual = self.in_posture({**POSTURE, **at_rest}).at_force(force_n)
         return float(usual.as_force_n(self.at_force(force_n).blood_fraction - usual.blood_fraction))
 
     def false_forces_n(self, force_n: float, *, bandwidth_hz: float) -> dict[str, float]:

@@ -130,15 +130,14 @@ def test_a_recorded_height_moves_what_beats() -> None:
 
 def test_the_false_force_of_a_recording_is_its_largest_shift_from_the_start() -> None:
     columns = {"hand_height_m": (0.1, 0.12, 0.05, 0.1), "venous_pressure_pa": (200.0, 200.0, 250.0, 210.0)}
-    false_n = false_forces_n(worn(moving(**columns), 0.5), 0.5)
+    recorded_n = false_n(worn(moving(**columns), 0.5), 0.5)
+    lowered = blood_model(scene_with("[body]\nhand_height_m = 0.05\n"))
     at_rest = {"hand_height_m": 0.1, "venous_pressure_pa": None}
-    lowered = scene_with("[body]\nhand_height_m = 0.05\n")
-    assert false_n["hand_height_m"] == pytest.approx(posture_force_n(lowered, 0.5, at_rest), rel=1e-9)
-    before, after = (
-        posture_force_n(scene_with(f"[body]\nvenous_pressure_pa = {low_pa}\n"), 0.5) for low_pa in (200.0, 250.0)
-    )
-    assert false_n["venous_pressure_pa"] == pytest.approx(after - before, rel=0.05)
-    assert 0.01 < abs(false_n["hand_height_m"]) < 0.1 and "file" not in false_n
+    assert recorded_n["hand_height_m"] == pytest.approx(lowered.posture_force_n(0.5, at_rest), rel=1e-9)
+    filled = blood_model(scene_with("[body]\nvenous_pressure_pa = 250.0\n"))
+    shift_n = filled.posture_force_n(0.5, {"venous_pressure_pa": 200.0})
+    assert recorded_n["venous_pressure_pa"] == pytest.approx(shift_n, rel=1e-9)
+    assert 0.01 < abs(recorded_n["hand_height_m"]) < 0.1 and "file" not in recorded_n
 
 
 def test_check_states_the_false_force(shared_light: None) -> None:
