@@ -370,12 +370,8 @@ def batch(
         now = batches.status(output or sweep)
         return _finish(vars(now) | {"left": now.left}, [now], {}, options.json)
     planned = batches.load_sweep(sweep)
-    far = dict[str, None]()
-    for scene in planned.scenes:
-        with suppress(InputError):  # a scene whose vessels cannot be fails by itself
-            far |= dict.fromkeys(far_from_list(scene))
-    if far:
-        say(next(iter(far)) + (f"; {len(far) - 1} more like it" if len(far) > 1 else ""))
+    for line in far_from_list(*planned.scenes):
+        say(line)
     if dry_run:
         counts = batches.count(planned, **options.fields)
         return _finish(counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], {}, options.json)

@@ -131,13 +131,15 @@ def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple
 
 
 def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
-    """What `np.unique(rows, axis=0)` finds of rows (n, c), in a sixth of its time.
+    """What `np.unique(rows, axis=0)` finds of rows (n, c), in less than half of its time.
 
     Returns: the distinct rows (k, c), rising; where each stands first, (k,) int; and which one each row is, (n,) int.
     """
     # Adding zero makes one of the two zeros that are equal but differ in their bits.
     rows = rows + rows.dtype.type(0)
-    ranks = [np.unique(column, return_inverse=True)[1] for column in rows.T]
-    number = np.ravel_multi_index(ranks, [rank.max(initial=0) + 1 for rank in ranks])
-    _, first, which = np.unique(number, return_index=True, return_inverse=True)
-    return rows[first], first, which
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    is_new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))[: len(rows)]
+    which = np.empty(len(rows), np.int64)
+    which[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], order[is_new], which

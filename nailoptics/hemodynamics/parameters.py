@@ -6,6 +6,7 @@ import math
 import operator
 import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ LEAST_DAMPING_N_S_PER_M = 1e-12
 # Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
 PA_PER_M_OF_BLOOD = 1.04e4
 # The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
-FAR_FROM_LIST = 100.0
+FAR_FROM_LIST, FAR_NAMED = 100.0, 10
 _BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
 
 
@@ -201,14 +202,21 @@ def _scaled(constants: Parameters, factors: Mapping[str, PerBed]) -> Parameters:
     return constants.replace(**scaled)
 
 
-def far_from_list(scene: Scene) -> list[str]:
-    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`."""
-    far, constants = dict[str, None](), vessels(scene)
-    for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
-        outside = [value for value in beds(getattr(constants, name)) if not low <= value <= high]
-        far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
+def far_from_list(*scenes: Scene) -> list[str]:
+    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`.
+
+    It is one for all scenes. A scene whose vessels cannot be has none, and fails where it is simulated.
+    """
+    far = dict[str, None]()
+    for scene in scenes:
+        with suppress(InputError):
+            constants = vessels(scene)
+            for name, (low, high) in bounds(factor=FAR_FROM_LIST).items():
+                outside = [value for value in beds(getattr(constants, name)) if not low <= value <= high]
+                far |= {f"{name} = {value:g} (listed {math.sqrt(low * high):g})": None for value in outside}
     text = f"more than {FAR_FROM_LIST:g} times off the paper's list, whose orders of magnitude are right"
-    return [f"blood.tuning: {text}: {', '.join(far)}"] if far else []
+    more = [f"and {len(far) - FAR_NAMED} more"] if len(far) > FAR_NAMED else []
+    return [f"blood.tuning: {text}: {', '.join([*far][:FAR_NAMED] + more)}"] if far else []
 
 
 def with_posture(parameters: Parameters, body: Body | None) -> Parameters:

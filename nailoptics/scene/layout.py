@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from .base import Point, Polygon
 from .finger import Finger
 from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
@@ -113,18 +114,26 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -
         (u_min, v_min), (u_max, v_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
         outline = Rectangle("board", u_min, u_max, v_min, v_max)
     # Where a size is given, it takes the place of the file's outline.
-    du, dv = board.center_mm
-    drawn = [(u + du, v + dv) for u, v in board.outline_mm or ()] if board.size_mm is None else []
+    drawn = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm and board.size_mm is None else ()
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         off = min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM
-        if off or (drawn and not has_room(r.center_mm, (0.0, 0.0), drawn, ())):
+        if off or (drawn and not _lies_within(r, board.center_mm, *drawn)):
             cure = "move it or enlarge board.size_mm"
             if board.outline_mm is not None:
                 cure = "move it, or give board.origin, the point of the file on the nail's centre"
             u, v = (round(x, 2) + 0.0 for x in r.center_mm)
-            raise ValueError(f"{name} at ({u:g}, {v:g}) mm reaches over the board's edge or the nail's; {cure}")
+            where = f"{name} at ({u:g}, {v:g}) mm"
+            raise ValueError(f"{where} reaches over the edge of the board, of a hole in it or of the nail; {cure}")
     return outline
+
+
+def _lies_within(part: Rectangle, origin: Point, border: Polygon, *holes: Polygon) -> bool:
+    """Whether a part lies within lines drawn around an origin, and off their holes, seen along the part's own edges."""
+    du, dv = origin
+    lines = [[turned((u + du, v + dv), -part.rotation_deg) for u, v in line] for line in (border, *holes)]
+    width, length = part.size_mm
+    return has_room(turned(part.center_mm, -part.rotation_deg), (width / 2, length / 2), lines[0], lines[1:])
 
 
 def _check_nail(outline: Rectangle, finger: Finger) -> None:

@@ -163,6 +163,16 @@ def test_distinct_rows_are_those_that_numpy_finds(kind):
     assert not np.signbit(found[0][found[0] == 0]).any()
 
 
+def test_distinct_rows_of_many_columns_are_those_that_numpy_finds():
+    """Rationale: 1000 distinct values in each of eight columns are more combinations than an integer can number."""
+    rows = np.random.default_rng(4).integers(0, 1000, (2000, 8))
+    rows = np.concatenate([rows, rows[:100]])
+    found = unique_rows(rows)
+    for ours, numpys in zip(found, np.unique(rows, axis=0, return_index=True, return_inverse=True), strict=True):
+        np.testing.assert_array_equal(ours, numpys.reshape(np.shape(ours)))
+    assert len(unique_rows(rows[:0])[0]) == 0
+
+
 def test_points_around_the_finger_are_in_the_air_alone_as_among_others(geometry):
     """Rationale: where all lie beyond the grid, its cells are not searched."""
     low, high = geometry.bounds_mm

@@ -150,7 +150,7 @@ def test_a_board_wider_or_longer_than_the_nail_is_refused():
     )
     assert "mm long" in complaint(FINGER + "[board]\nsize_mm = [6.0, 13.0]")
     assert "does not fit on the nail" in complaint(FINGER + "[board]\ncenter_mm = [5.0, 0.0]")
-    assert "reaches over the board's edge" in complaint(FINGER + "[board]\nsize_mm = [2.0, 6.0]")
+    assert "reaches over the edge of the board" in complaint(FINGER + "[board]\nsize_mm = [2.0, 6.0]")
 
 
 def test_a_barrier_without_room_is_refused_with_the_way_out():

@@ -209,7 +209,27 @@ def test_a_part_off_an_outline_that_is_no_rectangle_is_refused(tmp_path, corner,
     if lies_on:
         assert len(load_scene(path).board.outline_mm) == 4
         return
-    with pytest.raises(InputError, match=r'"D1" at \(-3, 1\) mm reaches over the board\'s edge .* give board.origin'):
+    with pytest.raises(InputError, match=r'"D1" at \(-3, 1\) mm reaches over the edge of the board.* give board.origin'):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("hole", "lies_on"),
+    [
+        ("96.5 98.5) (end 97.5 99.5", False),  # D1 lies in it
+        ("97.1 98.95) (end 97.3 99.05", False),  # its edge alone does
+        ("97.13 98.5) (end 98 99.5", True),  # beside its die of 0.25 mm
+        ("101.4 100.6) (end 101.5 100.7", False),  # below a corner of PD1, which is turned by 30 degrees
+        ("101.4 101.3) (end 101.5 101.4", True),  # below its box, but not below itself
+    ],
+)
+def test_a_part_over_a_hole_in_the_board_is_refused(tmp_path, hole, lies_on):
+    path, board = write(tmp_path), tmp_path / "x.kicad_pcb"
+    board.write_text(board.read_text().replace("(gr_rect", f"(gr_rect (start {hole}) (layer Edge.Cuts))\n(gr_rect", 1))
+    if lies_on:
+        assert len(load_scene(path).board.outline_holes_mm) == 1
+        return
+    with pytest.raises(InputError, match="reaches over the edge of the board, of a hole in it"):
         load_scene(path)
 
 
@@ -283,7 +303,7 @@ def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
         ("elements = 1", "elements = -1", r"photodiodes\[0\].elements = -1"),
         ("barrier = false", 'barrier = false\norigin = "grid"', "x.kicad_pcb has no such origin"),
         ("barrier = false", 'barrier = false\nfaces_nail = "top"', "parts.D1 lies on the bottom, but the top"),
-        ("barrier = false", "barrier = false\norigin = [0.0, 0.0]", "reaches over the board's edge or the nail's"),
+        ("barrier = false", "barrier = false\norigin = [0.0, 0.0]", "reaches over the edge of the board, of a hole"),
         ("barrier = false", "barrier = false\norigin = [0.0]", r"board.origin\[1\] is missing; add it"),
         ("barrier = false", 'barrier = false\norigin = "top"', "board.origin = .*: must be 'auxiliary', 'grid' or"),
         ("barrier = false", "barrier = false\nturn_deg = []", "board.turn_deg = .*: must be a valid number"),
