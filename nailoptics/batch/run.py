@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent import futures
-from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Unpack
@@ -59,16 +58,41 @@ class BatchProgress:
 
 
 class BatchRequested(Requested, total=False):
-    """What can be requested of `run_batch`.
-
-    workers : processes on this machine; one per core (on CUDA: one) if not given.
-    threads : threads of each; the cores divided among the workers if not given.
-    scheduler : address of a Dask scheduler in place of local workers; its workers must see the folder.
-    """
+    """The fields of `BatchOptions` as keyword arguments."""
 
     workers: int | None
     threads: int | None
     scheduler: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions(TraceOptions):
+    """How light is traced, and by whom; max_seconds is the wall time after which the run stops.
+
+    What was traced stays, and the next run resumes from there. Raises InputError for values that none can have.
+    """
+
+    workers: int | None = None
+    """Processes on this machine; one per core (on CUDA: one) if not given."""
+    threads: int | None = None
+    """Threads of each; the cores divided among the workers if not given."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler in place of local workers; its workers must see the folder."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, value in (("workers", self.workers), ("threads", self.threads)):
+            if value is not None and not value > 0:
+                raise InputError(f"{name} = {value}; must be above 0.")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
+
+    def slots(self, backend: str) -> "LocalSlots":
+        """Who does the jobs on a backend."""
+        if self.scheduler is not None:
+            return ClusterSlots(self.scheduler)
+        workers = self.workers or (1 if backend == "cuda" else cores())
+        return LocalSlots(workers, self.threads or max(1, cores() // workers))
 
 
 def run_batch(
@@ -84,21 +108,14 @@ def run_batch(
 
     shard : I/N, to run the I-th of N parts.
     retry_failed : retry scenes that failed before.
-    requested : `BatchRequested`, and fields of `TraceOptions`; max_seconds is the wall time after which the run stops:
-        what was traced stays, and the next run resumes from there.
+    requested : fields of `BatchOptions`.
 
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
     """
-    workers, threads = requested.pop("workers", None), requested.pop("threads", None)
-    scheduler = requested.pop("scheduler", None)
-    for name, value in (("workers", workers), ("threads", threads)):
-        if value is not None and not value > 0:
-            raise InputError(f"{name} = {value}; must be above 0.")
-    if workers is not None and scheduler is not None:
-        raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
     begin = time.time()
-    settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)  # type: ignore[misc]
+    options = BatchOptions(**requested)
+    settings = Settings.of(Path(folder), options, sweep.study)
     place, planned = Folder(settings.folder), plan(sweep, settings)
     mine = of_shard(planned, shard)
     damage = check_same(place, planned, settings)
@@ -108,9 +125,7 @@ def run_batch(
     if damage:
         driver.show(f"plan.json was damaged and is written anew: {damage}")
     if driver.queue:
-        workers = workers or (1 if settings.options.backend == "cuda" else cores())
-        threads = threads or max(1, cores() // workers)
-        driver.run(ClusterSlots(scheduler) if scheduler is not None else LocalSlots(workers, threads))
+        driver.run(options.slots(settings.options.backend))
     return driver.checked_outcome()
 
 
@@ -134,7 +149,7 @@ class LocalSlots:
         try:
             for ready in [executor.submit(os.getpid) for executor in self.executors]:
                 ready.result()
-        except BrokenExecutor:
+        except futures.BrokenExecutor:
             why = "in a script, run batches under if __name__ == '__main__': only"
             raise NailopticsError(f"the worker processes die as they start; {why}.") from None
 
@@ -213,7 +228,7 @@ class _Driver:
         # Scenes that no report or result of this run has ended yet.
         self.left = {p.digest: p for p in planned}
         self.outcome = Outcome(total=len(self.left), lights=len({p.key for p in planned}))
-        self.running: dict[Future[JobReport], tuple[int, Job]] = {}
+        self.running: dict[futures.Future[JobReport], tuple[int, Job]] = {}
         # Lights of which a job has ended, so that others read what it stored.
         self.stored: set[str] = set()
         self.deaths: Counter[str] = Counter()
@@ -278,17 +293,17 @@ class _Driver:
         try:
             self.running[slots.executors[slot].submit(work, job, self.settings, slots.sharers)] = slot, job
             self.queue.remove(job)
-        except BrokenExecutor:  # it died while idle
+        except futures.BrokenExecutor:  # it died while idle
             slots.renew(slot)
             free.append(slot)
         except Exception as error:  # a scheduler that went away
             self._lost(error)
 
-    def _book(self, future: "Future[JobReport]", slot: int, job: Job, slots: LocalSlots) -> None:
+    def _book(self, future: "futures.Future[JobReport]", slot: int, job: Job, slots: LocalSlots) -> None:
         """Book a job's report, or its worker's death."""
         try:
             report = future.result()
-        except BrokenExecutor:
+        except futures.BrokenExecutor:
             slots.renew(slot)
             return self._died(job)
         except WriteError:
