@@ -266,7 +266,8 @@ def place(
 ) -> None:
     """Rank layouts of LEDs and photodiodes by their force resolution, and search for better ones.
 
-    Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline and best.glb.
+    Writes place.nc, ranking.csv, place.html, and the best layout as best.toml, best.csv (KiCad), outline, best.glb
+    and best.kicad_pcb: your own board, if the scene's layout came from one, with its parts moved.
 
     Args:
         negate_x_on_bottom: Write the position file with X negated on the bottom side.
@@ -279,7 +280,7 @@ def place(
     loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, PLACEMENT)
     result, unmet = _traced(study, loaded, verify_with_mitsuba=verify_with_mitsuba, options=options)
-    paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom)
+    paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
     _show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
 
 
@@ -460,11 +461,14 @@ def export(
     scene: ScenePath,
     *,
     output: Output,
-    format_: Annotated[Literal["glb", "ply", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")] = None,
+    format_: Annotated[
+        Literal["glb", "ply", "kicad_pcb", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")
+    ] = None,
     voxel_mm: float | None = None,
     json_: Json = False,
 ) -> None:
-    """Write the finger and the board for another program: a mesh (glb, ply), or what it needs to trace the light.
+    """Write the finger and the board for another program: a mesh (glb, ply), what it needs to trace the light, or the
+    board (kicad_pcb): your own, if the layout came from one, with its parts where the scene has them.
 
     The README in a folder lists what the format cannot represent.
 
@@ -477,7 +481,7 @@ def export(
     from .scene import load_scene
 
     try:
-        paths = write(load_scene(scene), output, format=format_, voxel_mm=voxel_mm)
+        paths = write(load_scene(scene), output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent)
     except WriteError:
         raise
     except InputError as error:

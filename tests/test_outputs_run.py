@@ -7,6 +7,7 @@ import pytest
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
+from nailoptics.exports.formats import FILES
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Candidate, Scene, Touch, load_scene, parse_scene, to_toml
@@ -55,8 +56,8 @@ def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, n
     best = load_scene(tmp_path / "best.toml")
     is_read(best)
     assert parse_scene(to_toml(best)) == best
-    for name in ("glb", "mitsuba", "mmc"):
-        path = tmp_path / ("export.glb" if name == "glb" else name)
+    for name in ("glb", "kicad_pcb", "mitsuba", "mmc"):
+        path = tmp_path / (f"export.{name}" if name in FILES else name)
         assert all(file.exists() for file in nail.export(best, path, format=name).values())
     outline = read_outline(tmp_path / "best.kicad_pcb")
     assert len(outline.corners_mm) >= 4

@@ -1,37 +1,45 @@
-"""Export a scene: glb and ply are meshes for viewers and CAD; mmc, mcx and mitsuba trace the same light elsewhere."""
+"""Export a scene: glb and ply are meshes for viewers and CAD; mmc, mcx and mitsuba trace the same light elsewhere;
+kicad_pcb is its board."""
 
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from ..errors import InputError
 from ..io import check_writable
 from ..scene import Scene
 
-FormatName = Literal["glb", "ply", "mmc", "mcx", "mitsuba"]
+FormatName = Literal["glb", "ply", "kicad_pcb", "mmc", "mcx", "mitsuba"]
 
 
 # The function that writes a scene to a path and returns the files by what they are.
 WRITERS: dict[FormatName, tuple[str, str]] = {
     "glb": ("mesh_files", "write_mesh"),
     "ply": ("mesh_files", "write_mesh"),
+    "kicad_pcb": ("kicad_board", "write_kicad_pcb"),
     "mmc": ("mmc", "write_mmc"),
     "mcx": ("mcx", "write_mcx"),
     "mitsuba": ("mitsuba_files", "write_mitsuba"),
 }
 # Formats of one file, named by its ending; the others make a folder.
-FILES = ("glb", "ply")
+FILES = ("glb", "ply", "kicad_pcb")
 
 
 def export(
-    scene: Scene, path: str | Path, *, format: FormatName | None = None, voxel_mm: float | None = None
+    scene: Scene,
+    path: str | Path,
+    *,
+    format: FormatName | None = None,
+    voxel_mm: float | None = None,
+    folder: str | Path | None = None,
 ) -> dict[str, Path]:
     """Write a finger scene for another program.
 
-    path : a file for glb and ply, else a folder, which is made.
+    path : a file for glb, ply and kicad_pcb, else a folder, which is made.
     format : if not given, the ending of the path decides.
     voxel_mm : side of the voxels of the format mcx; 0.1 if not given. [mm]
+    folder : where the board lies from which the scene's layout came, for kicad_pcb; the current one if not given.
 
     Returns: what was written, by what it is.
 
@@ -43,18 +51,18 @@ def export(
     name = ending if format is None else format
     if format is None and name not in WRITERS:
         raise InputError(
-            f"{path}: its ending names no format; end a file in .glb or .ply, or give format, one of {known}."
+            f"{path}: its ending names no format; end it in .glb, .ply or .kicad_pcb, or give format, one of {known}."
         )
     if name not in WRITERS:
         raise InputError(f'format = "{name}" is unknown; choose from {known}.')
     if voxel_mm is not None and name != "mcx":
         raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
-    folder = name not in FILES
-    if not folder and ending != name:
+    single = name in FILES
+    if single and ending != name:
         raise InputError(f"{path}: a file in the format {name} ends in .{name}; rename it.")
-    if folder and os.path.exists(path) and not os.path.isdir(path):
+    if not single and os.path.exists(path) and not os.path.isdir(path):
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
-    check_writable(path if folder else path.parent, *([] if folder else [path.name]))
+    check_writable(path.parent if single else path, *([path.name] if single else []))
     if scene.finger is None:
         raise InputError(
             "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its layers "
@@ -62,5 +70,8 @@ def export(
         )
     module, function = WRITERS[name]
     write = getattr(import_module(f".{module}", __package__), function)
-    paths: dict[str, Path] = write(scene, path, **({} if voxel_mm is None else {"voxel_mm": voxel_mm}))
+    more: dict[str, Any] = {} if voxel_mm is None else {"voxel_mm": voxel_mm}
+    if name == "kicad_pcb":
+        more["folder"] = Path(folder or ".")
+    paths: dict[str, Path] = write(scene, path, **more)
     return paths

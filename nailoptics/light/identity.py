@@ -8,7 +8,7 @@ import numpy as np
 from ..geometry.build import LED_LIGHT
 from ..scene import Scene, digest
 from ..scene.finger import ABSORBING
-from ..scene.parts import ELECTRICAL
+from ..scene.parts import ELECTRICAL, BoardFile
 
 
 def light_scene(scene: Scene) -> Scene:
@@ -37,7 +37,8 @@ def light_scene(scene: Scene) -> Scene:
     update |= dict.fromkeys(("body", "ambient", "oximeter", "placement"))
     update |= {"blood": blood, "leds": leds, "photodiodes": photodiodes}
     update["light"] = scene.light.model_copy(update={"engine": "auto"})
-    update["board"] = scene.board.model_copy(update=dict.fromkeys(("kicad", "positions", "unmapped")))
+    of_file = {name: field.default for name, field in BoardFile.model_fields.items()}
+    update["board"] = scene.board.model_copy(update=of_file)
     if scene.finger is not None:
         update["finger"] = scene.finger.with_usual(("digit", *ABSORBING))
     if scene.phantom is not None:

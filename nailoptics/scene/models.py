@@ -259,7 +259,9 @@ class Scene(Table):
         except (InputError, ValueError) as error:
             raise ValueError(f"board: {str(error).rstrip('.')}") from None
         data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
-        filled: dict[str, object] = {"parts": None, "unmapped": mounted.ignored}
+        # A layout goes back into a board of KiCad.
+        of_file: dict[str, object] = {"parts": None} if mounted.view is None else mounted.view.fields
+        filled: dict[str, object] = {"unmapped": mounted.ignored} | of_file
         if mounted.outline is not None and "outline_mm" not in board:
             filled |= {"outline_mm": mounted.outline.corners_mm, "outline_holes_mm": mounted.outline.holes_mm}
         if mounted.film_um is not None and "kapton_um" not in board:

@@ -194,7 +194,7 @@ class BoardFile(Table):
     """A position file of KiCad or an assembler in the scene's folder, instead of a KiCad board."""
     parts: dict[str, dict[str, Any]] | None = None
     """Map from the file's references to parts, such as D1 = { led = "led_660" } or U2 = { photodiode = "bpw34" };
-    candidates without it have that of [board]."""
+    candidates without it have that of [board]. A scene that was read from a KiCad board keeps it."""
     origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
     outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
@@ -214,6 +214,9 @@ class BoardFile(Table):
     unmapped: tuple[str, ...] | None = None
     """References of the file that are no part of the scene; filled from it."""
 
+    def __hash__(self) -> int:  # parts is a dict; layouts are looked up by their board
+        return hash(tuple(value for name, value in self.__dict__.items() if name != "parts"))
+
     @staticmethod
     def is_to_be_read(table: object) -> bool:
         """Whether a table names a file that has not been read, and its fields are valid; if not, these say so."""
@@ -228,7 +231,7 @@ class BoardFile(Table):
 
     @model_validator(mode="after")
     def _parts_are_of_a_file(self) -> Self:
-        if self.parts is not None:
+        if self.parts is not None and self.unmapped is None:
             raise ValueError("parts says what a file's references are; give kicad or positions, the file that has them")
         return self
 

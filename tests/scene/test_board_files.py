@@ -54,7 +54,7 @@ def test_mapped_parts_lie_where_the_file_has_them_and_others_are_named(tmp_path)
     (led,), (diode,) = scene.leds, scene.photodiodes
     assert (led.name, led.wavelength_nm, led.position_mm, led.rotation_deg) == ("D1", 660, (-3.0, 1.0), 90)
     assert (diode.name, diode.size_mm, diode.position_mm, diode.rotation_deg) == ("PD1", (1.0, 0.5), (1.0, -1.0), 30)
-    assert scene.board.unmapped == ("R1",) and scene.board.parts is None
+    assert scene.board.unmapped == ("R1",) and {*scene.board.parts} == {"D1", "PD1"}
     # y points down in KiCad and to the tip on the nail.
     assert set(scene.board.outline_mm) == {(-4, -5), (4, -5), (4, 4), (-4, 4)}
     outline = scene.layout.outline

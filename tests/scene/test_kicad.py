@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 
 from nailoptics.errors import InputError
-from nailoptics.scene.importers import kicad
 from nailoptics.scene.importers.kicad import read_board, write_board
 from nailoptics.scene.importers.outlines import Outline, join
 from nailoptics.scene.importers.positions import PlacedPart
@@ -179,10 +178,3 @@ def test_what_is_no_board_is_refused_in_one_line(tmp_path, text):
     with pytest.raises(InputError, match="x.kicad_pcb: is no KiCad board") as caught:
         board(tmp_path, text)
     assert len(str(caught.value).splitlines()) == 1
-
-
-def test_the_package_that_reads_boards_is_named_where_it_is_missing(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "sexpdata", None)
-    with pytest.raises(InputError, match=r"pip install 'nailoptics\[cad\]'"):
-        board(tmp_path, KICAD_5)
-    assert kicad.EDGE in KICAD_5

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from nailoptics.scene import parse_scene
-from nailoptics.scene.importers.kicad import read_board
+from nailoptics.scene.importers.kicad import moved_board, read_board
 from nailoptics.scene.importers.outlines import join
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import area_mm2
@@ -67,6 +67,31 @@ def test_a_pad_of_a_turned_bottom_footprint_lies_where_kicad_puts_it():
         place = [a + b for a, b in zip(part.position_mm, ORIGIN, strict=True)]
         assert place == pytest.approx(pads[ref], abs=2e-6)
         assert away_deg(part.rotation_deg - PARTS[ref][1]) < 1e-6
+
+
+def test_moved_footprints_are_to_the_byte_what_kicad_saves():
+    """KiCad 6.0's python moved and turned the same four footprints of its own board, and saved it."""
+    places = {"D1": ((101.25, -103.5), 75.0), "PD1": ((106.0, -102.0), -17.3), "PD2": ((104.0, -103.0), 33.456)}
+    path = FILES / "version_6.kicad_pcb"
+    text = moved_board(path, places | {"J1": ((106.5, -102.5), 30.0)}, [])
+    assert text == (FILES / "version_6_moved.kicad_pcb").read_text()
+
+
+@pytest.mark.parametrize("version", [6, 9])
+def test_moved_there_and_back_a_board_is_the_same_to_the_byte(tmp_path, version):
+    path, moved = FILES / f"version_{version}.kicad_pcb", tmp_path / "moved.kicad_pcb"
+    placed = {part.ref: (part.position_mm, part.rotation_deg) for part in read_board(path).footprints}
+    assert moved_board(path, placed, []) == path.read_text()
+    away = {ref: ((x + 1.25, y - 0.5), angle + 73.25) for ref, ((x, y), angle) in placed.items() if ref[0] != "J"}
+    moved.write_text(moved_board(path, away, []))
+    found = {part.ref: part for part in read_board(moved).footprints}
+    for ref, (place, angle) in (placed | away).items():
+        assert found[ref].position_mm == pytest.approx(place, abs=1e-9)
+        assert away_deg(found[ref].rotation_deg - angle) < 1e-6
+    lines = [
+        (a, b) for a, b in zip(path.read_text().splitlines(), moved.read_text().splitlines(), strict=True) if a != b
+    ]
+    assert lines and all("(at " in a for a, _ in lines)
 
 
 @pytest.mark.parametrize(

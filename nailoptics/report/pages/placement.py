@@ -1,6 +1,7 @@
 """What a placement leaves: its page with the ranking of layouts and maps of the best, and files for other programs."""
 
 import csv
+import logging
 import math
 from io import StringIO
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from ...errors import InputError
 from ...io import plain_cell, write_text
 from ...scene import Placement, Scene, parse_scene
 from ...sensor.ambient import sources_of
@@ -23,6 +25,8 @@ from . import placement_figures as figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+log = logging.getLogger(__name__)
 
 TEXTS = texts("placement")
 # A resolution beyond this is that of the prior alone.
@@ -246,16 +250,25 @@ def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
     return [dict(zip(heads, line, strict=True)) for line in lines]
 
 
-def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any, ...]:
-    """Contents of the files; negate_x_on_bottom : whether X is, in the position file, for parts on the bottom side."""
+def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder: Path = Path()) -> tuple[Any, ...]:
+    """Contents of the files.
+
+    negate_x_on_bottom : whether X is, in the position file, for parts on the bottom side.
+    scene_folder : where the board lies from which the scene's layout came, if it did.
+    """
+    from ...exports.kicad_board import is_own, own_board, write_new_board
     from ...exports.mesh_files import write_mesh
-    from ...scene.importers.kicad import write_board
     from ...scene.importers.outlines import write_outline
     from ...scene.importers.positions import write_positions
 
     best, ranking, edges, text = chosen(result), rows(result), outline(result), StringIO(newline="")
-    placed = kicad_parts(best)
-    sizes = [*(led.size_mm for led in best.leds), *(e.photodiode.size_mm for e in best.layout.photodiodes)]
+    board: Any = lambda path: write_new_board(best, path, edges)  # noqa: E731
+    if is_own(best):
+        try:
+            best, board = own_board(best, scene_folder)
+            best = best.model_copy(update={"board": best.board.model_copy(update={"kicad": "best.kicad_pcb"})})
+        except InputError as error:
+            log.warning("%s best.kicad_pcb is a new board.", error)
     writer = csv.DictWriter(text, list(ranking[0]))
     writer.writeheader()
     writer.writerows({name: plain_cell(cell) for name, cell in row.items()} for row in ranking)
@@ -263,9 +276,9 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False) -> tuple[Any
         result,
         text.getvalue(),
         scene_text(best, result.attrs),
-        lambda path: write_positions(path, placed, negate_x_on_bottom=negate_x_on_bottom),
+        lambda path: write_positions(path, kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom),
         lambda path: write_outline(path, edges),
-        lambda path: write_board(path, placed, sizes, edges, thickness_mm=1e-3 * best.board.kapton_um),
+        board,
         lambda path: write_mesh(best, path),
         lambda path: write_placement(result, path),
     )

@@ -41,6 +41,7 @@ class OnNail:
     ignored : References of the file that nothing was said of.
     outline : In the nail's coordinates; None where the file has none.
     film_um : Thickness of the board's film; None where the file says none, or that of a rigid board. [um]
+    view : How the coordinates of a KiCad board became the nail's; None of a position file.
     """
 
     leds: tuple[dict[str, Any], ...]
@@ -48,6 +49,7 @@ class OnNail:
     ignored: tuple[str, ...]
     outline: Outline | None = None
     film_um: float | None = None
+    view: "View | None" = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,17 @@ class View:
     mirrored: bool = False
     turn_deg: float = 0.0
 
+    @classmethod
+    def of_kicad(cls, board: Any) -> "View":
+        """That of a scene's board, which has been read from KiCad."""
+        x, y = board.origin
+        return cls((x, 0.0 - y), board.faces_nail == "top", board.turn_deg)
+
+    @property
+    def fields(self) -> dict[str, object]:
+        """Fields of a KiCad board's table that say this, its origin as KiCad shows it."""
+        return {"origin": (self.origin_mm[0], 0.0 - self.origin_mm[1]), "faces_nail": ("bottom", "top")[self.mirrored]}
+
     def place(self, point: Point) -> Point:
         """A point seen from the board's top, as it lies on the nail. [mm]"""
         x, y = point[0] - self.origin_mm[0], point[1] - self.origin_mm[1]
@@ -67,6 +80,15 @@ class View:
     def angle(self, rotation_deg: float) -> float:
         """An angle seen from the board's top, as it is on the nail. [deg]"""
         return round(((-rotation_deg if self.mirrored else rotation_deg) + self.turn_deg) % 360, 9)
+
+    def place_in_file(self, point: Point) -> Point:
+        """The point seen from the board's top that lies at one of the nail. [mm]"""
+        u, v = turned(point, -self.turn_deg)
+        return round(self.origin_mm[0] + (-u if self.mirrored else u), 9), round(self.origin_mm[1] + v, 9)
+
+    def angle_in_file(self, rotation_deg: float) -> float:
+        """The angle seen from the board's top that is one on the nail. [deg]"""
+        return round((rotation_deg - self.turn_deg) * (-1 if self.mirrored else 1) % 360, 9)
 
 
 def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNail:
@@ -107,7 +129,14 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     ignored = tuple(part.ref for part in placed if part.ref not in uses)
     film_um = 0.0 if board is None else round(1e3 * board.thickness_mm, 6)
     bends = FILM_UM[0] <= film_um <= FILM_UM[1]
-    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), ignored, outline, film_um if bends else None)
+    return OnNail(
+        tuple(tables["led"]),
+        tuple(tables["photodiode"]),
+        ignored,
+        outline,
+        film_um if bends else None,
+        view if board else None,
+    )
 
 
 def view_of(

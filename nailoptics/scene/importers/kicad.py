@@ -1,10 +1,10 @@
-"""KiCad boards, versions 5 to 9: footprints, outline and origins read; a layout written as a board."""
+"""KiCad boards, versions 5 to 9: parts, outline and origins read; parts moved; a layout as a new one."""
 
 import cmath
 import math
 import re
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,22 @@ EDGE = "Edge.Cuts"
 # How far an arc may lie from the lines that take its place.
 FLAT_MM = 0.002
 NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]+(e[-+]?[0-9]+)?", re.IGNORECASE)
+TOKEN = re.compile(r'"(?P<quoted>(?:[^"\\]|\\.)*)"|(?P<mark>[()])|[^\s()"]+', re.DOTALL)
+ESCAPE, CONTROL = re.compile(r"\\(.)", re.DOTALL), {"n": "\n", "r": "\r", "t": "\t"}
+# A place in a file: what comes before it, x and y, and an angle.
+AT = re.compile(r"(\(\s*at)(\s+[-+.\deE]+\s+[-+.\deE]+)((?:\s+[-+.\deE]+)?)(?=[\s)])")
+# What a footprint may hold whose places are not relative to it, or whose angle KiCad's versions write differently.
+NOT_MOVED = ("zone", "dimension", "image", "table", "fp_text_box")
 CURVE_POINTS = 33
 PAGE_CENTER_MM = (100.0, 100.0)
+# A footprint that moves by less stays as it is. [um, deg]
+LEAST_MOVE = 2e-3
+# Part of a die's longer side that each of its two pads takes.
+PAD_SHARE = 0.4
 # Of the layers that a board may have, those that a written one uses; KiCad adds the others.
 LAYERS = (
-    '(0 "F.Cu" signal) (31 "B.Cu" signal) (36 "B.SilkS" user "B.Silkscreen") (37 "F.SilkS" user "F.Silkscreen")',
+    '(0 "F.Cu" signal) (31 "B.Cu" signal) (34 "B.Paste" user) (35 "F.Paste" user)',
+    '(36 "B.SilkS" user "B.Silkscreen") (37 "F.SilkS" user "F.Silkscreen") (38 "B.Mask" user) (39 "F.Mask" user)',
     '(44 "Edge.Cuts" user) (46 "B.CrtYd" user "B.Courtyard") (48 "B.Fab" user) (49 "F.Fab" user)',
 )
 
@@ -49,37 +60,50 @@ class KicadBoard:
     thickness_mm: float
 
 
+class Item(list[Any]):
+    """An item of a board file: its name, then texts and items; from where to where in the file it stands."""
+
+    start = end = 0
+
+
 def read_board(path: Path) -> KicadBoard:
-    """Read a board; raises InputError where it is none, or sexpdata is missing."""
-    try:
-        import sexpdata
-    except ImportError:
-        raise InputError(f"{path}: reading KiCad boards needs sexpdata: pip install 'nailoptics[cad]'.") from None
-
-    class Texts(sexpdata.Parser):
-        """Leaves every word as it stands: a footprint 0603 and a value 1.50 are no numbers."""
-
-        def atom(self, token: str) -> str:
-            return token
-
+    """Read a board; raises InputError where it is none."""
     text = read_text(path, "a KiCad board (.kicad_pcb)")
     try:
-        (tree,) = Texts(text, line_comment="\0").parse()
+        tree = _parsed(text)
         if tree[0] != "kicad_pcb":
             raise ValueError
         return _board(tree)
-    except Exception as error:  # whatever a file that is none makes the parser and what reads its tree raise
+    except Exception as error:  # whatever a file that is none makes what reads its tree raise
         why = "" if type(error) is ValueError else f" ({type(error).__name__})"
         raise InputError(f"{path}: is no KiCad board that can be read{why}; save it with KiCad 5 or newer.") from None
 
 
-def _all(tree: Sequence[Any], *names: str) -> Iterator[list[Any]]:
-    return (item for item in tree if isinstance(item, list) and item and item[0] in names)
+def _parsed(text: str) -> Item:
+    """The one item of a file, every word as it stands: a footprint 0603 and a value 1.50 are no numbers."""
+    around = [Item()]
+    for token in TOKEN.finditer(text):
+        quoted, mark = token["quoted"], token["mark"]
+        if mark == "(":
+            item = Item()
+            item.start = token.start()
+            around[-1].append(item)
+            around.append(item)
+        elif mark:
+            around.pop().end = token.end()
+        else:
+            around[-1].append(token[0] if quoted is None else ESCAPE.sub(lambda e: CONTROL.get(e[1], e[1]), quoted))
+    ((tree,),) = around
+    return tree
+
+
+def _all(tree: Sequence[Any], *names: str) -> Iterator[Item]:
+    return (item for item in tree if isinstance(item, Item) and item and item[0] in names)
 
 
 def _numbers(tree: Sequence[Any], name: str) -> list[float]:
     """The numbers of an item such as (at 1 2 90); empty where there is none."""
-    item = next(_all(tree, name), [])
+    item = next(_all(tree, name), Item())
     return [float(x) for x in item[1:] if isinstance(x, str) and NUMBER.fullmatch(x)]
 
 
@@ -90,7 +114,9 @@ def _point(tree: Sequence[Any], name: str) -> Point:
 
 def _back(tree: Sequence[Any]) -> set[str]:
     """Names of the bottom side's copper, which is the last one; up to version 5 items call it what its user did."""
-    copper = [str(row[1]) for row in next(_all(tree, "layers"), []) if isinstance(row, list) and "user" not in row[2:3]]
+    copper = [
+        str(row[1]) for row in next(_all(tree, "layers"), Item()) if isinstance(row, list) and "user" not in row[2:3]
+    ]
     return {"B.Cu", *copper[-1:]}
 
 
@@ -103,17 +129,17 @@ def _board(tree: list[Any]) -> KicadBoard:
         # Since version 8 properties, before it texts: a field of the user's own may have a name in other letters.
         ref, value = (texts.get(name, texts.get(name.lower(), "")) for name in ("Reference", "Value"))
         side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] in back else "top"
-        populated = "dnp" not in next(_all(item, "attr"), [])
+        populated = "dnp" not in next(_all(item, "attr"), Item())
         part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side, _pads_middle(item, angle), populated)
         footprints.append(part)
         for line in filter(None, (_edge(shape, "fp_") for shape in item)):
             moved = (turned(point, angle) for point in line)
             edges.append(tuple((a + x, b - y) for a, b in moved))
-    setup = next(_all(tree, "setup"), [])
+    setup = next(_all(tree, "setup"), Item())
     origins = {name: _numbers(setup, name) for name in ("aux_axis_origin", "grid_origin")}
     # KiCad writes an origin that nobody set as 0 0, the corner of the page, or not at all.
     auxiliary, grid = ((o[0], -o[1]) if len(o) == 2 and any(o) else None for o in origins.values())
-    layers = _all(next(_all(setup, "stackup"), []), "layer")
+    layers = _all(next(_all(setup, "stackup"), Item()), "layer")
     films = [layer for layer in layers if str(layer[1]).startswith("dielectric")] or [*_all(tree, "general")]
     thickness_mm = sum(sum(_numbers(film, "thickness")[:1]) for film in films)
     return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid, thickness_mm)
@@ -207,10 +233,59 @@ def _bezier(handles: Sequence[Point]) -> Polygon:
     return tuple((x, y) for x, y in points.tolist())
 
 
+def moved_board(path: Path, places: Mapping[str, tuple[Point, float]], new: Sequence[tuple[PlacedPart, Point]]) -> str:
+    """A board's text with some footprints elsewhere on their side, and new ones; all else stays byte for byte.
+
+    places : position and angle of footprints by reference, as of `read_board`. [mm, deg]
+    new : parts to add, with the size of each die. [mm]
+
+    Raises: InputError where a footprint holds what does not move with it.
+    """
+    text = path.read_bytes().decode()
+    tree, edits = _parsed(text), dict[tuple[int, int], str]()
+    for item, part in zip(_all(tree, "module", "footprint"), _board(tree).footprints, strict=True):
+        position_mm, angle_deg = places.get(part.ref, (part.position_mm, part.rotation_deg))
+        turn_deg = round((angle_deg - part.rotation_deg + 180) % 360 - 180, 6)
+        if max(abs(turn_deg), 1e3 * math.dist(position_mm, part.position_mm)) < LEAST_MOVE:
+            continue
+        for held in _all(item, *NOT_MOVED):
+            raise InputError(f"{path}: {part.ref} has a {held[0]} in its footprint, which does not move with it.")
+        edits |= _edit(text, item, turn_deg, position_mm)
+        # Angles of pads and texts are those on the board.
+        for one in _all(item, "pad", "fp_text", "property") if turn_deg else ():
+            edits |= _edit(text, one, turn_deg)
+    end = text.rindex(")")
+    footprints = [_footprint(part, size, _place(part.position_mm)) for part, size in new]
+    edits[end, end] = "".join(f"{line}\n" for lines in footprints for line in lines)
+    for (start, stop), words in sorted(edits.items(), reverse=True):
+        text = text[:start] + words + text[stop:]
+    return text
+
+
+def _edit(
+    text: str, tree: Sequence[Any], turn_deg: float, position_mm: Point | None = None
+) -> dict[tuple[int, int], str]:
+    """The place that an item of a file has, turned, and elsewhere if that is given; none where it has none."""
+    for at in _all(tree, "at"):
+        if match := AT.match(text, at.start):
+            head, place, angle = match.groups()
+            if turn_deg:
+                degrees = round((float(angle or 0) + turn_deg) % 360, 6)
+                angle = f" {degrees:.10g}" if degrees else ""
+            place = place if position_mm is None else f" {_place(position_mm)}"
+            return {match.span(): f"{head}{place}{angle}"}
+    return {}
+
+
+def _place(point: Point) -> str:
+    """A place as KiCad writes it, with y down. [mm]"""
+    return " ".join(f"{x:.6f}".rstrip("0").rstrip(".") for x in (point[0] + 0.0, 0.0 - point[1]))
+
+
 def write_board(
     path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline, *, thickness_mm: float
 ) -> None:
-    """Write a layout as a board of KiCad 6, which newer ones open: outline and footprints, each with its die drawn.
+    """Write a layout as a board of KiCad 6, which newer ones open: outline and footprints, two pads under each die.
 
     The origin of drill and position files is the layout's.
 
@@ -222,7 +297,7 @@ def write_board(
     ox, oy = PAGE_CENTER_MM
 
     def place(point: Point) -> str:
-        return f"{point[0] + ox:.6f} {oy - point[1]:.6f}"
+        return _place((point[0] + ox, point[1] - oy))
 
     lines = [
         '(kicad_pcb (version 20211014) (generator "nailoptics")',
@@ -255,6 +330,17 @@ def _footprint(part: PlacedPart, size_mm: Point, place: str) -> list[str]:
     for layer in ("Fab", "CrtYd"):
         lines.append(
             f'    (fp_rect {corners} (layer "{side}.{layer}") (width 0.02) (fill none) {_stamp(part.ref, layer)})'
+        )
+    long = int(size_mm[1] > size_mm[0])
+    pad = [size_mm[0], size_mm[1]]
+    pad[long] *= PAD_SHARE
+    layers = " ".join(f'"{side}.{layer}"' for layer in ("Cu", "Paste", "Mask"))
+    for number, way in ((1, -1), (2, 1)):
+        at = [0.0, 0.0]
+        at[long] = way * (1 - PAD_SHARE) / 2 * size_mm[long]
+        lines.append(
+            f'    (pad "{number}" smd rect (at {at[0]:.9g} {at[1]:.9g} {angle}) (size {pad[0]:.9g} {pad[1]:.9g}) '
+            f"(layers {layers}) {_stamp(part.ref, number)})"
         )
     return [*lines, "  )"]
 

@@ -2,12 +2,14 @@
 a search may move on it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
+from ...scene.importers.board_files import View
 from ...scene.layout import SIDES, lay_elements
 from ...scene.parts import check_one_response
 
@@ -124,6 +126,9 @@ def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | 
         return tuple((round(x + du - u, DECIMALS), round(y + dv - v, DECIMALS)) for x, y in places)
 
     update: dict[str, object] = {"center_mm": (u, v), "size_mm": (across, along), "barrier_gap_mm": gap_mm}
+    if isinstance(board.origin, tuple) and board.kicad:
+        view = View.of_kicad(board)
+        update |= replace(view, origin_mm=view.place_in_file((u - du, v - dv))).fields
     if board.outline_mm is not None:
         update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
     parts = {

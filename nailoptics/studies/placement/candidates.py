@@ -72,10 +72,10 @@ def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodi
     for led, i in zip(base.leds, _named_as(base, plan) if plan.led_refs else range(len(base.leds)), strict=True):
         reference, angle = (plan.led_refs[i][0] if plan.led_refs else led.reference, led.rotation_deg + leds_deg[i])
         leds.append(_at(base, led, plan.leds_mm[i], rotation_deg=angle % 360, reference=reference))
-    for i, (place, turned) in enumerate(zip(plan.photodiodes_mm, photodiodes_deg, strict=True)):
-        ref = plan.photodiode_refs[i] if plan.photodiode_refs else None
-        angle = (like.rotation_deg + turned) % 360
-        photodiodes.append(_at(base, like, place, name=ref or f"PD{i + 1}", reference=ref, rotation_deg=angle))
+    refs = plan.photodiode_refs or [ref for _, ref in _named(base, Placement(), plan.photodiodes_mm)]
+    for i, (place, turned, ref) in enumerate(zip(plan.photodiodes_mm, photodiodes_deg, refs, strict=True)):
+        name, angle = ref if plan.photodiode_refs else f"PD{i + 1}", (like.rotation_deg + turned) % 360
+        photodiodes.append(_at(base, like, place, name=name, reference=ref, rotation_deg=angle))
     return leds, photodiodes
 
 
@@ -132,14 +132,15 @@ def searched(
     else:
         like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
         areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
-        for area, (new, ref) in zip(areas, _named(base, placement, areas), strict=True):
+        for area, (new, ref) in zip(areas, _named(base, placement, [a.center_mm for a in areas]), strict=True):
             parts.append(_at(base, like, area.center_mm, name=new, reference=ref))
     board = base.board.model_copy(update={"barrier_side": side})
     return _laid_out(base.model_copy(update={"board": board}), name, leds, parts)
 
 
-def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> list[tuple[str, str | None]]:
-    """Names and references of new photodiodes: each is the nearest of a board's file that is like them, else new."""
+def _named(base: Scene, placement: Placement, places: Places) -> list[tuple[str, str | None]]:
+    """Names and references of photodiodes at places on the nail: of the nearest of a board's file that is like them,
+    else new."""
     from scipy.optimize import linear_sum_assignment
 
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
@@ -147,14 +148,12 @@ def _named(base: Scene, placement: Placement, areas: Sequence[Rectangle]) -> lis
     alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm) == same]
     fixed = [p for p in base.photodiodes if p not in loose]
     taken = {word for p in (*fixed, *alike) for word in (p.name, p.reference)}
-    distance_mm = np.array(
-        [[math.dist(area.center_mm, np.add(p.position_mm, (du, dv))) for p in alike] for area in areas]
-    )
-    nearest = dict(zip(*linear_sum_assignment(distance_mm.reshape(len(areas), len(alike))), strict=True))
+    distance_mm = np.array([[math.dist(place, np.add(p.position_mm, (du, dv))) for p in alike] for place in places])
+    nearest = dict(zip(*linear_sum_assignment(distance_mm.reshape(len(places), len(alike))), strict=True))
     new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
     return [
         (alike[nearest[i]].name, alike[nearest[i]].reference) if i in nearest else (next(new), None)
-        for i in range(len(areas))
+        for i in range(len(places))
     ]
 
 

@@ -126,9 +126,10 @@ def _candidates(
     """All layouts to evaluate, given, searched and the paper's, and every site of the LEDs that the search tried."""
     rules = objective.rules
     boards.check_search(base, rules)
-    # The paper's layout has one LED, which cannot measure oxygen.
     layouts = given(base, rules)
-    paper = None if "oxygen" in rules.weights else _paper_layout(base, cache.conditions)
+    # The paper's layout has one LED, which cannot measure oxygen, and is no layout for somebody's own board.
+    of_paper = "oxygen" not in rules.weights and base.board.unmapped is None
+    paper = _paper_layout(base, cache.conditions) if of_paper else None
     straight = boards.searchable_board(base, rules)
     searched = search.Search(straight, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
@@ -160,8 +161,10 @@ def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerC
 
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
-    """The layouts that [placement] lists."""
+    """The layouts that [placement] lists; if none, that of the scene's own board file as drawn."""
     scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
+    if not scenes and base.board.unmapped is not None:
+        scenes = [("drawn", base)]
     return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 
 
