@@ -5,7 +5,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar, Unpack
 
 import numpy as np
@@ -48,14 +48,29 @@ class DetectedLight:
 
     readings_at : reads a course of blood states, (t, zones) float -> ReadingSeries.
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine records none. [mm]
+    absorbers : their names.
     transfer : the trace behind it; None where the engine keeps none.
     """
 
     readings_at: Callable[[np.ndarray], ReadingSeries]
     mean_path: np.ndarray
     mean_path_stderr: np.ndarray
+    absorbers: tuple[str, ...]
     attributes: dict[str, Any]
     transfer: Transfer | None = None
+
+    def over(self, scene: Scene, course: xr.Dataset) -> ReadingSeries:
+        """The readings over the course of a scene's blood, whose saturations are its own where its oxygen is balanced.
+
+        course : of `blood_over_touch`.
+        """
+        blood = course.blood_fraction.values
+        if not scene.blood.oxygen_balance:
+            return self.readings_at(blood.T)
+        states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
+        by_led = [self.readings_at(state) for state in states]
+        columns = ([getattr(read, one.name)[i] for i, read in enumerate(by_led)] for one in fields(ReadingSeries))
+        return ReadingSeries(*map(np.stack, columns))
 
 
 @dataclass(frozen=True)
@@ -176,7 +191,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
 
     made: dict[str, Any] = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     made |= {"accuracy_reached": _reached(relative), "reused": int(transfer.reused)}
-    paths = rest.mean_path_mm.values, rest.mean_path_mm_stderr.values
+    paths = rest.mean_path_mm.values, rest.mean_path_mm_stderr.values, transfer.absorbers
     return DetectedLight(readings_at, *paths, attributes=transfer.attributes() | made, transfer=transfer)
 
 
@@ -274,7 +289,8 @@ def _light_by_volpath(
     rest = fraction[:, :, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         relative = stderr[:, :, 0] / rest
-    no_path = np.full((*rest.shape, len(optics.absorbers(scene))), np.nan)
+    absorbers = optics.absorbers(scene)
+    no_path = np.full((*rest.shape, len(absorbers)), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
     made = provenance(scene, photons=sum(reading.paths for reading in traced), **made)
     made |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
@@ -283,7 +299,7 @@ def _light_by_volpath(
     def readings_at(blood: np.ndarray) -> ReadingSeries:
         return volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float))
 
-    return _unless(_unmet(traced), DetectedLight(readings_at, no_path, no_path, made))
+    return _unless(_unmet(traced), DetectedLight(readings_at, no_path, no_path, absorbers, made))
 
 
 def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:

@@ -91,6 +91,11 @@ def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -
     return Media(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
+def index_around(scene: Scene, wavelength_nm: float) -> float:
+    """Refractive index of what surrounds LEDs and photodiodes. [1]"""
+    return float(tissue.scattering("epoxy", wavelength_nm)[2]) if scene.light.index_steps else 1.0
+
+
 def _optics_of(scene: Scene, region: str) -> Any:
     """The region whose optics a region has: its own, or those around it where it is left out."""
     return AROUND[region] if region in scene.light.left_out else region
@@ -119,8 +124,9 @@ def absorption(
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
     assert scene.finger is not None
     count = zones(scene).count
-    rest = [scene.blood.rest_blood_fraction] * count
-    fraction = checks.fraction("blood_fraction", rest if blood_fraction is None else blood_fraction)
+    fraction = np.full(count, scene.blood.rest_blood_fraction)
+    if blood_fraction is not None:
+        fraction = checks.fraction("blood_fraction", blood_fraction)
     if fraction.shape[-1:] != (count,):
         raise InputError(
             f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."

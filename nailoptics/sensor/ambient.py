@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,15 +15,16 @@ from ..light.tracing.store import LightStore
 from ..light.transfer.reweight import attenuation
 from ..options import TraceOptions
 from ..scene import Ambient, Photodiode, Scene
-from ..statistics import seed_of
+from ..statistics import Z95, seed_of
 from ..variables import Estimate, Variables, described
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
 PHOTOPIC_OBSERVER = "CIE 1924 Photopic Standard Observer"
 STEP_NM = 10.0
-# Silicon sees from here to there; where tissue has no data, that of the nearest wavelength stands for it.
-SILICON_NM = (380.0, 1100.0)
+# Wavelengths that silicon sees, and in tissue, where that of the nearest wavelength stands for what has no data.
+SILICON_NM = np.arange(380.0, 1100.0 + STEP_NM / 2, STEP_NM)
+INSIDE_NM = np.clip(SILICON_NM, *tissue.WAVELENGTH_RANGE_NM)
 KELVIN = {"sun": 5778.0, "lamp": 2856.0}
 # Over these wavelengths a black body's irradiance is taken. [nm]
 ALL_NM = np.arange(100.0, 60_000.0)
@@ -32,6 +32,8 @@ ALL_NM = np.arange(100.0, 60_000.0)
 SOURCES = SUN, LAMP = Ambient(kind="sun", illuminance_lux=1e5), Ambient(kind="lamp", illuminance_lux=1e3)
 # Photons that each photodiode sends back out: a leakage of 1e-4 is then known within a few parts in ten.
 PHOTONS = 1 << 16
+# The same for its bound, to which resistors fit.
+BOUND_PHOTONS = 1 << 13
 SPACING_MM = 0.2
 _BACK = 31
 
@@ -61,15 +63,13 @@ def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
 
 
 @lru_cache(maxsize=16)
-def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> tuple[Array, Array]:
-    """Wavelengths to which silicon responds [nm], and the photocurrent of each per area without a finger [A/mm^2], (q,)
-    float each.
+def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> Array:
+    """Photocurrent of each wavelength of `SILICON_NM` per area without a finger, (q,) float. [A/mm^2]
 
     Steps are equal, so that the sum is the integral.
     """
-    wavelength_nm = np.arange(SILICON_NM[0], SILICON_NM[1] + STEP_NM / 2, STEP_NM)
-    responsivity = electronics.responsivity_a_per_w(photodiode, wavelength_nm)
-    return wavelength_nm, 1e-6 * STEP_NM * spectral_irradiance(ambient, wavelength_nm) * responsivity
+    responsivity = electronics.responsivity_a_per_w(photodiode, SILICON_NM)
+    return np.asarray(1e-6 * STEP_NM * spectral_irradiance(ambient, SILICON_NM) * responsivity)
 
 
 def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
@@ -86,29 +86,17 @@ def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Ar
     return n**2 * area_mm2 * np.asarray(escaping, float)
 
 
-def photocurrents_a(
-    escaped: Arrivals,
-    scene: Scene,
-    ambient: Ambient,
-    *,
-    traced: Scene | None = None,
-    traced_nm: float,
-    photodiode: Photodiode,
-    area_mm2: float,
-) -> Array:
+def photocurrents_a(escaped: Arrivals, change_per_mm: Array, a_per_mm2: Array, *, area_mm2: float, n: float) -> Array:
     """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
     that were emitted is the photocurrent. [A]
 
     Absorption is that of every wavelength, with the blood at rest, scattering that of the one traced: at shorter ones
     light scatters more and leaks less.
 
-    traced : the scene whose light was traced, if another of the same shape and scattering.
+    change_per_mm : (q, r) float. Absorption at each wavelength of `INSIDE_NM` less that for which the weights hold.
+    a_per_mm2 : of `photocurrent_a_per_mm2`.
     """
-    wavelength, per_mm2 = photocurrent_a_per_mm2(ambient, photodiode)
-    inside = np.clip(wavelength, *tissue.WAVELENGTH_RANGE_NM)
-    change = optics.absorption(scene, inside) - optics.absorption(traced or scene, traced_nm)[0]
-    part = attenuation(escaped.path_mm.astype(float), change) @ per_mm2
-    n = float(tissue.scattering("epoxy", traced_nm)[2]) if scene.light.index_steps else 1.0
+    part = attenuation(escaped.path_mm.astype(float), change_per_mm) @ a_per_mm2
     return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)
 
 
@@ -129,24 +117,38 @@ def trace_ambient(
 
     check_time : called before each trace; may raise.
     """
-    store = LightStore.of_user() if options.store else None
-    tracer = BoardTracer(light_scene(scene), spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
+    elements, light = scene.layout.photodiodes, light_scene(scene)
+    bare = [[photocurrent_a_per_mm2(source, element.photodiode) for source in sources] for element in elements]
     led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
-    how: dict[str, Any] = {"traced": tracer.scene, "traced_nm": scene.leds[led].wavelength_nm}
-    result = np.empty((3, len(sources), len(scene.layout.photodiodes)))
-    for j, element in enumerate(scene.layout.photodiodes):
+    traced_nm = scene.leds[led].wavelength_nm
+    change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(light, traced_nm)[0]
+    n = optics.index_around(scene, traced_nm)
+    store = LightStore.of_user() if options.store else None
+    tracer = BoardTracer(light, spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
+    result = np.empty((3, len(sources), len(elements)))
+    for j, element in enumerate(elements):
         check_time()
         _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
-        how |= {"photodiode": element.photodiode, "area_mm2": element.area.area_mm2}
-        for k, source in enumerate(sources):
-            currents_a = photocurrents_a(left, scene, source, **how)
-            whole_a = element.area.area_mm2 * float(photocurrent_a_per_mm2(source, element.photodiode)[1].sum())
+        area_mm2 = element.area.area_mm2
+        for k, a_per_mm2 in enumerate(bare[j]):
+            currents_a = photocurrents_a(left, change_per_mm, a_per_mm2, area_mm2=area_mm2, n=n)
+            whole_a = area_mm2 * float(a_per_mm2.sum())
             largest_a = float(currents_a.max(initial=0.0)) or whole_a / photons
             total, square = float(currents_a.sum()), float((currents_a**2).sum())
             result[:, k, j] = total, np.sqrt(max(square - total**2 / photons, largest_a**2)), whole_a
     if store is not None:
         store.close()
     return result
+
+
+def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
+    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
+    where it has none, (photodiodes,) float; 0 without either. [A]"""
+    source = scene.ambient or usual
+    if source is None:
+        return np.zeros(len(scene.layout.photodiodes))
+    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS)[:2, 0]
+    return np.asarray(current_a + Z95 * stderr_a)
 
 
 def ambient_in_readings(scene: Scene, options: TraceOptions) -> Variables:

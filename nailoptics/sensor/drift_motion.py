@@ -42,12 +42,11 @@ class MovedLight:
 
 def worn_light(
     scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
-) -> tuple[DetectedLight, tuple[MovedLight, ...]]:
-    """The light under the scene's sensor in its place, and lifted and slid where its body moves it.
+) -> tuple[DetectedLight, tuple[MovedLight, ...], NotReachedError | None]:
+    """The light under the scene's sensor in its place, and lifted and slid where its body moves it, and why some of
+    it is less accurate than requested, if it is.
 
     states : (t, zones) float. The blood states that will be read. A limit in seconds holds for all traces together.
-
-    Raises: NotReachedError, whose result is the light, where some of it is less accurate than requested.
     """
     moves = moved_boards(scene)
     limit = accuracy(scene, TraceOptions(**requested)).max_seconds
@@ -60,9 +59,7 @@ def worn_light(
         there, also = as_far_as_reached(open_light, scene.model_copy(update={"board": board}), **given)
         moved.append(MovedLight(motion, distance_um, there))
         unmet = unmet or also
-    if unmet:
-        raise NotReachedError(str(unmet), result=(light, tuple(moved)))
-    return light, tuple(moved)
+    return light, tuple(moved), unmet
 
 
 def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:

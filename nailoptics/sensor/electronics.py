@@ -78,10 +78,8 @@ def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Ar
     of the wavelength's shape. [A/W]
 
     For a line of some width take the mean of this with the line's weights.
-
-    Raises: InputError for a wavelength that is negative or not finite.
     """
-    wavelength = not_negative("wavelength_nm", wavelength_nm)
+    wavelength = np.asarray(wavelength_nm, float)
     if photodiode.responsivity is None:
         return np.asarray(photodiode.quantum_efficiency * wavelength / PHOTON_NM_PER_V)
     at_nm, value = np.asarray(photodiode.responsivity, float).T
@@ -160,7 +158,7 @@ def limit_v(amplifier: Electronics) -> float:
 
 
 def noise_budget(
-    current_a: ArrayLike, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None
+    current_a: Array | float, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None
 ) -> NoiseBudget:
     """The noise of a stage's output at a photocurrent without its dark current [A], cause by cause.
 
@@ -170,13 +168,12 @@ def noise_budget(
 
     feedback_ohm : that of the stage if not given. [ohm]
     """
-    current = not_negative("current_a", current_a)
     bandwidth, ohm = amplifier.bandwidth_hz, stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
     gain2, thermal_j = np.asarray(ohm) ** 2, 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
     capacitance_f = 1e-12 * (amplifier.capacitance_pf + _of_each(photodiode, lambda p: p.capacitance_pf))
     charge_noise = 2 * np.pi * capacitance_f * amplifier.noise_nv_per_rt_hz * 1e-9
     return NoiseBudget(
-        shot_v2=2 * ELEMENTARY_CHARGE_C * (current + _dark_a(photodiode, amplifier)) * bandwidth * gain2,
+        shot_v2=2 * ELEMENTARY_CHARGE_C * (current_a + _dark_a(photodiode, amplifier)) * bandwidth * gain2,
         feedback_v2=np.asarray(thermal_j * bandwidth * ohm),
         shunt_v2=np.asarray(thermal_j / _of_each(photodiode, lambda p: 1e6 * p.shunt_mohm) * bandwidth * gain2),
         amplifier_v2=np.asarray(charge_noise**2 * bandwidth**3 / 3 * gain2),

@@ -12,29 +12,17 @@ from ..hemodynamics.for_scene import heart_rate_per_min
 from ..light import trace
 from ..light.detect import light_of
 from ..light.transfer.series import ReadingSeries
-from ..options import TraceOptions
-from ..scene import Ambient, Oximeter, Photodiode, Scene, Slot
+from ..scene import Oximeter, Photodiode, Scene, Slot
 from ..scene.oximeter import DARK, two_leds
 from ..statistics import Z95
 from . import electronics
-from .ambient import LAMP, trace_ambient
+from .ambient import LAMP, ambient_bound_a
 
 # A usual oximeter averages over so long. [s]
 AVERAGE_S = 8.0
-# Photons of the short trace to which resistors fit, of all LEDs and of each: readings to some 5 %; and from each
-# photodiode for light from outside.
-MOST_PHOTONS, LEAST_PHOTONS, AMBIENT_PHOTONS = 1 << 16, 1 << 12, 1 << 13
+# Photons of the short trace to which resistors fit, of all LEDs and of each: readings to some 5 %.
+MOST_PHOTONS, LEAST_PHOTONS = 1 << 16, 1 << 12
 CAUSES = ("electronics", "converter", "ambient light")
-
-
-def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
-    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either. [A]"""
-    source = scene.ambient or usual
-    if source is None:
-        return np.zeros(len(scene.layout.photodiodes))
-    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=AMBIENT_PHOTONS)[:2, 0]
-    return np.asarray(current_a + Z95 * stderr_a)
 
 
 def rough_readings(scene: Scene, states: Array) -> ReadingSeries:

@@ -1,13 +1,11 @@
 """Light to volts over a touch: what every photodiode reads, with its standard error and noise, of a worn sensor."""
 
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 import xarray as xr
 
-from ..light import DetectedLight, optics
-from ..light.transfer.series import ReadingSeries
+from ..light import DetectedLight
 from ..scene import Scene
 from ..variables import Estimate, Variables, described
 from . import electronics
@@ -23,7 +21,7 @@ def read_volts(
     ambient : the light from outside, of `ambient_in_readings`.
     """
     blood = course.blood_fraction.values.T
-    readings = _read_light(scene, light, course)
+    readings = light.over(scene, course)
     worn = drift_and_motion(scene, course.time.values)
     motion, about_motion = motion_artefact(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
@@ -64,16 +62,4 @@ def read_volts(
         zone_of_photodiode=list(scene.zones_of_photodiodes),
     )
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
-    return xr.Dataset(data, names | {"absorber": list(optics.absorbers(scene))}).merge(worn)
-
-
-def _read_light(scene: Scene, light: DetectedLight, course: xr.Dataset) -> ReadingSeries:
-    """The light over the course, whose blood has saturations of its own where the scene balances its oxygen."""
-    blood = course.blood_fraction.values
-    if not scene.blood.oxygen_balance:
-        return light.readings_at(blood.T)
-    states = [optics.equivalent_blood(scene, led, blood, course.so2.values).T for led in scene.leds]
-    by_led = [light.readings_at(state) for state in states]
-    return ReadingSeries(
-        *(np.stack([getattr(read, field.name)[i] for i, read in enumerate(by_led)]) for field in fields(ReadingSeries))
-    )
+    return xr.Dataset(data, names | {"absorber": list(light.absorbers)}).merge(worn)

@@ -12,9 +12,10 @@ from ..light import backend, optics
 from ..scene import Scene
 from ..scene.rectangles import area_mm2
 from ..sensor import electronics
+from ..sensor.ambient import ambient_bound_a
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
-from ..sensor.front_end import ambient_bound_a, rough_readings, with_fitted_resistors
+from ..sensor.front_end import rough_readings, with_fitted_resistors
 from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, scene_responses
 from .placement import boards, candidates
 

@@ -7,7 +7,7 @@ from typing import Any, Unpack
 import numpy as np
 import xarray as xr
 
-from ..errors import InputError, as_far_as_reached, unless_cut_off
+from ..errors import InputError, unless_cut_off
 from ..hemodynamics.for_scene import blood_model, blood_over_touch
 from ..light import DetectedLight, ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
@@ -54,7 +54,7 @@ def simulate(
         backend.choose_jit(options.backend, "[ambient]")
     course = blood_over_touch(scene)
     states = course.blood_fraction.values.T
-    (light, moved), unmet = as_far_as_reached(worn_light, scene, states=states, progress=progress, **requested)
+    light, moved, unmet = worn_light(scene, states=states, progress=progress, **requested)
     result = simulate_from(scene, light, course=course, options=options, moved=moved)
     if light.transfer is not None:
         result = result.merge(light.transfer.energy_by_led())

@@ -15,9 +15,11 @@ from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, parse_scene
 from nailoptics.sensor.ambient import (
     ALL_NM,
+    INSIDE_NM,
     KELVIN,
     SOURCES,
     collecting_area_mm2,
+    photocurrent_a_per_mm2,
     photocurrents_a,
     spectral_irradiance,
     trace_ambient,
@@ -72,7 +74,9 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     absorbers = len(optics.absorbers(scene))
     all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
     perfect = scene.photodiodes[0].model_copy(update={"quantum_efficiency": 1.0})
-    each = photocurrents_a(all_left, scene, SOURCES[0], traced_nm=800.0, photodiode=perfect, area_mm2=1.0)
+    change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(scene, 800.0)[0]
+    bare = photocurrent_a_per_mm2(SOURCES[0], perfect)
+    each = photocurrents_a(all_left, change_per_mm, bare, area_mm2=1.0, n=optics.index_around(scene, 800.0))
     assert each.sum() == pytest.approx(0.40e-3, rel=0.15)
 
 

@@ -9,8 +9,8 @@ from nailoptics.light import trace
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Electronics, Led, Photodiode, Scene, load_scene, parse_scene, to_toml
 from nailoptics.sensor import electronics
-from nailoptics.sensor.ambient import LAMP
-from nailoptics.sensor.front_end import ambient_bound_a, rough_readings, with_fitted_resistors
+from nailoptics.sensor.ambient import LAMP, ambient_bound_a
+from nailoptics.sensor.front_end import rough_readings, with_fitted_resistors
 from nailoptics.studies.prior_uncertainty import readings_over_priors
 from nailoptics.studies.scene_check import check_scene
 from nailoptics.studies.simulate import simulate

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...geometry import underside
 from ...hemodynamics.touch import touch_course
-from ...light import ProgressCallback
+from ...light import ProgressCallback, optics
 from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.identity import light_scene
@@ -34,7 +34,7 @@ from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, s
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, digest, to_toml
-from ...sensor.ambient import SOURCES, photocurrents_a
+from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2, photocurrents_a
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import seed_of
 from ..placement import boards, candidates
@@ -177,10 +177,13 @@ class ColourSums:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
         scene = self.tracer.scene
         nm, diode = scene.leds[0].wavelength_nm, scene.layout.photodiodes[0].photodiode
+        change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(scene, nm)[0]
+        n = optics.index_around(scene, nm)
         r, (u, v) = scene.layout.outline, left.place_mm.T
         edges = [[r.u_min, r.u_max], [r.v_min, r.v_max]]
         for k, source in enumerate(SOURCES):
-            currents_a = photocurrents_a(left, scene, source, traced_nm=nm, photodiode=diode, area_mm2=self.area_mm2)
+            bare = photocurrent_a_per_mm2(source, diode)
+            currents_a = photocurrents_a(left, change_per_mm, bare, area_mm2=self.area_mm2, n=n)
             self.ambient_a[k] += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=currents_a)[0]
 
     def ambient(self) -> tuple[tuple[Array, Array], Array]:

@@ -15,8 +15,7 @@ from ...options import BackendName
 from ...scene import FingerCase, Scene, digest
 from ...scene.rectangles import Rectangle
 from ...sensor import electronics
-from ...sensor.ambient import LAMP
-from ...sensor.front_end import ambient_bound_a
+from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
 from ...statistics import left_out, seed_of
 from . import boards

@@ -18,9 +18,8 @@ from ...scene import Placement, Scene
 from ...scene.base import Point
 from ...scene.layout import SIDES
 from ...scene.rectangles import Rectangle
-from ...sensor.ambient import LAMP
+from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.electronics import stage_ohm
-from ...sensor.front_end import ambient_bound_a
 from ...sensor.information import brightest_current_a, response
 from . import candidates
 from .candidates import CandidateLayout
