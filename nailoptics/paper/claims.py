@@ -299,13 +299,9 @@ def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
     rows = []
     for rule in dict.fromkeys((*RULES, *PEOPLE_RULES)):
         row = {"figure": rule.figure, "sentence": rule.sentence, "measure": rule.text, "unit": rule.unit}
-        row |= {"rule": bounds_in_words(rule), "number": _number(rule), "applies_to": rule.applies_to}
+        number = f"the sentence gives {rule.given}, the tolerance is our choice" if rule.given else "our choice"
+        row |= {"rule": bounds_in_words(rule), "number": number, "applies_to": rule.applies_to}
         of_rule = {name: claims[name, rule] for name in claims_by_set if (name, rule) in claims}
         sets = {name: {"value": one.value, "half_95": one.half_95, "met": one.met} for name, one in of_rule.items()}
         rows.append(row | {"sets": sets})
     return [row for row in rows if row["sets"]]
-
-
-def _number(rule: Rule) -> str:
-    """Whose the number in a rule is."""
-    return f"the sentence gives {rule.given}, the tolerance is our choice" if rule.given else "our choice"

@@ -167,6 +167,11 @@ class Blood(Table):
             raise ValueError(f"oxygen_balance needs venous_so2; {max(self.so2 - 0.08, 0.0):.2g} is usual in a finger")
         return self
 
+    def with_so2(self, so2: float) -> Self:
+        """The same with another arterial saturation; that of the veins stays as far below."""
+        venous = None if self.venous_so2 is None else max(so2 - (self.so2 - self.venous_so2), 0.0)
+        return self.model_copy(update={"so2": so2, "venous_so2": venous})
+
     @property
     def rest_so2(self) -> float:
         """Oxygen saturation of the bed's blood at rest."""

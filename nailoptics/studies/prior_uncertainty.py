@@ -282,7 +282,9 @@ def readings_over_priors(
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
     def retraced(varied: Scene) -> np.ndarray:
-        return _quantities(read_by_groups(_fresh(varied, fewer, progress), varied, states(varied), options.seed))
+        plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
+        light, _ = as_far_as_reached(trace, plain, progress=progress, spacing_mm=OWN_SPACING_MM, **how)
+        return _quantities(read_by_groups(light, varied, states(varied), options.seed))
 
     def reread(varied: Scene) -> np.ndarray:
         return _quantities(read_by_groups(transfer, varied, states(varied), options.seed))
@@ -295,8 +297,12 @@ def readings_over_priors(
         return reread(varied) if light_digest(varied) == light_digest(scene) else base + retraced(varied) - twin
 
     result = over_priors(scene, evaluated, answer)
-    level, change, signal = (replace(result, answer=reduced) for reduced in (_level, _change, _signal))
-    return ReadingUncertainty(level, change, signal, untraced=() if own_traces else tuple(needing_traces))
+    return ReadingUncertainty(
+        level=replace(result, answer=lambda values, _: values[..., 0]),
+        change=replace(result, answer=_change),
+        signal=replace(result, answer=lambda values, _: np.expm1(values[..., 1])),
+        untraced=() if own_traces else tuple(needing_traces),
+    )
 
 
 def _quantities(read: np.ndarray) -> np.ndarray:
@@ -304,16 +310,6 @@ def _quantities(read: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = np.moveaxis(np.log(read), -1, 0)
         return np.stack([first, second - first], -1)
-
-
-def _level(values: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """Logarithm of the first reading."""
-    return np.asarray(values[..., 0])
-
-
-def _signal(values: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change to the second reading, as a part of the first."""
-    return np.asarray(np.expm1(values[..., 1]))
 
 
 def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
@@ -324,14 +320,6 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     change = np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1])
     scene_change = np.abs(np.expm1(base[..., 1]))
     return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))
-
-
-def _fresh(scene: Scene, options: TraceOptions, progress: ProgressCallback | None) -> Transfer:
-    """A trace of its own, as far as its time went."""
-    scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
-    more = {**options.fields, "spacing_mm": OWN_SPACING_MM}
-    result: Transfer = as_far_as_reached(trace, scene, progress=progress, **more)[0]
-    return result
 
 
 def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray, seed: int) -> np.ndarray:

@@ -1,11 +1,12 @@
 """Adaptive sampling: rays go to each place of a bare nail until its colour and its changes reach their tolerance."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from ...light.tracing import StageProgress
+from ...light.tracing import Ending, StageProgress, run_until
 from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
 from ...scene import Scene, Viewing
@@ -58,7 +59,7 @@ def sample_until_tolerance(
     """
     rays: ColourRays | None = None
     patches, goal, parts = patches_of(nail.scene), options.photons or PILOT, 0
-    error, pace_s, why = math.inf, math.inf, ""
+    error, pace_s = math.inf, math.inf
 
     def report(photons: int) -> None:
         done = photons + (rays.photons if rays else 0)
@@ -66,36 +67,35 @@ def sample_until_tolerance(
         if stage.interrupted and rays:  # the part at work is discarded
             raise KeyboardInterrupt
 
-    try:
-        while not why:
-            left = goal - (rays.photons if rays else 0)
-            if rays and left <= 0:
-                errors, changes = errors_of(rays, states, viewer, viewing)
-                error = float(errors.max())
-                more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
-                if options.photons is not None or more.max() <= 1:
-                    break
-                patches, count = _allocated(rays, more)
-                goal += count
-            elif rays and stage.is_over(1.0):
-                why = "max_seconds ended the rays"
-            else:
-                # No part is larger than what is left of the time is enough for.
-                affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
-                photons, begin_s = int(min(left, MOST_AT_ONCE, max(PILOT, affordable))), stage.seconds
-                seed = seed_of(options.seed, parts)
-                walked = walk_colour(nail, patches, photons=photons, seed=seed, progress=report)
-                pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
-                rays, parts = rays.with_more(walked) if rays else walked, parts + 1
-    except KeyboardInterrupt:
-        if rays is None:
-            raise
-        why = "interrupted"
+    def needed() -> Iterator[int]:
+        nonlocal patches, goal, error
+        while True:
+            while not rays or rays.photons < goal:
+                yield goal - (rays.photons if rays else 0)
+            errors, changes = errors_of(rays, states, viewer, viewing)
+            error = float(errors.max())
+            more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
+            if options.photons is not None or more.max() <= 1:
+                return
+            patches, count = _allocated(rays, more)
+            goal += count
+
+    def sample(left: int) -> None:
+        nonlocal rays, parts, pace_s
+        # No part is larger than what is left of the time is enough for.
+        affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
+        photons, begin_s = int(min(left, MOST_AT_ONCE, max(PILOT, affordable))), stage.seconds
+        walked = walk_colour(nail, patches, photons=photons, seed=seed_of(options.seed, parts), progress=report)
+        pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
+        rays, parts = rays.with_more(walked) if rays else walked, parts + 1
+
+    ending = run_until(needed(), sample, is_late=lambda _: rays is not None and stage.is_over(1.0))
     assert rays is not None
-    if not why and not stage.interrupted:
+    if ending is Ending.MET and not stage.interrupted:
         return rays, ""
     error = float(errors_of(rays, states, viewer, viewing)[0].max())
-    why = "interrupted" if stage.interrupted else why
+    interrupted = stage.interrupted or ending is Ending.INTERRUPTED
+    why = "interrupted" if interrupted else "max_seconds ended the rays"
     return rays, f"{why} at a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
 
 

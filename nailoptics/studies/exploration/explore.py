@@ -27,7 +27,7 @@ from ...geometry import underside
 from ...hemodynamics.touch import touch_course
 from ...light import ProgressCallback, optics
 from ...light.backend import choose_jit
-from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
+from ...light.board_map import Arrivals, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
 from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, stored_or_made
@@ -114,7 +114,10 @@ class ColourSums:
         self.number, self.seed, self.basis, self.polynomial = number, options.seed, basis, polynomial
         self.tracer = BoardTracer(lit, backend=options.backend, spacing_mm=DISTANCE_MM)
         self.rest = blood_point(lit, 0)
-        self.points = [_state_point(lit, *map(float, state)) for state in polynomial.states]
+        self.points = []
+        for *blood, so2 in polynomial.states.tolist():
+            state = lit.model_copy(update={"blood": lit.blood.with_so2(so2)})
+            self.points.append(blood_point(state, 0, traced=lit, blood_fraction=blood))
         self.sums = np.zeros((basis.size, len(polynomial.exponents) + 1))
         self.blocks, self.photons = np.zeros((BLOCKS, basis.size, 3)), np.zeros(BLOCKS)
         self.weight = self.arrivals = 0.0
@@ -389,14 +392,6 @@ def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.Da
     bare = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
     tracer = BoardTracer(lit_by(bare, led), backend=options.backend, spacing_mm=DISTANCE_MM)
     return tracer.fluence(0, RING_MM, photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
-
-
-def _state_point(scene: Scene, proximal: float, distal: float, so2: float) -> BloodPoint:
-    """The absorption of a blood state; venous blood stays as far below arterial as in the scene."""
-    venous = scene.blood.venous_so2
-    below = None if venous is None else max(0.0, so2 - (scene.blood.so2 - venous))
-    blood = scene.blood.model_copy(update={"so2": so2, "venous_so2": below})
-    return blood_point(scene.model_copy(update={"blood": blood}), 0, traced=scene, blood_fraction=[proximal, distal])
 
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.

@@ -10,9 +10,9 @@ from ...light import Transfer, optics
 from ...scene import Scene
 from ...sensor.front_end import SampledFrontEnd, red_and_infrared
 from ...statistics import Array
-from ...variables import Variables, variable
+from ...variables import Variables, jackknifed, variable
 from ..prior_uncertainty import at_value
-from .ratio import MEASURED, TEXTBOOK, Pulsation, estimate, evaluate, read_pulsations, saturation_of
+from .ratio import MEASURED, TEXTBOOK, Pulsation, evaluate, read_pulsations, saturation_of
 
 FORCES_N = np.linspace(0.0, 2.0, 9)
 REST_BLOOD = np.linspace(0.01, 0.06, 6)
@@ -51,7 +51,7 @@ class CalibratedOximeter:
         ratio : (1 + groups, photodiodes, n) float. With and without the same groups, so that shared noise
             cancels.
         """
-        return estimate(self._spo2(ratio) - self._spo2(self.nominal.ratio))
+        return jackknifed(self._spo2(ratio) - self._spo2(self.nominal.ratio))
 
     def _spo2(self, ratio: Array) -> Array:
         out = np.full(ratio.shape, np.nan)

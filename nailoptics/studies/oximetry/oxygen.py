@@ -20,7 +20,6 @@ from .disturbances import CalibratedOximeter, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
     calibrate_curve,
-    estimate,
     path_length_ratios,
     read_pulsations,
     read_states,
@@ -52,7 +51,7 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     states, groups = [(scene.blood.so2, rest_beat(scene))], seed_of(options.seed, _GROUPS)
 
     def error_of(light: Transfer) -> float:
-        value, error = estimate(read_pulsations(light, leds, states, seed=groups).ratio[..., 0])
+        value, error = jackknifed(read_pulsations(light, leds, states, seed=groups).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
     how = {"max_seconds": accuracy(scene, options).max_seconds, "progress": progress}

@@ -16,7 +16,7 @@ from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.series import read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import Array, jackknife, seed_of
+from ...statistics import Array, seed_of
 
 # Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
 NODES = 7
@@ -100,18 +100,6 @@ def _quotient(a: Array, b: Array) -> Array:
         return np.asarray(a / b)
 
 
-def estimate(replicates: Array) -> tuple[Array, Array]:
-    """A value by all photons and its standard error, from (1 + groups, ...) float, the first by all photons."""
-    return replicates[0], jackknife(replicates)
-
-
-def with_saturation(scene: Scene, so2: float) -> Scene:
-    """The scene with another arterial saturation; that of its veins stays as far below."""
-    blood = scene.blood
-    venous = None if blood.venous_so2 is None else max(so2 - (blood.so2 - blood.venous_so2), 0.0)
-    return scene.model_copy(update={"blood": blood.model_copy(update={"so2": so2, "venous_so2": venous})})
-
-
 def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, pulse: Array) -> Array:
     """Absorption where resting blood, arterial and venous, and a pulse of arterial blood fill the bed. [mm^-1]
 
@@ -121,7 +109,8 @@ def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, p
 
     Returns: (m, q, absorbers) float.
     """
-    rest = optics.absorption(with_saturation(scene, so2), wavelength_nm, blood_fraction=resting)
+    saturated = scene.model_copy(update={"blood": scene.blood.with_so2(so2)})
+    rest = optics.absorption(saturated, wavelength_nm, blood_fraction=resting)
     arterial = tissue.blood_mu_a_per_mm(wavelength_nm, so2)
     out = np.repeat(rest[None], len(pulse), 0)
     out[:, :, list(optics.bed_columns(scene))] += arterial[None, :, None] * pulse[:, None, :]

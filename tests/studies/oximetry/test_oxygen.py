@@ -22,13 +22,12 @@ from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio
 from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from
 from nailoptics.studies.oximetry.ratio import (
-    estimate,
     read_pulsations,
     read_states,
     saturation_curve,
-    with_saturation,
 )
 from nailoptics.studies.oximetry.recording import simulated, spo2_over_time
+from nailoptics.variables import jackknifed
 
 pytestmark = pytest.mark.jit
 SEED = 11
@@ -110,7 +109,7 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
         other = trace(shipped(), photons=1 << 15, seed=100 + seed)
-        value, error = estimate(read_pulsations(other, (0, 1), [(0.97, beat)], seed=1).ratio[..., 0])
+        value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)], seed=1).ratio[..., 0])
         values.append(value[0])
         errors.append(error[0])
     assert 0.5 < np.std(values, ddof=1) / np.mean(errors) < 2.0
@@ -140,7 +139,7 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
     ours, beat = trace(middle, photons=1 << 20, seed=1), BloodBeat(np.arange(2.0), np.array([[low, high]] * 2))
     both = np.stack([read_states(ours, led, [(so2, beat.resting, beat.pulse)], seed=1) for led in (0, 1)], 1)
     logs = np.log(both[..., 0] / both[..., 1])
-    estimated, estimated_error = estimate(logs[:, 0] / logs[:, 1])
+    estimated, estimated_error = jackknifed(logs[:, 0] / logs[:, 1])
     error = np.hypot(estimated_error, fresh_error)
     assert np.all(abs(estimated - fresh) < 3 * error) and np.all(error < 0.07 * fresh)
 
@@ -150,7 +149,7 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
     """Expected: at saturations that the calibration has not seen, within four standard errors, until the touch after
     20 s, which is marked."""
     for so2 in (0.80, 0.93):
-        scene = with_saturation(shipped(), so2)
+        scene = shipped().model_copy(update={"blood": shipped().blood.with_so2(so2)})
         other = oximeter_from(replace(light, scene=scene), options=TraceOptions(seed=SEED))
         estimates = spo2_over_time(simulated(scene, other, seed=4), found, shipped()).sel(
             photodiode=found.attrs["best"]
