@@ -209,9 +209,7 @@ def test_a_part_off_an_outline_that_is_no_rectangle_is_refused(tmp_path, corner,
     if lies_on:
         assert len(load_scene(path).board.outline_mm) == 4
         return
-    with pytest.raises(
-        InputError, match=r'"D1" at \(-3, 1\) mm reaches over the edge of the board.* give board.origin'
-    ):
+    with pytest.raises(InputError, match=r'"D1" at \(-3, 1\) mm reaches over the edge of .* give board.origin'):
         load_scene(path)
 
 
