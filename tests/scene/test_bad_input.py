@@ -8,6 +8,7 @@ import pytest
 from small_scenes import finger, phantom
 
 from nailoptics.assets import WAVELENGTH_RANGE_NM
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.catalogue import LedPart
@@ -32,6 +33,20 @@ def complaint(text: str, folder: Path | None = None) -> str:
     assert "During handling" not in "".join(traceback.format_exception(error))
     assert "direct cause" not in "".join(traceback.format_exception(error))
     return line
+
+
+def test_every_mistake_has_its_line(tmp_path, capsys):
+    tables = {"finger": 'digit = "toe"\nnail_width_mm = -3', "blood": "so2 = 1.7\nrestblood = 3"}
+    path = tmp_path / "bad.toml"
+    path.write_text("schema_version = 1\n" + "".join(f"[{name}]\n{text}\n" for name, text in tables.items()))
+    assert run(["check", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    fields = ("finger.digit = ", "finger.nail_width_mm = -3", "blood.so2 = 1.7", "blood.restblood is not", "leds is missing")
+    assert [line.startswith(f"nailoptics: {path}: {field}") for line, field in zip(lines, fields, strict=True)] == [True] * 5
+    path.write_text("schema_version = 1\n" + "".join(f"[a{k}]\n" for k in range(30)))
+    assert run(["check", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 11 and lines[-1].endswith(" more; correct these first.")
 
 
 def in_finger(line: str) -> str:

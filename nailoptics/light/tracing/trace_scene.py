@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ... import checks
-from ...errors import InputError, NotReachedError
+from ...errors import NotReachedError
 from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene
 from ...statistics import seed_of
@@ -202,7 +202,7 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
         try:
             required = Accuracy(**(base | given))
         except ValidationError as error:
-            raise InputError(checks.explain(error, Accuracy)) from None
+            raise checks.explain(error, Accuracy) from None
     if not required.model_dump(exclude_none=True):
         return Accuracy(photons=DEFAULT_PHOTONS)
     return required
