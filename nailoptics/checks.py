@@ -82,6 +82,8 @@ def explain(error: Exception, model: "type[BaseModel]", name: str = "") -> Input
         faults = error.errors(include_url=False)
         # An array with a faulty item is also called too short; once is enough.
         faults, lines = [f for f in faults if f["type"] != "too_short" or not f["input"]] or faults, []
+        if any(f["loc"][:1] == ("board",) for f in faults):  # whose file may have the LEDs
+            faults = [f for f in faults if f["loc"] != ("leds",)]
         while faults:
             location = faults[0]["loc"]
             field = tuple(takewhile(lambda part: not KIND.fullmatch(str(part)), location))
