@@ -183,12 +183,6 @@ class SampledFrontEnd:
             "ambient light": (bright.shot_v2 - quiet.shot_v2) * averaged,
         }
 
-    def reading_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
-        """Variance of the red and the infrared reading of one frame by its cause, (2,) float each; as of
-        `slot_noise_v2`. [V^2]
-        """
-        return {name: self.weights**2 @ values for name, values in self.slot_noise_v2(fraction).items()}
-
 
 def red_and_infrared(scene: Scene) -> tuple[int, int]:
     """The numbers of a scene's red and infrared LED; raises InputError without two of different wavelengths."""
