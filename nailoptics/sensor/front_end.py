@@ -85,11 +85,6 @@ class SampledFrontEnd:
         return red, infrared, DARK
 
     @property
-    def has_dark_slot(self) -> bool:
-        """Whether ambient light is read by itself and taken away."""
-        return DARK in self.slot_names
-
-    @property
     def delays_s(self) -> dict[str, float]:
         """How much later than the red slot each slot is. [s]"""
         start_ms = {slot.light: slot.start_ms for slot in self.slots}
