@@ -2,8 +2,9 @@
 
 `WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
 their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
-them. A further wave is one more entry here, and what users set of it is a `WaveTable` and a field of `Body` in
-scene/body.py; nothing else lists them.
+them. A further wave is one more entry here, with a stream of the seed of its own, and what users set of it is a
+`WaveTable` and a field of `Body` in scene/body.py, whose name is the wave's; its band must not overlap another's, as
+the filter sums their powers. `validate` compares single waves by name.
 """
 
 from collections.abc import Callable
