@@ -70,7 +70,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     assert touch.force_n is not None and touch.site is not None and scene.body is not None
     body = scene.model_copy(update={"body": scene.body.model_copy(update={"seed": seed})})
     who, time_s = subject.person, touch.time_s
-    high = blood_model(body).arterial_waveform()
+    high = blood_model(body).body_waveforms().get("arterial_pressure_pa")
     arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
     pressure = who.pressures_n_per_cm2(touch.force_n, touch.site)
     blood = who.blood(who.widths_over(time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))

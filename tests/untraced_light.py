@@ -1,10 +1,8 @@
 """Light of a finger in a formula, in place of a trace: for tests of what is made of volts."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
-from nailoptics.light import optics
+from nailoptics.light import DetectedLight, optics
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Scene
 from nailoptics.sensor import electronics
@@ -17,7 +15,7 @@ LEVEL = np.array([0.2, 0.5, 1.0, 1.5, 1.5, 1.0, 0.5, 0.2]) * 1e-3
 MOST_BLOOD = 0.15
 
 
-def untraced(scene: Scene) -> SimpleNamespace:
+def untraced(scene: Scene) -> DetectedLight:
     """Light that dims as Beer and Lambert have it, in place of a trace."""
     zones = len(scene.zone_edges_mm) + 1
     slopes = np.repeat(SLOPES / (zones / 2), zones // 2, axis=1)
@@ -28,9 +26,7 @@ def untraced(scene: Scene) -> SimpleNamespace:
         return ReadingSeries(fraction, zero, fraction - fraction[..., :1], zero)
 
     paths = np.zeros((1, len(SLOPES), len(optics.absorbers(scene))))
-    return SimpleNamespace(
-        readings_at=readings_at, mean_path=paths, mean_path_stderr=paths, attributes={}, transfer=None
-    )
+    return DetectedLight(readings_at, paths, paths, tuple(optics.absorbers(scene)), attributes={})
 
 
 def untraced_table(scene: Scene) -> ReadingTable:

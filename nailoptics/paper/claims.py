@@ -23,6 +23,8 @@ from .responses import PeopleReadings, Responses
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30
 SIMULATION, SUBJECT = "simulation", "subject"
+# A reading rises visibly by this part of its change. [1]
+_SLIGHT_RISE = 1e-3
 # A time constant is the time to this part of a change, a level is reached at that part. [1]
 _TIME_CONSTANT_PART, _LEVEL_PART = 1.0 - math.exp(-1.0), 0.95
 
@@ -227,7 +229,7 @@ MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
     "shear_over_normal": _shear_over_normal,
 }
 PEOPLE_MEASURES: dict[str, Callable[[PeopleReadings], np.ndarray]] = {
-    "people_who_rise": lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) > 0.0,
+    "people_who_rise": lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) >= _SLIGHT_RISE,
     "spread_over_people": lambda r: _varies_more(r.cycle[..., 0, -1].T),
     "skin_effect": lambda r: np.abs(r.skin_effect).max(axis=(0, 2)),
 }

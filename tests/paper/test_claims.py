@@ -20,7 +20,7 @@ from benchmarks.parameter_search import (
 )
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import NAMES, bounds, parameters
+from nailoptics.hemodynamics import NAMES, bounds, parameters, respond, steady_state
 from nailoptics.hemodynamics.parameters import beds, each_bed
 from nailoptics.paper import protocols
 from nailoptics.paper.claims import RULES, as_rows, evaluate
@@ -125,6 +125,20 @@ def test_a_touch_of_2_n_on_either_side_leaves_best_where_it_was(responses):
     for name in ("best", "sluggish"):
         assert np.abs(responses[name].cycle[:, 1, 0]).max() < 0.05
         assert np.abs(responses[name].press_off[..., -1]).max() < 0.01
+
+
+@pytest.mark.parametrize(("name", "over"), [("listed", 0.057), ("subject", 0.046), ("best", 0.002)])
+def test_a_vein_that_is_squeezed_shut_overfills_the_bed_as_long_as_force_rises(name, over):
+    """Slight rises of proximal readings past 1 N: what the vein pushed back into the bed drains through R_A."""
+    p, time_s = parameters(name), np.linspace(0.0, 20.0, 2001)
+    touch_pa = 1.5e4 * np.sin(np.pi * time_s / 20.0) ** 2
+    run = respond(p, time_s, proximal_pressure_pa=touch_pa, distal_pressure_pa=0.0)
+    blood, pressure_pa = run.capillary_diameter_m.values[0] ** 2, run.capillary_pressure_pa.values[0]
+    assert (blood.max() - blood[0]) / (blood[1000] - blood[0]) - 1 == pytest.approx(over, abs=0.002)
+    assert pressure_pa.max() > p.arterial_pressure_pa
+    # Held, no touch past closure leaves a bed with more or less blood than another.
+    held = steady_state(p, proximal_pressure_pa=[2e4, 3e4], distal_pressure_pa=[0.0, 0.0])
+    assert held.capillary_pressure_pa == pytest.approx(p.arterial_pressure_pa, rel=1e-9)
 
 
 def test_figures_set_loses_the_linearity_of_fig_11(evaluated):

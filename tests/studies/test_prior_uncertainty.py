@@ -141,19 +141,22 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
 
 
 @pytest.mark.slow
-def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced):
+@pytest.mark.parametrize("seed", [11, 12])
+def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced, seed):
     """Expected: of 40 draws, all priors at once, 88 to 99 % of readings and signals lie within the stated interval."""
     transfer = trace(traced.scene, photons=1_000_000, seed=1)
     found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
     fresh = []
-    for k, one in enumerate(drawn(traced.scene, found.level, 40, seed=11)):
+    for k, one in enumerate(drawn(traced.scene, found.level, 40, seed=seed)):
         with warnings.catch_warnings():
             # A touch that presses nearly all blood out is read with few of its photons; it counts with all others.
             warnings.simplefilter("ignore", ReweightWarning)
             fresh.append(relative(trace(one, photons=100_000, seed=100 + k), one))
     for stated, read in ((found.level, np.log([one[0] for one in fresh])), (found.signal, [one[2] for one in fresh])):
         low, high = np.percentile(stated.draws(0)[:, 0], [2.5, 97.5], axis=0)
-        assert 0.88 <= ((read > low) & (read < high)).mean() <= 0.99
+        covered = ((read > low) & (read < high)).mean()
+        print(f"covered, seed {seed}: {covered:.3f} of {'readings' if stated is found.level else 'signals'}")
+        assert 0.88 <= covered <= 0.99
 
 
 @pytest.mark.slow
