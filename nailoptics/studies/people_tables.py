@@ -77,7 +77,9 @@ def read_people(name: str, folder: Path | None = None) -> "pd.DataFrame":
         table[column] = values
     if lacking := _lacking(name, table):
         raise InputError(f"{path}: needs {lacking}; add rows or leave the table out.")
-    table.attrs = {"source": _source(path) if path == shipped else str(path), "shipped": path == shipped}
+    head = (line[1:].strip() for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#"))
+    source = " ".join(head).partition("Source: ")[2] if path == shipped else str(path)
+    table.attrs = {"source": source, "shipped": path == shipped}
     return table
 
 
@@ -103,12 +105,6 @@ def _lacking(name: str, table: "pd.DataFrame") -> str:
                     return f"one row of percentile {percent} for {place}, group {group}"
         return ""
     return "" if len(table) > 1 else "two rows"
-
-
-def _source(path: Path) -> str:
-    """What the first lines of a shipped table say of its source."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return " ".join(line[1:].strip() for line in lines if line.startswith("#")).partition("Source: ")[2]
 
 
 def percentile(spectra: "pd.DataFrame", percent: int) -> Array:

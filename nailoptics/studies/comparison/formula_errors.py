@@ -64,12 +64,14 @@ def formula_errors(pair: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray
     fit, x = _curve(pair.own_mu_a, pair.traced[0], curved=True), pair.own_mu_a
     readings = _readings(pair, fit.replicates(x, pair.traced))
     part, part_stderr = _parts(pair, readings)
+    fitted = [fitted_range_errors(pair.own_mu_a, pair.traced, curved=name == "beer_lambert") for name in MODELS]
+    predicted = [[range_errors(model, pair.traced) for model in way] for way in readings[1:]]
     replicates = {
         "reading": pair.traced,
         "swing": pair.swing[:, 0],
         "relative_swing": pair.swing[:, 0] / pair.traced[:, 0],
         "error": np.moveaxis((readings - pair.traced) / pair.swing, 2, 0),
-        "range_error": np.moveaxis(_range_errors(pair, readings), 2, 0),
+        "range_error": np.moveaxis(np.stack([fitted, *predicted]), 2, 0),
         "alpha_d2": pair.path_mm[:, pair.own, None] * pair.own_mu_a,
         "bed_alpha_d2": pair.path_mm @ pair.mu_a.T,
         "path_mm": pair.path_mm[:, pair.own],
@@ -117,12 +119,6 @@ def _parts(pair: TracedSweep, readings: np.ndarray) -> tuple[np.ndarray, np.ndar
     by_slope = np.concatenate([_line(pair, -moved) + moved, moved, moved]) / pair.swing[0]
     stderr[:, 3] = np.hypot(stderr[:, 3], by_slope)
     return part[:, :, 0], stderr
-
-
-def _range_errors(pair: TracedSweep, readings: np.ndarray) -> np.ndarray:
-    """Largest error over the range from the start to each point, of the swing there, (way, model, r, t) float."""
-    fitted = [fitted_range_errors(pair.own_mu_a, pair.traced, curved=name == "beer_lambert") for name in MODELS]
-    return np.stack([fitted, *([range_errors(model, pair.traced) for model in way] for way in readings[1:])])
 
 
 def _limits(errors: dict[str, np.ndarray], sweep: StateSweep, own_zone: int) -> dict[str, np.ndarray]:

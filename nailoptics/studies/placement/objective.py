@@ -69,10 +69,6 @@ class Spo2Objective:
         with np.errstate(divide="ignore"):
             return np.asarray(read.noise_v2 / pulsating)
 
-    def information_per_percent2(self, finger: int, variance: Array) -> Array:
-        """Information of a photodiode on SpO2 by the sum of both LEDs' relative variances: one over its variance."""
-        return np.asarray((self.log_ratio_per_percent * self.shape_rms[finger]) ** 2 * self.frames / variance)
-
 
 def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> Spo2Objective:
     """The rule for a scene's fingers, under the force at which layouts are evaluated.
@@ -127,9 +123,10 @@ class Objective:
         oxygen, becomes the information on SpO2. [percent^-2]
         """
         total = np.sum(by_led, axis=0)
-        if self.oxygen is not None:
-            for finger, sums in enumerate(total):
-                sums[..., -1] = self.oxygen.information_per_percent2(finger, sums[..., -1])
+        if (oxygen := self.oxygen) is not None:
+            # Of a photodiode on SpO2: one over its variance, by the sum of both LEDs' relative variances.
+            for sums, shape_rms in zip(total, oxygen.shape_rms, strict=True):
+                sums[..., -1] = (oxygen.log_ratio_per_percent * shape_rms) ** 2 * oxygen.frames / sums[..., -1]
         return np.asarray(total)
 
     def total(self, responses: Sequence[Sequence[Response]]) -> Array:

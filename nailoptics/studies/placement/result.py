@@ -182,8 +182,9 @@ def rough_words(ranking: Sequence[dict[str, Any]]) -> str:
     rough = [row["layout"] for row in ranking if row["roughly_known"]]
     if not rough:
         return ""
+    what = "Resolution by electronics alone" if "electronics_rank" in ranking[0] else "Resolution"
     return (
-        f"Resolution with a relative error of {100 * ROUGH:.0f} % or more: {', '.join(rough)}. With so few photons it "
+        f"{what} with a relative error of {100 * ROUGH:.0f} % or more: {', '.join(rough)}. With so few photons it "
         "is biased low (too optimistic); trace more photons."
     )
 
