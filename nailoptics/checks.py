@@ -1,8 +1,9 @@
-"""What every room asks of its input, and the one translator of a validation's complaints into a user's line."""
+"""What every room asks of its input, and the one translator of a validation's complaints into a user's lines."""
 
 import difflib
 import json
 import re
+from collections.abc import Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import InputError
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel, ValidationError
+    from pydantic import BaseModel
 
 Array = NDArray[np.float64]
 
@@ -65,38 +66,52 @@ def seed(value: int) -> int:
 
 
 # What pydantic puts below a field of several kinds: one of them, such as constrained-float or tuple[float, float].
+MOST_FAULTS = 10
 KIND = re.compile(r"(constrained-)?(float|int|str|bool)|[\w-]*\[.*\]")
 
 
-def explain(error: "ValidationError", model: "type[BaseModel]") -> str:
-    """The first fault of a validation in one line: field, rule, value, what to do.
+def explain(error: Exception, model: "type[BaseModel]", name: str = "") -> InputError:
+    """The faults of a validation, a line each: field, rule, value, what to do; of many the first `MOST_FAULTS`.
 
-    Of a field of several kinds it has the rules of those to which the value comes nearest.
+    name : what each line begins with, such as that of the file. Other errors keep their own lines.
     """
-    faults = error.errors(include_url=False)
-    # An array with a faulty item is also called too short; once is enough.
-    faults = [f for f in faults if f["type"] != "too_short" or not f["input"]] or faults
-    location = faults[0]["loc"]
-    field = tuple(takewhile(lambda part: not KIND.fullmatch(str(part)), location))
-    kinds = [f for f in faults if f["loc"][: len(field)] == field] if field != location else faults[:1]
+    from pydantic import ValidationError
+
+    lines = list(error.args) if isinstance(error, InputError) else [str(error)]
+    if isinstance(error, ValidationError):
+        faults = error.errors(include_url=False)
+        # An array with a faulty item is also called too short; once is enough.
+        faults, lines = [f for f in faults if f["type"] != "too_short" or not f["input"]] or faults, []
+        if any(f["loc"][:1] == ("board",) for f in faults):  # whose file may have the LEDs
+            faults = [f for f in faults if f["loc"] != ("leds",)]
+        while faults:
+            location = faults[0]["loc"]
+            field = tuple(takewhile(lambda part: not KIND.fullmatch(str(part)), location))
+            kinds = [f for f in faults if f["loc"][: len(field)] == field] if field != location else faults[:1]
+            lines.append(_line(kinds, model))
+            faults = [f for f in faults if f not in kinds]
+        if len(lines) > MOST_FAULTS:
+            lines[MOST_FAULTS:] = [f"{len(lines) - MOST_FAULTS} more; correct these first."]
+    return InputError(*(f"{name}: {line}" if name else line for line in lines))
+
+
+def _line(kinds: Sequence[Any], model: "type[BaseModel]") -> str:
+    """The line of one field's faults; of a field of several kinds with rules of those that the value is nearest to."""
     fault = max(kinds, key=lambda f: len(f["loc"]))
     where = _place(fault)
     rules = dict.fromkeys(_rule(f["msg"]) for f in kinds if _place(f) == where)
-    value, others = fault.get("input"), len(faults) - len(kinds)
+    value = fault.get("input")
     if fault["type"] == "extra_forbidden":
         known = _fields_at(model, fault["loc"][:-1])
         close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        line = f"{where} is not a known field; " + (
-            f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}."
-        )
-    elif fault["type"] == "missing":
-        line = f"{where} is missing; add it."
-    elif fault["type"] == "value_error":
-        line = (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
-    else:
-        shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-        line = f"{where} = {shown[:60]}: must {' or '.join(rules)}."
-    return line + (f" (and {others} more)" if others else "")
+        cure = f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}."
+        return f"{where} is not a known field; {cure}"
+    if fault["type"] == "missing":
+        return f"{where} is missing; add it."
+    if fault["type"] == "value_error":
+        return (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
+    shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
+    return f"{where} = {shown[:60]}: must {' or '.join(rules)}."
 
 
 def _place(fault: Any) -> str:

@@ -96,7 +96,7 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command and return its exit code; errors are one line on stderr."""
+    """Run one command and return its exit code; errors are a line each on stderr."""
     with terminal.plain_messages(), terminal.counted() as interrupts:
         try:
             app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -111,8 +111,9 @@ def run(arguments: list[str]) -> int:
                 error = InputError(f"{error} (nailoptics --help lists commands and options)")
             elif isinstance(error, OSError):
                 terminal.silence_stdout()
-            line, code = exit_message(error, interrupted=bool(interrupts))
-        say(line)
+            lines, code = exit_message(error, interrupted=bool(interrupts))
+        for line in lines:
+            say(line)
         return code
 
 

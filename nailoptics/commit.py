@@ -40,7 +40,11 @@ def commit() -> str | None:
     try:
         if _BUILT_FROM.is_file():
             return _BUILT_FROM.read_text(encoding="utf-8").strip()
-        return _of_clone(_ROOT) if (_ROOT / ".git").exists() else _of_install()
+        if (_ROOT / ".git").exists():
+            return _of_clone(_ROOT)
+        # What pip wrote down when it installed from a repository.
+        source = metadata.distribution("nailoptics").read_text("direct_url.json")
+        return json.loads(source)["vcs_info"]["commit_id"] if source else None
     except (OSError, subprocess.SubprocessError, ValueError, LookupError, metadata.PackageNotFoundError):
         return None
 
@@ -50,9 +54,3 @@ def _of_clone(root: Path) -> str:
     # Said so, git does not look for a repository: nor at GIT_DIR, nor whether the folder is another user's.
     command = ["git", "--git-dir", str(root / ".git"), "rev-parse", "HEAD"]
     return subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout.strip()
-
-
-def _of_install() -> str | None:
-    """The commit that pip wrote down when it installed from a repository."""
-    source = metadata.distribution("nailoptics").read_text("direct_url.json")
-    return json.loads(source)["vcs_info"]["commit_id"] if source else None

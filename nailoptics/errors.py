@@ -1,11 +1,11 @@
-"""What can go wrong: one line in the user's words, and the exit code of the command.
+"""What can go wrong: a line for each fault in the user's words, and the exit code of the command.
 
 Exit codes: 0 done; 1 an internal error, or a full disk; 2 the user's input; 3 a tolerance or time limit not reached, or
 interrupted with a result; 4 a requirement that was checked and missed; 130 interrupted without a result.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 # Of one message; the middle of longer ones is left out.
@@ -13,20 +13,24 @@ MOST_CHARACTERS = 1000
 
 
 class NailopticsError(Exception):
-    """An error whose message is one clear line for the user."""
+    """An error whose message is for the user: one clear line, or one for each fault of the input."""
 
     exit_code = 1
 
 
 class InputError(NailopticsError):
-    """The user's input is at fault: which field, which rule, which value, what to do."""
+    """The user's input is at fault: which field, which rule, which value, what to do; a line for each fault."""
 
     exit_code = 2
 
-    def __init__(self, message: str) -> None:
+    def __init__(self, *faults: str) -> None:
         # What files hold comes into messages, line breaks and endless names too.
-        line = " ".join(message.splitlines())
-        super().__init__(line if len(line) <= MOST_CHARACTERS else f"{line[:600]} ... {line[-300:]}")
+        lines = (" ".join(fault.splitlines()) for fault in faults)
+        shown = (line if len(line) <= MOST_CHARACTERS else f"{line[:600]} ... {line[-300:]}" for line in lines)
+        super().__init__(*shown)
+
+    def __str__(self) -> str:
+        return "\n".join(self.args)
 
 
 class NotReachedError(NailopticsError):
@@ -75,8 +79,8 @@ class WriteError(InputError):
         self.exit_code = 1 if full else InputError.exit_code
 
 
-def exit_message(error: BaseException, *, interrupted: bool) -> tuple[str, int]:
-    """What a command says of an error, in one line, and its exit code.
+def exit_message(error: BaseException, *, interrupted: bool) -> tuple[Sequence[str], int]:
+    """What a command says of an error, a line for each fault, and its exit code.
 
     interrupted : whether Ctrl-C was pressed, of which imports and compiled code make errors of their own.
 
@@ -84,14 +88,14 @@ def exit_message(error: BaseException, *, interrupted: bool) -> tuple[str, int]:
     """
     if isinstance(error, KeyboardInterrupt) or (interrupted and not isinstance(error, NotReachedError)):
         why = str(error) if isinstance(error, KeyboardInterrupt) else ""
-        return why or "interrupted; every file that was written is complete.", 130
+        return [why or "interrupted; every file that was written is complete."], 130
     if isinstance(error, NailopticsError):
-        return str(error), error.exit_code
+        return error.args, error.exit_code
     if isinstance(error, OSError):
-        return f"{error.filename or 'the output'}: {error.strerror or error}.", 1
+        return [f"{error.filename or 'the output'}: {error.strerror or error}."], 1
     if isinstance(error, MemoryError):
-        return "not enough memory; request fewer samples (touch.sample_rate_hz) or photons.", 1
+        return ["not enough memory; request fewer samples (touch.sample_rate_hz) or photons."], 1
     if os.environ.get("NAILOPTICS_DEBUG"):
         raise error
     what = f"{type(error).__name__}: {error}"
-    return f"internal error (please report): {what} (NAILOPTICS_DEBUG=1 shows where)", 1
+    return [f"internal error (please report): {what} (NAILOPTICS_DEBUG=1 shows where)"], 1

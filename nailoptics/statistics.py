@@ -12,7 +12,7 @@ Z95 = 1.96
 # Of a sum of fewer effective terms the standard error is not known: it is itself off by 1 / (2 sqrt(n)), here a tenth,
 # and where large terms are rare, it misses them as the sum does. Of readings of the prototype and of mean paths
 # intervals of 95 % hold 87 to 91 % with 10 to 25 terms, 93 to 94 % with 25 to 100 and 95 % with more, and miss low.
-FEW_TERMS = 25.0
+MIN_EFFECTIVE_TERMS = 25.0
 
 
 def t95(groups: int) -> float:
@@ -35,7 +35,7 @@ def stderr_of_mean(total: ArrayLike, square: ArrayLike, count: int) -> Array:
 
 
 def effective_count(total: ArrayLike, square: ArrayLike) -> Array:
-    """Effective number of terms of a sum, (sum x)^2 / sum x^2; 0 of none (Kish 1965, Survey Sampling).
+    """Effective sample size, or number of terms, of a sum, (sum x)^2 / sum x^2; 0 of none (Kish 1965, Survey Sampling).
 
     total, square : sums of x and of x^2, of one shape, which is that of the result.
     """
@@ -43,9 +43,9 @@ def effective_count(total: ArrayLike, square: ArrayLike) -> Array:
     return np.divide(total**2, square, out=np.zeros_like(total), where=square > 0)
 
 
-def known_from(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
-    """The standard error of a sum; NaN where it has fewer than `FEW_TERMS` effective terms. All of one shape."""
-    return np.where(effective_count(total, square) < FEW_TERMS, np.nan, stderr)
+def stderr_or_nan(stderr: ArrayLike, total: ArrayLike, square: ArrayLike) -> Array:
+    """The standard error of a sum; NaN of fewer than `MIN_EFFECTIVE_TERMS` effective terms. All of one shape."""
+    return np.where(effective_count(total, square) < MIN_EFFECTIVE_TERMS, np.nan, stderr)
 
 
 def covariance_root(covariance: Array) -> Array:

@@ -27,8 +27,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(10_000)
 # No test reads or writes the user's store; those that test one have their own.
 os.environ["NAILOPTICS_STORE"] = "off"
-# Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another, or none: then tests that need
-# one are left out.
+# Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 # Folders whose files take less than a few seconds each.
 TESTS, QUICK = Path(__file__).parent, ("hemodynamics", "scene", "tissue")
@@ -120,13 +119,9 @@ def browser() -> Iterator[Any]:
         started.close()
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # Workers take file after file; quick ones at the end leave none of them waiting for another.
     items.sort(key=lambda item: any(TESTS / one in item.path.parents for one in QUICK))
-    if os.environ.get("NAILOPTICS_BROWSER") == "none":
-        left_out = [item for item in items if "browser" in getattr(item, "fixturenames", ())]
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
 
 
 def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:

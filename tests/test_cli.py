@@ -80,7 +80,7 @@ BAD_SCENES = {
     "two names alike": (changed('name = "distal"', 'name = "proximal"'), "proximal"),
     "neither finger nor phantom": (changed('[finger]\ndigit = "index"', ""), "[finger]"),
     "no TOML": ("this is no scene", "TOML"),
-    "an empty file": ("", "schema_version"),
+    "an empty file with a version": ("schema_version = 1", "leds is missing"),
     "more blood than the bed can hold": (changed("rest_blood_fraction = 0.03", "rest_blood_fraction = 1.0"), "blood"),
     "an engine that the backend cannot run": (changed("[light]", '[light]\nengine = "photons"'), "scalar"),
 }

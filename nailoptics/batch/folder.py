@@ -12,7 +12,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from ..checks import explain
 from ..errors import InputError
@@ -130,7 +130,7 @@ class Folder:
             line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
             raise InputError(line) from None
         except (OSError, ValueError, RecursionError) as error:
-            why = explain(error, Plan) if isinstance(error, ValidationError) else str(error)
+            why = explain(error, Plan).args[0]
             raise PlanError(
                 f"{path}: cannot be read ({why.rstrip('.')}); run the batch again to write it anew."
             ) from None

@@ -159,7 +159,7 @@ def _constants(parameters: Parameters, zones: Zones, unit: int | None, axes: int
 def _of_units(parameters: Parameters, zones: Zones) -> tuple[np.ndarray, ...]:
     p = parameters
     venules = [np.array(zones.of_beds(value)) for value in (p.venular_share, p.venular_closing_pressure_pa)]
-    if p.has_two_beds:
+    if any(isinstance(value, tuple) for value in vars(p).values()):
         return steady_state(p, zones=zones, pressure_pa=np.zeros(zones.inputs)).capillary_diameter_m, *venules
     # All units rest at one diameter: that of the paper's two, to the last bit.
     return np.resize(steady_state(p).capillary_diameter_m[:1], zones.count), *venules

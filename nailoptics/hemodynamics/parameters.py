@@ -99,11 +99,6 @@ class Parameters:
         """The values by name."""
         return dataclasses.asdict(self)
 
-    @property
-    def has_two_beds(self) -> bool:
-        """Whether the beds differ in a constant."""
-        return any(isinstance(value, tuple) for value in vars(self).values())
-
 
 def is_of_beds(name: str) -> bool:
     """Whether a constant belongs to the beds, each of which may have a different one."""

@@ -2,8 +2,9 @@
 
 `WAVES` lists them, and all studies take them from there: `simulate` and `oximeter` their pressure over time, `place`
 their spectral lines, `predict` the band in which a recording shows them and the oscillator by which its filter follows
-them. A further wave is one more entry here, and what users set of it is a `WaveTable` and a field of `Body` in
-scene/body.py; nothing else lists them.
+them. A further wave is one more entry here, with a stream of the seed of its own, and what users set of it is a
+`WaveTable` and a field of `Body` in scene/body.py, whose name is the wave's; its band must not overlap another's, as
+the filter sums their powers. `validate` compares single waves by name.
 """
 
 from collections.abc import Callable
@@ -148,10 +149,6 @@ def _cardiac_lines(*, pulse_pressure_pa: float, rate_per_min: float, **_: Any) -
     return spectral_lines(beat, duration_s=period_s)
 
 
-def _breathing_lines(*, amplitude_pa: float, rate_per_min: float) -> Lines:
-    return np.array([rate_per_min / 60.0]), np.array([amplitude_pa**2 / 2])
-
-
 def _vasomotion_lines(*, amplitude_pa: float, band_hz: tuple[float, float]) -> Lines:
     low, high = band_hz
     middles = low + (high - low) * (np.arange(BAND_LINES) + 0.5) / BAND_LINES
@@ -189,7 +186,7 @@ HEARTBEAT = Wave(
 BREATHING = Wave(
     name="breathing",
     pressure_pa=breathing_pressure,
-    lines=_breathing_lines,
+    lines=lambda amplitude_pa, rate_per_min: (np.array([rate_per_min / 60.0]), np.array([amplitude_pa**2 / 2])),
     fastest_hz=lambda rate_per_min, **_: rate_per_min / 60.0,
     band_hz=(0.15, 0.5),
     coherence_s=8.0,  # breaths scatter by some 10 %

@@ -12,7 +12,7 @@ from ..scene import Scene, to_toml
 from .style import write_figure
 
 # What commands call their files, by their endings; of several, the first.
-ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv"}
+ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv", ".png": "picture"}
 # What a summary says of how its result was made, where that is known.
 RUN = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
 

@@ -102,6 +102,12 @@ def unit_of(field: str) -> str:
     return "/".join([above, *(UNITS.get(word, word) for word in below)])
 
 
+def range_of(field: str, low: float, high: float) -> str:
+    """The range of a field, with its unit: "0.4 to 0.6 mm"."""
+    unit = unit_of(field)
+    return f"{significant(low)} to {significant(high)}{'' if unit == '1' else f' {unit}'}"
+
+
 def polynomial(coefficients: Iterable[float], variable: str) -> str:
     """A polynomial from its constant on, as it is written: "110.9 − 32.77 R + 0.9527 R²"."""
     text = ""

@@ -146,7 +146,8 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
         for led, row in zip(table.led, reading_rows(table), strict=True)
     ]
     hold = f"change: from the first sample to the end of the hold, at {table.time_of_change_s[0]:.3g} s"
-    lines = [*aligned(rows), f"{hold}; +-: standard error of the trace; resolution: noise over the slope"]
+    few = " (?: too few photons for one)" if any("?" in cell for row in rows for cell in row.values()) else ""
+    lines = [*aligned(rows), f"{hold}; +-: standard error of the trace{few}; resolution: noise over the slope"]
     if table.saturated.any():
         lines.append("saturated: the converter is at its limit, these volts do not measure the light")
     lines += [*absorbed_lines(summary["absorbed"]), *(line.translate(ASCII) for line in disturbance_lines(result))]

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from .html import section, small, table, texts
-from .numbers import estimated, plain, significant
+from .numbers import estimated, plain, range_of
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
@@ -123,7 +123,7 @@ def spread_section(result: xr.Dataset) -> str:
     rows = _rows(result)
     lines = []
     for row in rows:
-        line = {"Parameter": row["name"], "95 % range": f"{significant(row['low'])} to {significant(row['high'])}"}
+        line = {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])}
         for kind in _kinds(result):
             traced = math.isfinite(row[f"{kind}_spread"])
             std = estimated(row, f"{kind}_spread", 100) if traced else "not traced"

@@ -190,7 +190,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     try:
         part: Part = KINDS[kind].model_validate(tables)
     except ValidationError as error:
-        raise InputError(f"{shown}: {explain(error, KINDS[kind])}") from None
+        raise explain(error, KINDS[kind], shown) from None
     if expect is not None and not isinstance(part, expect):
         needed = next(kind for kind, model in KINDS.items() if model is expect)
         raise InputError(f'part "{name}" has kind "{part.kind}", and "{needed}" is needed here; name another part')

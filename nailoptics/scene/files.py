@@ -51,8 +51,7 @@ def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: 
     try:
         return Scene.model_validate(tables, context={"folder": folder})
     except (ValidationError, InputError) as error:
-        why = explain(error, Scene) if isinstance(error, ValidationError) else str(error)
-        raise InputError(f"{name}: {why}" if name else why) from None
+        raise explain(error, Scene, name) from None
 
 
 def digest(scene: Scene) -> str:

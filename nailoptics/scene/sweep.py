@@ -175,8 +175,7 @@ def load_sweep(path: str | Path) -> Sweep:
     try:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
-        text = explain(error, SweepFile) if isinstance(error, ValidationError) else str(error)
-        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        raise explain(error, SweepFile, "" if str(error).startswith(str(path)) else str(path)) from None
 
 
 def sweep_json_schema() -> dict[str, Any]:

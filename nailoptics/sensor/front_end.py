@@ -85,11 +85,6 @@ class SampledFrontEnd:
         return red, infrared, DARK
 
     @property
-    def has_dark_slot(self) -> bool:
-        """Whether ambient light is read by itself and taken away."""
-        return DARK in self.slot_names
-
-    @property
     def delays_s(self) -> dict[str, float]:
         """How much later than the red slot each slot is. [s]"""
         start_ms = {slot.light: slot.start_ms for slot in self.slots}
@@ -182,12 +177,6 @@ class SampledFrontEnd:
             "converter": np.full_like(current_a, quiet.adc_v2 / samples),
             "ambient light": (bright.shot_v2 - quiet.shot_v2) * averaged,
         }
-
-    def reading_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
-        """Variance of the red and the infrared reading of one frame by its cause, (2,) float each; as of
-        `slot_noise_v2`. [V^2]
-        """
-        return {name: self.weights**2 @ values for name, values in self.slot_noise_v2(fraction).items()}
 
 
 def red_and_infrared(scene: Scene) -> tuple[int, int]:

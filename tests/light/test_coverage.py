@@ -15,7 +15,7 @@ from nailoptics.light.backend import ENGINES, Backend
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.tracing import trace_scene
 from nailoptics.light.tracing.trace_scene import LedSource, LightEngine, take_batches
-from nailoptics.light.tracing.trigger import LedTrigger
+from nailoptics.light.tracing.trigger import LedStoppingCriterion
 from nailoptics.light.transfer.records import ENERGY, LedTrace, joined
 from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer
@@ -200,7 +200,7 @@ class Urn:
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
-    rule = LedTrigger(urn.scene, 0, Accuracy(relative_error=target), np.zeros(1), full=urn.batch_photons)
+    rule = LedStoppingCriterion(urn.scene, 0, Accuracy(relative_error=target), np.zeros(1), full=urn.batch_photons)
     engine = LightEngine(urn.scene, Backend("llvm", None, ENGINES, "made up"))
     engine._opened = urn
     take_batches(LedSource(urn.scene, 0, engine, seed=seed), rule)

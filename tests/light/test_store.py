@@ -252,10 +252,10 @@ def test_four_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_bac
     """Half of them make room in it all the time."""
     context = multiprocessing.get_context("spawn")
     results = context.Queue()
-    rivals = [context.Process(target=_trace, args=(results, most, 5)) for most in (1e4, 2e9) * 2]
+    rivals = [context.Process(target=_trace, args=(results, most, 8)) for most in (1e4, 2e9) * 2]
     for rival in rivals:
         rival.start()
-    bits = {results.get(timeout=240)[0] for _ in range(5 * len(rivals))}
+    bits = {results.get(timeout=240)[0] for _ in range(8 * len(rivals))}
     for rival in rivals:
         rival.join()
     assert [rival.exitcode for rival in rivals] == [0] * 4

@@ -7,7 +7,7 @@ import pytest
 from small_scenes import phantom
 
 from nailoptics.light.tracing import Ending, Trigger, run_until, seconds_per_sample
-from nailoptics.light.tracing.trigger import LedTrigger
+from nailoptics.light.tracing.trigger import LedStoppingCriterion
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Accuracy, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
@@ -22,7 +22,7 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
     spread : standard deviation of the logarithm of the photons' weights.
     """
     rng = np.random.default_rng(seed)
-    trigger = LedTrigger(SCENE, 0, Accuracy(relative_error=target), np.zeros(1), full=PHOTONS)
+    trigger = LedStoppingCriterion(SCENE, 0, Accuracy(relative_error=target), np.zeros(1), full=PHOTONS)
     number = 0
     while trigger.next_batch():
         detected = int(rng.binomial(PHOTONS, PROBABILITY))

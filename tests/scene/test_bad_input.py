@@ -8,6 +8,7 @@ import pytest
 from small_scenes import finger, phantom
 
 from nailoptics.assets import WAVELENGTH_RANGE_NM
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.catalogue import LedPart
@@ -19,19 +20,42 @@ FINGERLESS = FINGER.replace("[finger]", "")
 LAYERS = PHANTOM.split("[phantom]")[1].split("[[leds]]")[0]
 
 
-def complaint(text: str, folder: Path | None = None) -> str:
+def complaint(text: str, folder: Path | None = None, *, faults: int = 1) -> str:
     """What the user reads about a bad scene, having checked that it is nothing but that."""
     with pytest.raises(InputError) as caught:
         parse_scene(text, folder=folder, name="bad.toml")
     error = caught.value
     line = str(error)
     assert error.exit_code == 2
-    assert line.startswith("bad.toml: ") and line.endswith((".", "?", ")")) and len(line.splitlines()) == 1
+    assert len(line.splitlines()) == faults and line.endswith((".", "?"))
+    assert all(one.startswith("bad.toml: ") for one in line.splitlines())
     assert ".. " not in line and not line.endswith("..")
     # No chain: the user's traceback, if any, holds this error alone.
     assert "During handling" not in "".join(traceback.format_exception(error))
     assert "direct cause" not in "".join(traceback.format_exception(error))
     return line
+
+
+def test_every_mistake_has_its_line(tmp_path, capsys):
+    tables = {"finger": 'digit = "toe"\nnail_width_mm = -3', "blood": "so2 = 1.7\nrestblood = 3"}
+    path = tmp_path / "bad.toml"
+    path.write_text("schema_version = 1\n" + "".join(f"[{name}]\n{text}\n" for name, text in tables.items()))
+    assert run(["check", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    fields = (
+        "finger.digit = ",
+        "finger.nail_width_mm = -3",
+        "blood.so2 = 1.7",
+        "blood.restblood is not",
+        "leds is missing",
+    )
+    assert [line.startswith(f"nailoptics: {path}: {field}") for line, field in zip(lines, fields, strict=True)] == [
+        True
+    ] * 5
+    path.write_text("schema_version = 1\n" + "".join(f"[a{k}]\n" for k in range(30)))
+    assert run(["check", str(path)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 11 and lines[-1].endswith(" more; correct these first.")
 
 
 def in_finger(line: str) -> str:
@@ -219,7 +243,7 @@ def test_a_contact_that_cannot_be_is_refused(touch, words):
 
 
 def test_what_is_missing_is_named():
-    assert "schema_version is missing" in complaint("")
+    assert "schema_version is missing" in complaint("", faults=2)
     assert "leds is missing" in complaint("schema_version = 1\n[finger]")
     assert "phantom.layers is missing" in complaint(PHANTOM.replace(LAYERS, "\n"))
     assert "photodiodes: a finger scene needs at least one" in complaint(FINGER.split("[[photodiodes]]")[0])

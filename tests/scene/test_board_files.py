@@ -209,9 +209,7 @@ def test_a_part_off_an_outline_that_is_no_rectangle_is_refused(tmp_path, corner,
     if lies_on:
         assert len(load_scene(path).board.outline_mm) == 4
         return
-    with pytest.raises(
-        InputError, match=r'"D1" at \(-3, 1\) mm reaches over the edge of the board.* give board.origin'
-    ):
+    with pytest.raises(InputError, match=r'"D1" at \(-3, 1\) mm reaches over the edge of .* give board.origin'):
         load_scene(path)
 
 
@@ -324,7 +322,9 @@ def test_a_wrong_board_is_refused_in_one_line(tmp_path, old, new, words):
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=words) as caught:
         load_scene(path)
-    assert "mine.toml: " in str(caught.value) and "\n" not in str(caught.value)
+    lines = str(caught.value).splitlines()
+    # The parts in another table are two faults of their own.
+    assert len(lines) == (3 if "[electronics]" in new else 1) and all("mine.toml: " in line for line in lines)
 
 
 def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):

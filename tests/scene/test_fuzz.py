@@ -28,14 +28,15 @@ def read_touch(path):
     return read_columns(path, "touch.file", ("force_n",), either=(("force_n",),))
 
 
-def one_line_or_nothing(read, *arguments) -> str:
-    """What the user reads, having checked that it is nothing but one line of bounded length."""
+def few_lines_or_nothing(read, *arguments) -> str:
+    """What the user reads, having checked that it is nothing but a few lines of bounded length, each of its own."""
     try:
         read(*arguments)
     except InputError as error:
-        line = str(error)
-        assert error.exit_code == 2 and len(line.splitlines()) == 1 and len(line) < 2000, line
-        return line
+        lines = str(error).splitlines()
+        assert error.exit_code == 2 and 1 <= len(lines) <= 11 and len(set(lines)) == len(lines), lines
+        assert lines == list(error.args) and max(map(len, lines)) < 2000, lines
+        return "\n".join(lines)
     return ""
 
 
@@ -87,7 +88,7 @@ def test_a_scene_with_anything_anywhere(tmp_path_factory, data):
         st.dictionaries(st.sampled_from(["placement", "touch", "body", "priors", "phantom", "blood"]), values)
     )
     path.write_bytes(toml(tables | extra))
-    one_line_or_nothing(load_scene, path)
+    few_lines_or_nothing(load_scene, path)
 
 
 AXIS = st.dictionaries(
@@ -113,7 +114,7 @@ def test_a_sweep_of_anything(tmp_path_factory, tables, axes, usual):
     if isinstance(samples, int) and samples > 4:  # a million scenes take minutes, rightly
         tables["samples"] = 4
     path.write_bytes(toml(({"schema_version": 1, "base": "prototype"} if usual else {}) | tables | {"axes": axes}))
-    one_line_or_nothing(load_sweep, path)
+    few_lines_or_nothing(load_sweep, path)
 
 
 @fuzz
@@ -121,13 +122,13 @@ def test_a_sweep_of_anything(tmp_path_factory, tables, axes, usual):
 def test_a_part_of_anything(tmp_path_factory, tables):
     folder = tmp_path_factory.mktemp("fuzz")
     (folder / "mine.toml").write_bytes(toml(tables))
-    one_line_or_nothing(load_part, "mine", folder)
+    few_lines_or_nothing(load_part, "mine", folder)
 
 
 @fuzz
 @given(texts)
 def test_a_part_of_any_name(tmp_path_factory, name):
-    one_line_or_nothing(load_part, name, tmp_path_factory.mktemp("fuzz"))
+    few_lines_or_nothing(load_part, name, tmp_path_factory.mktemp("fuzz"))
 
 
 cells = st.one_of(st.floats().map(str), texts, st.sampled_from(["0", "1", "90", "top", "bottom", "PD1", "D1"]))
@@ -139,7 +140,7 @@ rows = st.lists(st.lists(cells, max_size=8).map(",".join), max_size=6).map("\n".
 def test_positions_of_anything(tmp_path_factory, head, body):
     path = tmp_path_factory.mktemp("fuzz") / "positions.csv"
     path.write_text(head + body, encoding="utf-8")
-    one_line_or_nothing(read_positions, path)
+    few_lines_or_nothing(read_positions, path)
 
 
 @fuzz
@@ -147,7 +148,7 @@ def test_positions_of_anything(tmp_path_factory, head, body):
 def test_an_outline_of_anything(tmp_path_factory, head, body):
     path = tmp_path_factory.mktemp("fuzz") / "outline.csv"
     path.write_text(head + body, encoding="utf-8")
-    one_line_or_nothing(read_outline, path)
+    few_lines_or_nothing(read_outline, path)
 
 
 @fuzz
@@ -155,7 +156,7 @@ def test_an_outline_of_anything(tmp_path_factory, head, body):
 def test_a_recorded_touch_of_anything(tmp_path_factory, head, body):
     path = tmp_path_factory.mktemp("fuzz") / "touch.csv"
     path.write_text(head + body, encoding="utf-8")
-    one_line_or_nothing(read_touch, path)
+    few_lines_or_nothing(read_touch, path)
 
 
 groups = st.tuples(
@@ -170,7 +171,7 @@ def test_a_dxf_of_anything(tmp_path_factory, drawn, inside):
     path = tmp_path_factory.mktemp("fuzz") / "outline.dxf"
     body = [("0", "SECTION"), ("2", "ENTITIES")] * inside + drawn
     path.write_text("".join(f"{code}\n{value}\n" for code, value in body), encoding="utf-8")
-    one_line_or_nothing(read_outline, path)
+    few_lines_or_nothing(read_outline, path)
 
 
 @fuzz
@@ -185,7 +186,7 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
         ("d.csv", read_touch),
     ):
         (folder / name).write_bytes(data)
-        one_line_or_nothing(read, folder / name)
+        few_lines_or_nothing(read, folder / name)
 
 
 @pytest.mark.parametrize(
@@ -205,43 +206,43 @@ def test_bytes_that_are_no_file_of_ours(tmp_path_factory, data):
 )
 def test_toml_beyond_all_bounds_is_refused(tmp_path, text, words):
     (tmp_path / "s.toml").write_text(text)
-    assert words in one_line_or_nothing(load_scene, tmp_path / "s.toml")
+    assert words in few_lines_or_nothing(load_scene, tmp_path / "s.toml")
 
 
 def test_names_that_are_no_names_are_refused(tmp_path):
     sweep = 'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "leds.x.flux_mw"\nvalues = [1.0]\n'
     base = tomllib.loads(sweep) | {"base": PROTOTYPE | {"leds": [{"name": ["a", "list"]}, {"name": "ir"}]}}
     (tmp_path / "s.toml").write_bytes(toml(base))
-    assert "there is no item x here; known: 0 to 1, ir" in one_line_or_nothing(load_sweep, tmp_path / "s.toml")
+    assert "there is no item x here; known: 0 to 1, ir" in few_lines_or_nothing(load_sweep, tmp_path / "s.toml")
     (tmp_path / "t.toml").write_text(sweep.replace("prototype", "x" * 5000))
-    assert "cannot be read" in one_line_or_nothing(load_sweep, tmp_path / "t.toml")
+    assert "cannot be read" in few_lines_or_nothing(load_sweep, tmp_path / "t.toml")
 
 
 def test_a_cell_over_128_kb_is_refused(tmp_path):
     (tmp_path / "t.csv").write_text("time_s,force_n\n0," + "1" * 140_000 + "\n")
     for read in (read_touch, read_outline, read_positions):
-        assert one_line_or_nothing(read, tmp_path / "t.csv")
+        assert few_lines_or_nothing(read, tmp_path / "t.csv")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
 @pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.dxf", "outline.csv"])
 def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
     os.mkfifo(tmp_path / name)
-    assert "no ordinary file" in one_line_or_nothing(read_outline, tmp_path / name)
-    assert "no ordinary file" in one_line_or_nothing(load_scene, tmp_path / name)
+    assert "no ordinary file" in few_lines_or_nothing(read_outline, tmp_path / name)
+    assert "no ordinary file" in few_lines_or_nothing(load_scene, tmp_path / name)
 
 
 def test_a_file_beyond_all_bounds_is_not_read(tmp_path):
     with open(tmp_path / "s.toml", "wb") as file:
         file.truncate(600_000_000)
-    assert "600 MB" in one_line_or_nothing(load_scene, tmp_path / "s.toml")
+    assert "600 MB" in few_lines_or_nothing(load_scene, tmp_path / "s.toml")
 
 
 def test_no_message_quotes_a_foreign_file(tmp_path):
     (tmp_path / "secret").write_text("root:x:0:0:hidden\n")
     scene = 'schema_version = 1\n[finger]\n[touch]\nprofile = "recorded"\nfile = "secret"\n'
     (tmp_path / "s.toml").write_text(scene)
-    assert "hidden" not in one_line_or_nothing(load_scene, Path(tmp_path / "s.toml"))
+    assert "hidden" not in few_lines_or_nothing(load_scene, Path(tmp_path / "s.toml"))
 
 
 atoms = st.one_of(
@@ -264,10 +265,10 @@ def test_a_board_of_anything(tmp_path_factory, items, more):
     path = tmp_path_factory.mktemp("fuzz") / "board.kicad_pcb"
     body = "\n".join(f"({head} {' '.join(parts)})" for head, parts in items)
     path.write_text(f"(kicad_pcb (version 20240108)\n{body}){more}", encoding="utf-8")
-    one_line_or_nothing(read_board, path)
+    few_lines_or_nothing(read_board, path)
 
 
 @pytest.mark.parametrize("text", ["", "(", "(" * 5000 + ")" * 5000, "(kicad_pcb " + "(a " * 900 + ")" * 901, "\0"])
 def test_a_board_beyond_all_bounds_is_refused(tmp_path, text):
     (tmp_path / "b.kicad_pcb").write_text(text)
-    one_line_or_nothing(read_board, tmp_path / "b.kicad_pcb")
+    few_lines_or_nothing(read_board, tmp_path / "b.kicad_pcb")

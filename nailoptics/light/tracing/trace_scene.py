@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ... import checks
-from ...errors import InputError, NotReachedError
+from ...errors import NotReachedError
 from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene
 from ...statistics import seed_of
@@ -21,7 +21,7 @@ from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
 from .store import LightStore, made_of, stored_or_made
-from .trigger import Ending, LedTrigger, ProgressCallback, run_until, share_of_time
+from .trigger import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
 PHOTONS_ENGINE = "the photons engine"
@@ -62,7 +62,7 @@ def trace(
     for led in range(len(scene.leds)):
         source = LedSource(scene, led, engine, stores, seed=options.seed)
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
-        trigger = LedTrigger(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
+        trigger = LedStoppingCriterion(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
         ending = take_batches(source, trigger, progress)
         complaint = complaint or trigger.unmet_reason(ending)
         if ending is Ending.INTERRUPTED:
@@ -202,13 +202,13 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
         try:
             required = Accuracy(**(base | given))
         except ValidationError as error:
-            raise InputError(checks.explain(error, Accuracy)) from None
+            raise checks.explain(error, Accuracy) from None
     if not required.model_dump(exclude_none=True):
         return Accuracy(photons=DEFAULT_PHOTONS)
     return required
 
 
-def take_batches(source: LedSource, trigger: LedTrigger, progress: ProgressCallback | None = None) -> Ending:
+def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: ProgressCallback | None = None) -> Ending:
     """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
 
     What is stored is taken even when time is over; opening the engine is no part of the time.

@@ -190,8 +190,8 @@ class Trigger:
         return min(1.0, (self.target / error) ** 2) if error > 0 else 1.0
 
 
-class LedTrigger:
-    """The batches of one LED as they come, and when its trace may end: what a scene requires of it.
+class LedStoppingCriterion:
+    """The stopping criterion of one LED's trace, with its batches as they come: what a scene requires of it.
 
     photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
     very many photons of which some photodiode has detected none, which no number of photons will mend; or the memory.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...statistics import effective_count, known_from, stderr_of_mean
+from ...statistics import effective_count, stderr_of_mean, stderr_or_nan
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Moments:
 
         NaN where it rests on fewer than 25 effective photons; so are those of mean paths and derivatives.
         """
-        return known_from(stderr_of_mean(self.weight, self.square, self.photons), self.weight, self.square)
+        return stderr_or_nan(stderr_of_mean(self.weight, self.square, self.photons), self.weight, self.square)
 
     @property
     def effective_photons(self) -> np.ndarray:
@@ -49,13 +49,13 @@ class Moments:
         mean = np.divide(self.path, total, out=np.full_like(self.path, np.nan), where=total > 0)
         spread = np.maximum(self.path_square - 2 * mean * self.path_cross + mean**2 * self.square[:, None], 0)
         stderr = np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
-        return mean, known_from(stderr, self.path, self.path_square)
+        return mean, stderr_or_nan(stderr, self.path, self.path_square)
 
     @property
     def derivative(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivative of the fraction to each absorber's mu_a and its standard error, (p, r) each. [mm]"""
         stderr = stderr_of_mean(self.path, self.path_square, self.photons)
-        return -self.path / self.photons, known_from(stderr, self.path, self.path_square)
+        return -self.path / self.photons, stderr_or_nan(stderr, self.path, self.path_square)
 
 
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...io import CorruptError
-from ...statistics import FEW_TERMS, Z95, effective_count, stderr_of_mean, upper_limit_95
+from ...statistics import MIN_EFFECTIVE_TERMS, Z95, effective_count, stderr_of_mean, upper_limit_95
 from .moments import Moments, moments_of
 from .reweight import attenuation, transmission
 
@@ -94,7 +94,7 @@ class LedTrace:
         fractions, least = {}, upper_limit_95(self.photons) / Z95
         for name, (total, square) in sums.items():
             stderr = float(stderr_of_mean(total, square, self.photons))
-            few = effective_count(total, square) < FEW_TERMS
+            few = effective_count(total, square) < MIN_EFFECTIVE_TERMS
             fractions[name] = (total / self.photons, max(stderr, least) if few and self.photons > 1 else stderr)
         return fractions
 

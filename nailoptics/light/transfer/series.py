@@ -72,7 +72,7 @@ def readings_over_states(
         # Of n equal photons the relative error is 1 / sqrt(n).
         effective = np.nan_to_num(np.square(fraction / stderr), nan=np.inf).min(-1)
     # Where there is least blood, single long paths weigh most.
-    transfer.warn_if_thin(effective, transfer.moments_at(np.min(blood_fraction, 0)))
+    transfer.warn_of_low_effective_sample_size(effective, transfer.moments_at(np.min(blood_fraction, 0)))
     return ReadingSeries(*course.out)
 
 

@@ -16,7 +16,7 @@ from ... import checks, io
 from ...commit import code_attributes, code_versions
 from ...errors import InputError
 from ...scene import Scene, digest, parse_scene, to_toml
-from ...statistics import FEW_TERMS, upper_limit_95
+from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
 from ...variables import Variables, variable
 from .. import optics
 from ..identity import light_digest
@@ -131,7 +131,7 @@ class Transfer:
             np.array([getattr(m, name) for m in moments])
             for name in ("effective_photons", "fraction", "stderr", "mean_path", "derivative")
         )
-        self.warn_if_thin(effective, moments)
+        self.warn_of_low_effective_sample_size(effective, moments)
         pairs = ("led", "photodiode")
         paths = (*pairs, "absorber")
         names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
@@ -264,8 +264,8 @@ class Transfer:
         count = len(self.photodiodes)
         return [moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
-    def warn_if_thin(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
-        """Warn where few of the photons that were traced are left to bear a reading or its error.
+    def warn_of_low_effective_sample_size(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
+        """Warn where the effective sample size of a reweighted reading, or of its error, is small.
 
         effective : (led, photodiode) float. Effective photons of each reading.
         least_absorbing : sums of each LED in the state of least absorption. Where few long paths outweigh all others
@@ -275,7 +275,7 @@ class Transfer:
             behind = np.where(bright.weight > traced.weight, bright.error_photons, np.inf)
             for what, few, of, least in (
                 ("reading", left, traced.effective_photons, MIN_EFFECTIVE_PHOTONS),
-                ("error", behind, traced.error_photons, FEW_TERMS),
+                ("error", behind, traced.error_photons, MIN_EFFECTIVE_TERMS),
             ):
                 thin = (few < least) & (few < 0.5 * of)
                 if thin.any():

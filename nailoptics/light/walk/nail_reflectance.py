@@ -157,8 +157,9 @@ class NailReflectance:
         walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
         rng, per_lane = lanes(count, seed)
         walked = ends.evaluated(walk.run(rng, per_lane, dr.arange(mi.UInt32, dr.width(per_lane))))
-        inside = beam.within_port(np.stack([np.array(x) for x in ends.place], -1))
-        back = np.flatnonzero((walked.outcome == TOP) & inside)
+        place_mm, ray = np.stack([np.array(x) for x in ends.place], -1), np.arange(count) % len(beam.radius_mm)
+        outside = np.linalg.norm(place_mm - beam.center_mm[ray], axis=1) > beam.radius_mm[ray]
+        back = np.flatnonzero((walked.outcome == TOP) & ~outside)
         path = FingerTracer.by_zone(walked.path_mm[:, back]).astype(np.float16)
         return back, walked.weight[back], path, walked.cosine[back]
 
@@ -194,11 +195,6 @@ class _Beam:
         z = dr.gather(mi.Float, self.height, index % self.count)
         x, y = dr.fma(rng.next_float32(), box.z, box.x), dr.fma(rng.next_float32(), box.w, box.y)
         return mi.Point3f(x, y, z), mi.Vector3f(0, 0, -dr.sign(z)), mi.Float(1)
-
-    def within_port(self, place_mm: np.ndarray) -> np.ndarray:
-        """Whether photons of a batch that ended there, (n, 2) float [mm], count by their patch's port, (n,) bool."""
-        ray = np.arange(len(place_mm)) % len(self.radius_mm)
-        return ~(np.linalg.norm(place_mm - self.center_mm[ray], axis=1) > self.radius_mm[ray])
 
 
 def as_seen(scene: Scene) -> Scene:

@@ -14,7 +14,7 @@ from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
 from ..html import Html, document, escaped, figure, section, small, table, texts
-from ..numbers import aligned, estimated, plain, significant
+from ..numbers import aligned, estimated, plain, range_of, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,8 +83,8 @@ def _unknowns(result: xr.Dataset) -> str:
     nail = result.sel(site="nail")
     for i in np.argsort(-nail.prior_lab_spread.values.max(1)):
         prior = nail.isel(prior=int(i))
-        low, high = prior.prior_range.values
-        row = {"Prior": str(prior.prior.item()), "Range": f"{low:g} to {high:g}"}
+        shown = range_of(str(prior.prior_field.item()), *prior.prior_range.values.tolist())
+        row = {"Prior": str(prior.prior.item()), "Range": shown}
         rows.append(row | _lab(prior, "prior_lab_spread"))
     text = "nailoptics validate compares nails and skin with photographs and spectra of people."
     drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers.")

@@ -119,8 +119,12 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
         rows.append(
             line | {"statistic": _statistic(quantity), "verdict": "agrees" if quantity["agrees"] else "DISAGREES"}
         )
-    counts = (f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items())
-    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{', '.join(counts)}."]
+    return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
+
+
+def counts_in_words(summary: Mapping[str, Any]) -> str:
+    """How many quantities of a summary agree, in words; the documentation has it, too."""
+    return ", ".join(f"of {count} {words} quantities {n} agree" for words, (n, count) in summary["counts"].items())
 
 
 def summary(result: Validation) -> dict[str, Any]:

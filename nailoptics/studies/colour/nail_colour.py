@@ -128,7 +128,7 @@ def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:
     try:
         return Viewing.model_validate(scene.colour.model_dump() | given)
     except ValidationError as error:
-        raise InputError(explain(error, Viewing)) from None
+        raise explain(error, Viewing) from None
 
 
 def _redness_left(redness: Array, pale: Array) -> Array:

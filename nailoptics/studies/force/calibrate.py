@@ -108,7 +108,7 @@ def calibrate_with(
         fitted = fit.solve(lambda done: report(FITTED * done))
         subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
-        why = explain(error, BaseModel) if isinstance(error, ValidationError) else str(error)
+        why = explain(error, BaseModel).args[0]
         raise InputError(
             f"{recordings[0].name}: is no recording of this scene's board ({why}) Check units, columns and scene."
         ) from None

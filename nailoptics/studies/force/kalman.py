@@ -154,8 +154,9 @@ class KalmanFilter:
         self.relaxed_n_per_cm2 = pressure_n_per_cm2 + (self.relaxed_n_per_cm2 - pressure_n_per_cm2) * np.exp(
             -step_s / self.model.person.creep_s
         )
-        before = self.mode_covariance.copy()
-        before[:, [3, 4], [3, 4]] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]
+        before, touch = self.mode_covariance.copy(), range(TOUCH.start, TOUCH.stop)
+        # Process noise of the touch, which differs by mode, before the step; `process` has that of all else.
+        before[:, touch, touch] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
         return transition
@@ -185,8 +186,8 @@ class KalmanFilter:
         for iteration in range(ITERATIONS):
             expected, jacobian = self.model.measurement(state)
             innovation, jacobian = (volts - expected)[valid], jacobian[valid]
-            by_state = jacobian @ self.mode_covariance
-            innovation_covariance = by_state @ jacobian.T
+            innovation_by_state = jacobian @ self.mode_covariance
+            innovation_covariance = innovation_by_state @ jacobian.T
             if iteration == 0:
                 mode_nis, log_likelihood = _likelihood(innovation, innovation_covariance + measurement_noise)
                 probability = probability * np.exp(log_likelihood - log_likelihood.max())
@@ -195,7 +196,7 @@ class KalmanFilter:
                 # Outliers count for less.
                 measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER_GATE))
             innovation_covariance = innovation_covariance + measurement_noise
-            gain = np.moveaxis(np.linalg.solve(innovation_covariance, by_state), 1, 2)
+            gain = np.moveaxis(np.linalg.solve(innovation_covariance, innovation_by_state), 1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
             updated = predicted + probability @ corrections
             updated[TOUCH] = np.clip(updated[TOUCH], predicted[TOUCH] - farthest, predicted[TOUCH] + farthest)
@@ -205,8 +206,8 @@ class KalmanFilter:
             if np.abs(moved[:WALL_STATES]).max() < CONVERGED:
                 break
         # Joseph form, which stays positive for any gain; merged with the spread of the modes' means.
-        rest = np.eye(self.model.size) - gain @ jacobian
-        covariance = rest @ self.mode_covariance @ np.moveaxis(rest, 1, 2)
+        identity_less_gain = np.eye(self.model.size) - gain @ jacobian
+        covariance = identity_less_gain @ self.mode_covariance @ np.moveaxis(identity_less_gain, 1, 2)
         covariance = covariance + gain @ measurement_noise @ np.moveaxis(gain, 1, 2)
         from_mean = corrections - probability @ corrections
         self.mode_probability = probability

@@ -271,5 +271,5 @@ def parse_subject(text: str, *, name: str = "subject") -> Subject:
     try:
         return FILE.validate_python(tables)
     except (ValidationError, InputError, KeyError, TypeError, OverflowError) as error:
-        why = explain(error, BaseModel) if isinstance(error, ValidationError) else str(error)
+        why = explain(error, BaseModel).args[0]
         raise InputError(f"{name}: is not a valid subject file: {why} Calibrate again.") from None

@@ -107,18 +107,14 @@ def changes_of(scene: Scene) -> Iterator[Change]:
 
 
 def _unknown(scene: Scene, prior: Prior) -> Change:
-    """A prior at that end of its range which is farther from the scene's value."""
-    end = _farther_end(prior, value_of(scene, prior.field))
+    """A prior at that end of its range which is farther from the scene's value, on the prior's scale."""
+    ends = (prior.low, value_of(scene, prior.field), prior.high)
+    low, middle, high = np.log(ends) if prior.scale == "log" else ends
+    # A nudge, so that rounding does not decide between ends that are as far.
+    end = prior.low if middle - low > high - middle + 1e-3 else prior.high
     table, name = prior.field.split(".")
     text = f"{name} = {end:g}, of {prior.low:g} to {prior.high:g}"
     return Change(prior.name, True, text, {table: {name: end}}, unknown=True)
-
-
-def _farther_end(prior: Prior, value: float) -> float:
-    """The end of a range that lies farther from a value, on the prior's scale."""
-    low, middle, high = (np.log(x) if prior.scale == "log" else x for x in (prior.low, value, prior.high))
-    # A nudge, so that rounding does not decide between ends that are as far.
-    return prior.low if middle - low > high - middle + 1e-3 else prior.high
 
 
 def _parts(scene: Scene) -> Iterator[Change]:

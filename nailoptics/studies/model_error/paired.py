@@ -19,7 +19,7 @@ from ...light.transfer.records import LedTrace
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import FEW_TERMS, farther_end
+from ...statistics import MIN_EFFECTIVE_TERMS, farther_end
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
@@ -70,7 +70,7 @@ class PairedReadings:
         square = self.sums(0, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
-            return np.where(self.level**2 >= FEW_TERMS * square, relative, np.inf)
+            return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
 
     @cached_property
     def modulation_stderr(self) -> np.ndarray:

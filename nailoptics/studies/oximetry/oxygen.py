@@ -152,7 +152,10 @@ def _error_variables(
     level_v, pulse = volts["volts"][1].mean(-1).T, volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    noises = [front_end.reading_noise_v2(f) for front_end, f in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)]
+    noises = [
+        {name: front_end.weights**2 @ slots for name, slots in front_end.slot_noise_v2(fraction).items()}
+        for front_end, fraction in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)
+    ]
     data: Variables = {}
     for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene)), ("", AVERAGE_S)):
         rows = []

@@ -88,7 +88,7 @@ def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecordi
         noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
         noisy, _ = electronics.converted(noisy, scene.electronics)
         volts.append(noisy[:, places].T)
-        dark.append(noisy[:, first.slot_names.index(DARK)] if first.has_dark_slot else np.zeros(len(time_s)))
+        dark.append(noisy[:, first.slot_names.index(DARK)] if DARK in first.slot_names else np.zeros(len(time_s)))
     names = tuple(str(name) for name in result.photodiode.values)
     return OximeterRecording("simulated", names, time_s, np.stack(volts, 1), np.stack(dark))
 

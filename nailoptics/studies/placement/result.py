@@ -13,7 +13,7 @@ from ...scene.importers.outlines import Outline
 from ...scene.importers.positions import PlacedPart
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
-from ...statistics import FEW_TERMS, jackknife, left_out
+from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, left_out
 from ...variables import Estimate, Variables, described, jackknifed
 from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
@@ -143,7 +143,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
     for name in ("volts", "shunted_fraction", "zone_v"):
         values, errors = jackknifed(np.stack([getattr(read, name) for read in by_led], 1))
         # Where no photon came the dark current alone is read, the same by every group of them.
-        known = (errors > ROUNDING * np.abs(values)) & (FEW_TERMS * errors**2 <= values**2)
+        known = (errors > ROUNDING * np.abs(values)) & (MIN_EFFECTIVE_TERMS * errors**2 <= values**2)
         estimate = Estimate(values, np.where(known, errors, np.nan))
         data |= described(__package__, **{f"predicted_{name}": estimate})
     return data | described(__package__, predicted_noise_v=[read.noise_v[0] for read in by_led])

@@ -9,7 +9,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.report.pages.explore.page import page
 from nailoptics.scene.files import parse_scene
-from nailoptics.statistics import FEW_TERMS
+from nailoptics.statistics import MIN_EFFECTIVE_TERMS
 from nailoptics.studies.exploration import explore as study
 
 EXPLORED, SIMULATED = 600_000, 400_000
@@ -55,7 +55,7 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     pulls = []
     for i, row in enumerate(rows):
         assert not row["few"]
-        assert row["restError"] < FEW_TERMS**-0.5 * row["fractionRest"]
+        assert row["restError"] < MIN_EFFECTIVE_TERMS**-0.5 * row["fractionRest"]
         pulls.append((row["fractionRest"] - rest[i]) / np.hypot(row["restError"], rest_error[i]))
         pulls.append((1e3 * row["change"] - change[i]) / np.hypot(1e3 * row["changeError"], change_error[i]))
     assert np.mean(np.abs(pulls) < 2) > 0.85

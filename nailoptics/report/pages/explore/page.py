@@ -15,7 +15,7 @@ from ....scene.base import MOST_PHOTODIODES
 from ....scene.rectangles import Rectangle
 from ....sensor import electronics
 from ....sensor.ambient import LAMP, SOURCES
-from ....statistics import FEW_TERMS
+from ....statistics import MIN_EFFECTIVE_TERMS
 from ....studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
@@ -113,7 +113,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "kernelChangeError": KERNEL_CHANGE_ERROR,
         # The force resolved goes as the slopes of the readings.
         "kernelResolutionError": math.hypot(KERNEL_ERROR, KERNEL_CHANGE_ERROR),
-        "fewRelative": FEW_TERMS**-0.5,
+        "fewRelative": MIN_EFFECTIVE_TERMS**-0.5,
         "sameNm": SAME_NM,
         # Blood at rest, from the least to the most that can be chosen.
         "restRange": [rest * factor if scene.blood.venous_so2 is None else rest for factor in BLOOD_RANGE],
