@@ -115,24 +115,27 @@ def inside(reflectance: np.ndarray, people: Spectra, low: int, high: int) -> int
     return int(((reflectance >= people[low]) & (reflectance <= people[high])).sum())
 
 
+def values_of(x: np.ndarray) -> tuple[float, float, float, float]:
+    """Scattering, its power, absorption and blood of the unknowns, which are logarithms but for the power."""
+    return float(np.exp(x[0])), float(x[1]), float(np.exp(x[2])), float(np.exp(x[3]))
+
+
+def misfit(x: np.ndarray, skin: Skin, people: Spectra) -> np.ndarray:
+    """What the fit makes least: residuals from people's median, and from the priors."""
+    reflectance = skin.reflects(*values_of(x), USUAL_MELANIN_FRACTION)
+    return np.concatenate([residual(reflectance, people), x[:3] / PRIOR_SD])
+
+
 def main() -> None:
     """Print the fit, and where it lies among people."""
     skin, fingers, hands = Skin(), measured("ring finger"), measured("back of hand")
     everyone = pooled(fingers)
-
-    def of(x: np.ndarray) -> tuple[float, float, float, float]:
-        return float(np.exp(x[0])), float(x[1]), float(np.exp(x[2])), float(np.exp(x[3]))
-
-    def misfit(x: np.ndarray) -> np.ndarray:
-        reflectance = skin.reflects(*of(x), USUAL_MELANIN_FRACTION)
-        return np.concatenate([residual(reflectance, everyone), x[:3] / PRIOR_SD])
-
     at = np.array([0.2, 0.1, -0.5, np.log(0.02)])
     for _ in range(FITS):
-        skin.walk(*of(at))
-        found = least_squares(misfit, at, diff_step=1e-3)
+        skin.walk(*values_of(at))
+        found = least_squares(misfit, at, diff_step=1e-3, args=(skin, everyone))
         at = found.x
-    scatters, power, absorbs, blood = of(at)
+    scatters, power, absorbs, blood = values_of(at)
     covariance = np.linalg.inv(found.jac.T @ found.jac)
     errors = np.sqrt(np.diag(covariance))
     print(f"scattering x{scatters:.3f} (wavelength/500)^{power:+.3f}, absorption x{absorbs:.3f}, blood {blood:.4f}")
