@@ -199,9 +199,10 @@ class KalmanFilter:
             gain = np.moveaxis(np.linalg.solve(innovation_covariance, innovation_by_state), 1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
             updated = predicted + probability @ corrections
-            updated[TOUCH] = np.clip(updated[TOUCH], predicted[TOUCH] - farthest, predicted[TOUCH] + farthest)
+            nearest = np.maximum(updated[TOUCH], predicted[TOUCH] - farthest)
+            updated[TOUCH] = np.minimum(nearest, predicted[TOUCH] + farthest)
             moved = updated - state
-            moved[:WALL_STATES] = np.clip(moved[:WALL_STATES], -LARGEST_UPDATE, LARGEST_UPDATE)
+            moved[:WALL_STATES] = np.minimum(np.maximum(moved[:WALL_STATES], -LARGEST_UPDATE), LARGEST_UPDATE)
             state = state + moved
             if np.abs(moved[:WALL_STATES]).max() < CONVERGED:
                 break
@@ -214,7 +215,7 @@ class KalmanFilter:
         self.covariance = np.einsum("m,mij->ij", probability, covariance) + (probability * from_mean.T) @ from_mean
         self.state = self.model.bound_touch(state, self.covariance)
         self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
-        self.state[PULP] = np.clip(self.state[PULP], 0.0, self.model.touch_bounds_n_per_cm2[1][1])
+        self.state[PULP] = min(max(self.state[PULP], 0.0), self.model.touch_bounds_n_per_cm2[1][1])
         return nis
 
     def _update_zero(self, since_s: float) -> None:

@@ -292,10 +292,10 @@ class PulsatileGain:
 
     def at(self, touch: Array) -> tuple[Array, Array]:
         """Part (2,) by which the blood grows under a touch (2,) in N/cm^2, [1/Pa], and its slopes (2, 2) by that."""
-        place = np.clip(touch / self._steps_n_per_cm2, 0.0, PULSED - 1.001)
-        (i, j), (x, y) = place.astype(int), place % 1.0
+        place = np.minimum(np.maximum(touch / self._steps_n_per_cm2, 0.0), PULSED - 1.001)
+        (i, j), (x, y) = place.astype(int).tolist(), (place % 1.0).tolist()
         here = self._part[:, i : i + 2, j : j + 2]
         across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])
-        rise = np.array([-1.0, 1.0])
-        by_touch = np.column_stack([rise @ (here @ along).T, across @ (here @ rise).T]) / self._steps_n_per_cm2
-        return across @ (here @ along).T, by_touch
+        grown, by_touch, rise = (here @ along).T, np.empty((2, 2)), np.array([-1.0, 1.0])
+        by_touch[:, 0], by_touch[:, 1] = rise @ grown, across @ (here @ rise).T
+        return across @ grown, by_touch / self._steps_n_per_cm2

@@ -78,11 +78,9 @@ class ReadingTable:
 
     def slopes(self, blood: Array) -> tuple[Array, Array]:
         """Volts (R,) and their derivatives by the blood of each zone (R, 2), for blood (2,)."""
-        x = np.clip(blood / self.most_blood_fraction, 0.0, 1.0)
-        rows = [
-            [x[0] ** i * x[1] ** j, i * x[0] ** max(i - 1, 0) * x[1] ** j, j * x[0] ** i * x[1] ** max(j - 1, 0)]
-            for i, j in POWERS
-        ]
+        inside = np.minimum(np.maximum(blood / self.most_blood_fraction, 0.0), 1.0)
+        x, y = ([part**i for i in range(DEGREE + 1)] for part in inside.tolist())
+        rows = [[x[i] * y[j], i * x[i - 1] * y[j], j * x[i] * y[j - 1]] for i, j in POWERS]
         value, by_first, by_second = (self.coefficients @ np.array(rows)).T
         light = np.exp(value)
         return self.dark_v + light, light[:, None] * np.stack([by_first, by_second], 1) / self.most_blood_fraction

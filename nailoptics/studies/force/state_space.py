@@ -5,6 +5,8 @@ bends to 0; what is left of the distal pressure in the pulp; heartbeat and slow 
 relative drift of each reading. Process: the network of vessels, one step at a time. Measurement: volts of all readings.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.special import expit
 
@@ -70,6 +72,7 @@ class StateSpace:
         # One network for each of the steps of the Jacobian.
         self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * WALL_STATES, axis=1))
         self._closed_m = self._many.walls.with_axes(2).closed
+        self._linear_process_of = lru_cache(2)(self._linear_process)
 
     def initial(self) -> tuple[Array, Array]:
         """State and covariance of an untouched finger, as far as is known."""
@@ -109,9 +112,10 @@ class StateSpace:
         stderr : (6,) float. Standard deviations of the states that act on the walls.
         relaxed_n_per_cm2 : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
         """
-        (transition, noise), many, person = self._linear_process(step_s), self._many, self.person
+        transition, noise = (part.copy() for part in self._linear_process_of(step_s))
+        many, person = self._many, self.person
         high = person.arterial_pa + self.wave_weights @ state
-        step_by = np.clip(stderr, SMALLEST_STEP, LARGEST_STEP)
+        step_by = np.minimum(np.maximum(stderr, SMALLEST_STEP), LARGEST_STEP)
         count, first = many.rest_m.shape[1], 1 + 2 * WALL_STATES
         around = np.repeat(state[:WALL_STATES, None], count, axis=1)
         around[range(WALL_STATES), range(1, 1 + WALL_STATES)] += step_by
@@ -157,7 +161,8 @@ class StateSpace:
 
     def bound_touch(self, state: Array, covariance: Array) -> Array:
         """The likeliest state with its touch within bounds; the drift stays, as each release would bias it alike."""
-        bounded = np.clip(state[TOUCH], *self.touch_bounds_n_per_cm2)
+        lowest_n_per_cm2, highest_n_per_cm2 = self.touch_bounds_n_per_cm2
+        bounded = np.minimum(np.maximum(state[TOUCH], lowest_n_per_cm2), highest_n_per_cm2)
         outside = np.flatnonzero(bounded != state[TOUCH])
         if not outside.size:
             return state.copy()

@@ -30,14 +30,14 @@ from .scores import TOUCH_N, is_still, rms, runs, touches_by_kind
 from .subject import Subject
 from .uncertainty import ForceEstimate, ForceEstimator
 
-# Samples a second that the filter reads, and of which one of so many is a sample of the training. [Hz, 1]
-RATE_HZ, STRIDE = 25.0, 4
+# Samples a second that the filter reads. [Hz]
+RATE_HZ = 25.0
 # Forces that members are trained on, the protocol's but for overshoot; after a harder touch so long is left out. [N, s]
 TOP_N, AFTER_S = 1.05 * LEVEL_N[1], 1.0
 # Recordings are read one after the other, with a gap after which filter and memory restart. [s]
 APART_S = LONGEST_GAP_S + 1.0
-# Copies of the calibration, all but the first with offsets and drifts: offsets of so many minutes' drift. [1, min]
-COPIES, OFFSET_MIN = 8, 1.0
+# Copies of the calibration, all but the first with drifts, of each of which one of so many samples is trained on.
+COPIES = 4
 # Centres of the kernel.
 CENTRES = 300
 # Ridge penalties that are tried, as parts of a term's variance, and groups of touches that are held out in turn.
@@ -71,17 +71,10 @@ class CalibrationSeries:
     is_still: NDArray[np.bool_]
     is_varied: NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class TrainingSamples:
-    """What members are trained on, n samples: features (D, n), and what `CalibrationSeries` has of them (n,)."""
-
-    features: Array
-    force_n: Array
-    filter_n: Array
-    block: NDArray[np.int64]
-    is_proximal: NDArray[np.bool_]
-    is_still: NDArray[np.bool_]
+    def at(self, samples: NDArray[np.int64]) -> "CalibrationSeries":
+        """Some of the samples."""
+        columns = {name: column[..., samples] for name, column in vars(self).items() if name != "by_filter"}
+        return CalibrationSeries(ForceEstimate(*(column[..., samples] for column in self.by_filter)), **columns)
 
     @property
     def fold(self) -> NDArray[np.int64]:
@@ -99,9 +92,10 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     by_filter, _, over_rest = ForceEstimator(subject).of(estimates, every.volts, since_s)
     touches, is_varied = runs(force_n >= REST_FORCE_N), force_n <= TOP_N
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
-    # A touch that closes the vessels is left out with its recovery, unless others are too few.
+    # A touch that closes the vessels is left out from there on with its recovery, unless others are too few: its slow
+    # rise is the only one of the protocol.
     for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES else ():
-        is_varied[start : stop + round(AFTER_S * RATE_HZ)] = False
+        is_varied[start + np.argmax(force_n[start:stop] > TOP_N) : stop + round(AFTER_S * RATE_HZ)] = False
     return CalibrationSeries(
         by_filter=by_filter,
         over_rest=over_rest,
@@ -131,48 +125,49 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     components = (vectors[:, :count] / sizes[:count] * np.sqrt(touched.sum())).T
     features = _features_with_drift(subject, series, components)
     varied = np.flatnonzero(series.is_varied)
-    chosen = [varied[copy % STRIDE :: STRIDE] for copy in range(COPIES)]
-    at = np.concatenate(chosen)
-    samples = TrainingSamples(
-        features=np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1),
-        force_n=series.force_n[at],
-        filter_n=series.by_filter.force_n[at],
-        block=series.block[at],
-        is_proximal=series.is_proximal[at],
-        is_still=series.is_still[at],
+    chosen = [varied[copy::COPIES] for copy in range(COPIES)]
+    every_n = series.by_filter.force_n
+    samples, trained_on = (
+        series.at(np.concatenate(chosen)),
+        np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1),
     )
-    ensemble, held_out_n = _trained(samples, components)
+    ensemble, held_out_n = _trained(trained_on, samples, components)
+    terms = half_width_terms(trained_on, held_out_n, count)
     ensemble = replace(
         ensemble,
-        half_width_n=_conformal_half_width(samples, held_out_n, count, np.ones(len(held_out_n), bool)),
-        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], series.by_filter.force_n)),
+        half_width_n=_conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool)),
+        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], every_n)),
     )
-    return ensemble, _held_out_quality(samples, held_out_n, count)
+    return ensemble, _held_out_quality(terms, samples, held_out_n)
 
 
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
-    """Features (D, COPIES, T) of a calibration; offsets and drifts are drawn onto the readings of all copies but 0."""
-    root = covariance_root(subject.drift_covariance)
-    draws = np.random.default_rng(0).normal(size=(2, len(root), COPIES, len(series.since_s)))
-    walk = np.cumsum(draws[0] * np.sqrt(series.since_s / 60.0), axis=-1) + np.sqrt(OFFSET_MIN) * draws[1, ..., :1]
-    walk[:, 0] = 0.0
-    readings = series.over_rest[:, None] + np.einsum("rs,sct->rct", root, walk)
+    """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0.
+
+    Of a drift is left what readings at rest, which follow it, leave of it.
+    """
+    root, shape = covariance_root(subject.drift_covariance), (-1, COPIES, len(series.since_s))
+    draws = np.random.default_rng(0).normal(size=(len(root), *shape[1:]))
+    walk = np.einsum("rs,sct->rct", root, np.cumsum(draws * np.sqrt(series.since_s / 60.0), axis=-1))
+    walk[:, 0], is_resting = 0.0, series.by_filter.force_n < REST_FORCE_N
+    followed = Features(components).over_rest(walk.reshape(-1, shape[-1]), is_resting, series.since_s)
+    readings = series.over_rest[:, None] + followed.reshape(shape)
     pressure_n = np.repeat(
         (series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None])[:, None], COPIES, axis=1
     )
     return Features(components).with_memory(readings, pressure_n, series.since_s)
 
 
-def _trained(samples: TrainingSamples, components: Array) -> tuple[Ensemble, Array]:
-    """The ensemble of training samples, and its force of every sample when its touch was held out, (n,) float. [N]"""
-    features, force_n, terms = samples.features, samples.force_n, terms_of(len(components))
+def _trained(features: Array, samples: CalibrationSeries, components: Array) -> tuple[Ensemble, Array]:
+    """The ensemble of samples, and its force of every sample when its touch was held out, (n,) float. [N]"""
+    force_n, terms = samples.force_n, terms_of(len(components))
     middle, scale = features.mean(1), features.std(1) + 1e-9
     standardised = (features - middle[:, None]) / scale[:, None]
     chosen = np.linspace(0, features.shape[1] - 1, CENTRES).astype(int)
     centres, monomials = np.round(standardised[:, chosen].T, 3), terms.of(features)
     designs = {name: monomials[members] for name, members in terms.members.items()}
     designs["kernel"] = np.concatenate([designs["kernel"], gaussians(standardised, centres)])
-    fold, held_out, solved = samples.fold, {"filter": samples.filter_n}, {}
+    fold, held_out, solved = samples.fold, {"filter": samples.by_filter.force_n}, {}
     for name, design in designs.items():
         predictions = np.empty((len(PENALTIES), len(force_n)))
         for k in range(FOLDS):
@@ -218,7 +213,7 @@ def _ridge(design: Array, force_n: Array) -> tuple[Array, Array]:
     return coefficients, force_n.mean() - coefficients @ middle
 
 
-def _weights(held_out: Array, samples: TrainingSamples) -> Array:
+def _weights(held_out: Array, samples: CalibrationSeries) -> Array:
     """Weights (M,) of members (M, n), the filter first, which few touches leave alone; none is negative."""
     force_n, touches = samples.force_n, len(np.unique(samples.block))
     scale = np.sqrt(touches / len(force_n) / ((held_out - force_n) ** 2).mean(1).min())
@@ -227,10 +222,9 @@ def _weights(held_out: Array, samples: TrainingSamples) -> Array:
     return np.asarray(nnls(design, np.concatenate([scale * force_n, alone[0] / WEIGHT_SPREAD]))[0])
 
 
-def _conformal_half_width(samples: TrainingSamples, held_out_n: Array, components: int, at: NDArray[np.bool_]) -> Array:
-    """Coefficients (2, 3) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
+def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
+    """Coefficients (2, k) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
     error_n, by_side = np.abs(held_out_n - samples.force_n), []
-    terms = half_width_terms(samples.features, held_out_n, components)
     for side in (samples.is_proximal, ~samples.is_proximal):
         of_side = at & side & (samples.force_n >= TOUCH_N)
         usual_n = np.maximum(nnls(terms[:, of_side].T, error_n[of_side])[0], 1e-6)
@@ -246,16 +240,15 @@ def _open_from(series: CalibrationSeries, estimated_n: Array) -> Array:
     return np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
 
 
-def _held_out_quality(samples: TrainingSamples, held_out_n: Array, components: int) -> dict[str, dict[str, float]]:
+def _held_out_quality(terms: Array, samples: CalibrationSeries, held_out_n: Array) -> dict[str, dict[str, float]]:
     """rms error, coverage and median half width of the 95 % interval over held-out touches, all and by kind. [N, 1, N]
 
     The interval of a group of touches is that which the others give.
     """
-    terms = half_width_terms(samples.features, held_out_n, components)
     half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
     for k in range(FOLDS):
         at = samples.fold == k
-        width_n = _conformal_half_width(samples, held_out_n, components, ~at) @ terms[:, at]
+        width_n = _conformal_half_width(terms, samples, held_out_n, ~at) @ terms[:, at]
         half_n[at] = width_n[side[at], np.arange(at.sum())]
     bounds_n = np.maximum(held_out_n - half_n, 0.0), held_out_n + half_n
     return touches_by_kind(samples.force_n, held_out_n, bounds_n, samples.is_proximal, samples.is_still)
