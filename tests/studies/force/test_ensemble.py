@@ -52,7 +52,9 @@ def test_errors_are_of_touches_that_were_held_out():
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
     assert min(ensemble.weights.values()) >= 0
     members_n = [error_n for name, error_n in ensemble.errors_n.items() if name != "ensemble"]
-    assert ensemble.errors_n["ensemble"] < min(members_n)
+    # Weights that are drawn towards the filter cost little even where the filter is wrong.
+    assert ensemble.errors_n["ensemble"] < 1.01 * min(members_n)
+    assert ensemble.errors_n["ensemble"] < 0.5 * ensemble.errors_n["filter"]
 
 
 def test_few_touches_leave_the_filter_alone():
