@@ -126,17 +126,14 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     features = _features_with_drift(subject, series, components)
     varied = np.flatnonzero(series.is_varied)
     chosen = [varied[copy::COPIES] for copy in range(COPIES)]
-    every_n = series.by_filter.force_n
-    samples, trained_on = (
-        series.at(np.concatenate(chosen)),
-        np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1),
-    )
+    samples = series.at(np.concatenate(chosen))
+    trained_on = np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1)
     ensemble, held_out_n = _trained(trained_on, samples, components)
     terms = half_width_terms(trained_on, held_out_n, count)
     ensemble = replace(
         ensemble,
         half_width_n=_conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool)),
-        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], every_n)),
+        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], series.by_filter.force_n)),
     )
     return ensemble, _held_out_quality(terms, samples, held_out_n)
 
