@@ -170,12 +170,9 @@ def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> tuple[int, int]:
 
 def _hidden(r: Rectangle, side: int, parts: Sequence[Rectangle]) -> bool:
     """Whether other parts lie between a part and the board's edge on a side, 1 the right one, and none on the other."""
-    (u, v), way = r.center_mm, [0, 0]
-    for other in parts:
-        if other != r and other.v_min < v < other.v_max:
-            way[other.center_mm[0] > u] += 1
-    there, back = way[::-side]
-    return bool(there and not back)
+    u, v = r.center_mm
+    to_the_right = [other.center_mm[0] > u for other in parts if other != r and other.v_min < v < other.v_max]
+    return (side == 1) in to_the_right and (side != 1) not in to_the_right
 
 
 def _cut(result: xr.Dataset) -> xr.DataArray:

@@ -188,11 +188,8 @@ def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
 
 def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
     """The scene's photodiodes without those that differ in their places alone."""
-    kinds: list[Photodiode] = []
-    for photodiode in scene.photodiodes:
-        if _fields(photodiode) not in map(_fields, kinds):
-            kinds.append(photodiode)
-    return kinds
+    fields = [_fields(photodiode) for photodiode in scene.photodiodes]
+    return [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
 
 
 def _stage(scene: Scene) -> dict[str, Any]:
