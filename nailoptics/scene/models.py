@@ -360,6 +360,13 @@ class Scene(Table):
                     )
         return self
 
+    def require_blood(self, command: str) -> None:
+        """Raise InputError where a bed without blood leaves a command nothing that a touch changes."""
+        if self.blood.rest_blood_fraction == 0.0:
+            raise InputError(
+                f"blood.rest_blood_fraction = 0: a touch changes nothing that {command} could read; give some blood."
+            )
+
     @property
     def zone_edges_mm(self) -> tuple[float, ...]:
         """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""

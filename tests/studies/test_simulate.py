@@ -19,6 +19,10 @@ from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
+from nailoptics.studies.exploration.explore import explore
+from nailoptics.studies.force.calibrate import calibrate
+from nailoptics.studies.model_error.tradeoff import tradeoff
+from nailoptics.studies.placement.place import place
 from nailoptics.studies.simulate import simulate, simulate_from
 
 # Priors that need traces of their own, but for one: each takes as long as the scene's own light of few photons.
@@ -310,6 +314,16 @@ def test_a_bloodless_finger_is_a_control_whose_readings_stay(chosen_jit):
     result = simulate(bare.model_copy(update=quick), photons=1 << 14, seed=1)
     assert (result.volts > 0.1).all() and (result.volts_change == 0).all() and (result.volts_change_stderr == 0).all()
     assert "blood at rest" not in result.prior.values and "plate absorption" in result.prior.values
+
+
+@pytest.mark.parametrize("command", [calibrate, place, explore, tradeoff], ids=lambda one: one.__name__)
+def test_commands_that_read_changes_of_blood_refuse_a_bloodless_bed(command):
+    scene = prototype()
+    bare = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.0})})
+    with pytest.raises(
+        InputError, match=f"^blood.rest_blood_fraction = 0: .* {command.__name__} could read; give some"
+    ):
+        command(bare, []) if command is calibrate else command(bare)
 
 
 @pytest.mark.jit

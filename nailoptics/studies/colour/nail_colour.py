@@ -204,8 +204,8 @@ def spread_of_colours(
 
     answers = over_priors(scene, priors, answer)
     data = answers.variables("lab", ("site", "band"), "L*a*b* at the first force")
-    ends = [[p.low, p.high] for p in priors]
-    data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends)
+    ends, fields = [[p.low, p.high] for p in priors], [p.field for p in priors]
+    data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends, prior_field=fields)
     names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
     return xr.Dataset(data, names)
 

@@ -59,6 +59,7 @@ def calibrate(
     read = [
         recording if isinstance(recording, Recording) else read_sensor_recording(recording) for recording in recordings
     ]
+    scene.require_blood("calibrate")
     given = checked(read, scene)
     (scene, table), unmet = as_far_as_reached(open_table, scene, progress=progress, **requested)
     if unmet and unmet.interrupted:

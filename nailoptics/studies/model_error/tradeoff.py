@@ -235,6 +235,7 @@ def tradeoff(
         compare levels by, or, if interrupted, with the Tradeoff as far as it was made as result.
     """
     check_study(scene, tolerance, "tradeoff", "has one level, itself")
+    scene.require_blood("tradeoff")
     options, start = TraceOptions(**requested), time.perf_counter()
     # Each level's time is that of tracing it.
     options = replace(options, backend=backends.activate_jit(options.backend, "tradeoff").name, store=False)

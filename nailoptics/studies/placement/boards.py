@@ -44,6 +44,7 @@ def check_two_zones(scene: Scene, command: str) -> None:
     """Raise InputError for a scene without a board, or whose blood is in more than two zones."""
     if scene.finger is None:
         raise InputError(f"{command} needs a [finger] scene; a phantom has no board and no force.")
+    scene.require_blood(command)
     if (zones := len(scene.zone_edges_mm) + 1) > 2:
         raise InputError(
             f"blood: {command} knows two blood zones, and the scene has {zones}; leave zones out, or give one edge."

@@ -154,6 +154,7 @@ def test_priors_span_peoples_nails_and_skin(jit_backend):
     assert 50 < usual[0] < 75 and 4.4 < usual[1] < 16.4 and 1 < usual[2] < 17
     assert 4.2 < spread[0] < 7.8 and 2.6 < spread[1] < 4.8
     redness = found.prior_lab.sel(prior="plate scattering", site="nail").values[:, 1]
+    assert str(found.prior_field.sel(prior="plate scattering").item()) == "finger.plate_scattering"
     assert (np.diff(redness) < 0).all()
     # L* and b* of skin within the widest that was published, less and more two standard deviations of both.
     skin = found.lab.values[0, 0]
