@@ -20,7 +20,7 @@ def light_scene(scene: Scene) -> Scene:
     blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
     leds = tuple(
         led.model_copy(
-            update=dict.fromkeys(("reference", "part", "current_ma"))
+            update=dict.fromkeys(("reference", "part", "current_ma", "max_current_ma"))
             | {"name": f"led{i}", "flux_mw": 1.0, "fwhm_nm": 0.0}
         )
         for i, led in enumerate(scene.leds)

@@ -48,6 +48,8 @@ class LedPart(Table):
     """Radiant flux. [mW]"""
     current_ma: Positive | None = None
     """Current of that flux. [mA]"""
+    max_current_ma: Positive | None = None
+    """Largest current of the LED, or of the driver in its module. [mA]"""
     die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0

@@ -46,9 +46,9 @@ def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
         raise ValueError(str(error).rstrip(".")) from None
     assert not isinstance(part, ModulePart)
     fields = part.scene_fields()
-    if "flux_mw" in data:
+    if isinstance(flux_mw := data.get("flux_mw"), int | float) and fields["current_ma"] is not None:
         # The part's current is that of the part's flux.
-        fields["current_ma"] = None
+        fields["current_ma"] *= flux_mw / fields["flux_mw"]
     if data.get("pattern", "measured") != "measured":
         # The part's measured table goes with the part's own pattern only.
         fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
@@ -84,7 +84,9 @@ class Led(Mounted):
     flux_mw: Positive = 1.0
     """Radiant flux. [mW]"""
     current_ma: Positive | None = None
-    """Drive current of that flux; give both where you drive a part otherwise. [mA]"""
+    """Drive current of that flux; of a part in proportion to its flux, if not given. [mA]"""
+    max_current_ma: Positive | None = None
+    """Largest current of the part. [mA]"""
     pattern: Literal["lambertian", "pencil", "measured"] = "lambertian"
     """Angular pattern: Lambertian, a measured table, or (phantom) a pencil beam at normal incidence."""
     pattern_deg: tuple[Angle, ...] | None = None

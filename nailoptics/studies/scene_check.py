@@ -43,7 +43,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     """
     for led in range(len(scene.leds)):
         optics.check_line(scene, led)
-    report: dict[str, Any] = {"leds": [_led(led) for led in scene.leds], "warnings": []}
+    report: dict[str, Any] = {"leds": [_led(led) for led in scene.leds], "warnings": _beyond_current(scene)}
     if scene.finger is None:
         return report
     layout = scene.layout
@@ -98,6 +98,16 @@ def _posture(model: BloodModel) -> list[str]:
 def _led(led: Any) -> dict[str, Any]:
     shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "position_mm", "rotation_deg")
     return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
+
+
+def _beyond_current(scene: Scene) -> list[str]:
+    """LEDs that are driven beyond what their parts bear."""
+    lines = []
+    for led in scene.leds:
+        if (now_ma := led.current_ma or 0.0) > (most_ma := led.max_current_ma or math.inf):
+            text = f"{led.name} needs {now_ma:.3g} mA for {led.flux_mw:.3g} mW, beyond the {most_ma:.3g} mA of its part"
+            lines.append(f"leds: {text}; set flux_mw to {math.floor(100 * led.flux_mw * most_ma / now_ma) / 100:g}")
+    return lines
 
 
 def _beside_the_box(scene: Scene) -> list[str]:

@@ -8,7 +8,8 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.report.scene_description import check_lines
-from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene
+from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene, to_toml
+from nailoptics.scene.catalogue import load_part
 from nailoptics.sensor.front_end import with_fitted_resistors
 from nailoptics.studies.scene_check import check_scene
 
@@ -54,6 +55,28 @@ def test_it_warns_of_readings_that_may_be_saturated():
     line, exposure = lit(20)["warnings"]
     assert exposure.startswith("exposure: ")
     assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
+
+
+def test_it_warns_of_an_led_that_its_part_does_not_bear(tmp_path):
+    """The current of a part is in proportion to its flux, unless the scene gives both; one without a limit has none."""
+    own = 'kind = "led"\npeak_nm = 850.0\nfwhm_nm = 20.0\nflux_mw = 5.0\ncurrent_ma = 20.0\n'
+
+    def warned(limit, led):
+        (tmp_path / "own.toml").write_text(own + limit)
+        scene = parse_scene(
+            f'schema_version = 1\n[phantom]\n[[phantom.layers]]\nname = "slab"\nthickness_mm = 10.0\n'
+            f'mu_a_per_mm = 0.05\nmu_s_per_mm = 5.0\n[[leds]]\nname = "ir"\npart = "own"\n{led}\n',
+            folder=tmp_path,
+        )
+        assert parse_scene(to_toml(scene)) == scene
+        return check_scene(scene)["warnings"]
+
+    limit = "max_current_ma = 50.0\n"
+    assert warned(limit, "") == warned(limit, "flux_mw = 12.5") == warned("", "flux_mw = 50.0") == []
+    words = "leds: ir needs 51.2 mA for 12.8 mW, beyond the 50 mA of its part; set flux_mw to 12.5"
+    assert warned(limit, "flux_mw = 12.8") == [words]
+    assert warned(limit, "flux_mw = 12.8\ncurrent_ma = 49.0") == []
+    assert load_part("max30101").leds[0].max_current_ma == 51.0
 
 
 def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend):

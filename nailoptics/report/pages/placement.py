@@ -14,12 +14,13 @@ from ...io import plain_cell, write_text
 from ...scene import Placement, Scene, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
+from ...studies.placement.result import budgets as budgets_of
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import Html, document, figure, section, small, subheading, table, texts
 from ..numbers import aligned, estimated, quantity, significant, with_error
-from ..scene_description import body_words
+from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from . import placement_figures as figures
 
@@ -31,6 +32,9 @@ log = logging.getLogger(__name__)
 TEXTS = texts("placement")
 # A resolution beyond this is that of the prior alone.
 NOTHING_MN = 1e3
+# A change beyond this is that to a saturated photodiode. [%]
+MOST_PERCENT = 900.0
+WAYS = tuple(f"0.5 mm {way} [%]" for way in ("left", "right", "proximal", "distal"))
 # What of the ranking has no room in a terminal.
 PAGE_ALONE = ("Split known [mN]", "Proximal, distal pressure [Pa]", "Condition", "Lowest SNR", "Full scale / reading")
 
@@ -60,6 +64,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
                 small(rough_words(ranking)),
                 small(checked),
             ),
+            _limits(result),
             _physiological_noise(best, result),
             section("The best layout", *layout),
             section("Maps of this board", *(part for of_led in by_led for part in _maps(best, of_led))),
@@ -98,6 +103,7 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {_rules(result).over_fingers} of {fingers} fingers"
+    traced = f"{result.sizes['layout']} of {result.attrs['layouts_given']} layouts were traced. "
     others = f"{'One' if tied == 2 else tied - 1} more {'is' if tied == 2 else 'are'} tied with it."
     if tied == 1:
         others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
@@ -111,7 +117,7 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     return (
         f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
         f"for any split between the proximal and the distal side{f', with {noise}' if noise else ''}. "
-        f"{_ranked_by(result, first)}{others}"
+        f"{_ranked_by(result, first)}{traced}{others}"
     )
 
 
@@ -179,6 +185,48 @@ def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
         line["Shunted [%]"] = f"{100 * row['shunted_fraction']:.0f}"
         lines.append(line)
     return lines
+
+
+def _limits(result: xr.Dataset) -> str:
+    """What the resolution consists of, and how it changes where one photodiode of the best layout is moved."""
+    budgets = budgets_of(result)
+    parts = [figure(figures.budget_figure(budgets), TEXTS["budget"])]
+    causes = {name: CAUSES.get(name, name) for name in list(budgets[0])[1:]} | {"floor": "no layout changes"}
+    cells = [
+        {f"{words} [mN]": significant(1e3 * row[name]) for name, words in causes.items() if name in row}
+        for row in budgets
+    ]
+    parts.append(
+        table([{"Layout": row["layout"]} | line for row, line in zip(budgets, cells, strict=True)], kind="dense")
+    )
+    moved = []
+    for name in result.moved_photodiode.values:
+        of = result.sel(moved_photodiode=name)
+        steps = (of.isel(step=k) for k in range(of.sizes["step"]))
+        changes = [(100 * float(step.moved_ranking), 100 * float(step.moved_ranking_stderr)) for step in steps]
+        moved.append({"Photodiode": str(name)} | dict(zip(WAYS, map(_change, changes), strict=True)))
+    parts += [subheading("One photodiode moved"), table(moved), small(TEXTS["moved"])]
+    return section("What limits it", " ".join(map(why, budgets)), *parts)
+
+
+def _change(percent: tuple[float, float]) -> str:
+    """A change with its standard error; of a photodiode that has no room or saturates, in words."""
+    if math.isnan(percent[0]):
+        return "no room"
+    return "more than ten times" if percent[0] > MOST_PERCENT else with_error(*percent, sign=True)
+
+
+def why(row: dict[str, Any]) -> str:
+    """What of a layout's force resolution another layout could change, in a sentence."""
+    total, floor, most = row["total"], row["floor"], max(list(row)[3:], key=row.__getitem__)
+    rest = f"most of it by {CAUSES.get(most, most)} ({quantity(row[most], 'N')})"
+    if not floor:
+        return f"Of {row['layout']}, {quantity(total, 'N')} depend on the layout, {rest}."
+    above, share = math.sqrt(total**2 - floor**2), 100 * (1 - (floor / total) ** 2)
+    return (
+        f"Of the {quantity(total, 'N')} of {row['layout']}, {quantity(floor, 'N')} are waves of the body that no "
+        f"layout changes; another layout could change {quantity(above, 'N')} ({share:.2g} % of the variance), {rest}."
+    )
 
 
 def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
@@ -290,6 +338,8 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     return {
         "ranking": rows(result),
         "rank_by": result.attrs["rank_by"],
+        "layouts_given": int(result.attrs["layouts_given"]),
+        "limits": [why(row) for row in budgets_of(result)],
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
@@ -302,7 +352,8 @@ def lines(summary: dict[str, Any]) -> list[str]:
     ranking = summary["ranking"]
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
-    out = aligned(shown)
+    out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced"]
+    out += [line.replace("\u00a0", " ") for line in summary["limits"]]
     if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}{_tied(ranking)}")

@@ -10,12 +10,15 @@ from ...scene import Scene
 from ...scene.layout import Rectangle
 from .. import maps, style
 from ..maps import coloured_along_nail
+from ..scene_description import CAUSES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 SHOWN = 20
+# A cause of less than this of a layout's variance is not drawn.
+LEAST_PART = 5e-3
 SMOOTH_CELLS = 2.0
 # The densest places that hold so much of what a photodiode sees are outlined.
 HELD = 0.5
@@ -49,6 +52,28 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
         style.plain_log(axes.xaxis)
     else:
         axes.set_xlim(left=0)
+    return figure
+
+
+@style.drawing()
+def budget_figure(rows: list[dict[str, Any]]) -> "Figure":
+    """What a layout can change of the variance of its force by cause, one bar for each layout, as of `budgets`."""
+    causes = list(rows[0])[3:]
+    variance = {cause: np.array([1e6 * row.get(cause, 0.0) ** 2 for row in rows]) for cause in causes}
+    shown = [cause for cause, v2 in variance.items() if (v2 > LEAST_PART * sum(variance.values())).any()]
+    figure, axes = style.panels(7.2, 1.3 + 0.36 * len(rows))
+    left, colours = np.zeros(len(rows)), style.place_colours(len(shown))
+    for cause, colour in zip(shown, colours, strict=True):
+        axes.barh(
+            range(len(rows)), variance[cause], left=left, height=0.6, color=colour, label=CAUSES.get(cause, cause)
+        )
+        left += variance[cause]
+    for i, (end, row) in enumerate(zip(left, rows, strict=True)):
+        rms_mn = 1e3 * np.sqrt(row["total"] ** 2 - row["floor"] ** 2)
+        axes.annotate(f"{rms_mn:.3g} mN", (end, i), (4, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.set_yticks(range(len(rows)), [style.plain(row["layout"]).replace("_", " ") for row in rows])
+    axes.set(xlim=(0, 1.2 * left.max()), ylim=(len(rows) - 0.5, -0.5), xlabel="variance of the force [mN²]")
+    style.legend_above(figure, axes, ncols=4)
     return figure
 
 

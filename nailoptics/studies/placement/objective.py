@@ -3,13 +3,13 @@ score from traced light, of which there is more where the best is undecided."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
-from ...errors import NotReachedError
+from ...errors import InputError, NotReachedError
 from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
@@ -26,7 +26,8 @@ from ...sensor.information import (
     total_information,
 )
 from ...statistics import jackknife, t95
-from . import boards
+from ...variables import Variables, described, jackknifed
+from . import boards, candidates
 from .candidates import CandidateLayout
 from .photon_maps import PhotonMapCache
 
@@ -38,6 +39,8 @@ JUDGE_PHOTONS = 1 << 18
 JUDGE_SHARE = 0.85
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
+# By which one photodiode of the best layout is moved: across and along. [mm]
+STEPS_MM = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))
 
 
 @dataclass(frozen=True)
@@ -277,6 +280,25 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         ranked=objective.score(total),
         by_force=set(objective.rules.weights) == {over},
     )
+
+
+def moved_photodiodes(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> Variables:
+    """How what layouts are ranked by changes where one photodiode of a layout is moved, by the same light; NaN where it
+    has no room."""
+    ranked, changes = score_layout(layout, cache, objective).ranked, []
+    for i, part in enumerate(layout.scene.photodiodes):
+        for step in STEPS_MM:
+            place = (part.position_mm[0] + step[0], part.position_mm[1] + step[1])
+            parts = [*layout.scene.photodiodes]
+            parts[i] = part.model_copy(update={"position_mm": place})
+            moved = replace(layout, scene=layout.scene.model_copy(update={"photodiodes": tuple(parts)}))
+            try:
+                candidates.check(moved.scene, moved.name)
+                changes.append(score_layout(moved, cache, objective).ranked / ranked - 1)
+            except InputError:
+                changes.append(np.full_like(ranked, np.nan))
+    by_part = np.array(changes).reshape(-1, len(STEPS_MM), len(ranked))
+    return described(__package__, moved_ranking=jackknifed(np.moveaxis(by_part, -1, 0)), moved_part_mm=STEPS_MM)
 
 
 def score_layouts(

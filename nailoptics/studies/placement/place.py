@@ -21,7 +21,7 @@ from ...scene import FingerCase, Placement, Scene, digest, load_scene
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
-from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
+from .objective import JUDGE_SHARE, Objective, moved_photodiodes, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import resolution_over_priors
@@ -84,13 +84,17 @@ def place(
     ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
+    given_count = len(layouts)
     layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
     layouts = [replace(layout, scene=ranking.with_resistors(layout.scene, layout.board)) for layout in layouts]
     report_progress("check", 0.0, scores[0].relative_error)
     checked, unchecked = _checked(layouts, rules, ranking, report_progress, options if verify_with_mitsuba else None)
+    names = [photodiode.name for photodiode in layouts[0].scene.photodiodes]
+    moved = xr.Dataset(moved_photodiodes(layouts[0], ranking, objective), coords={"moved_photodiode": names})
+    checked = checked.merge(moved, combine_attrs="override")
     if store is not None:
         store.close()
-    made |= {"photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
+    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
     return unless_cut_off(result, unmet or unchecked)

@@ -46,12 +46,23 @@ def as_dataset(
     checked : what else is known of the best layout, of which `verify_layout` has the attributes.
     """
     best, conditions, maps = layouts[0].scene, cache.conditions, cache.of(layouts[0].board).maps[0]
-    data = _ranking(layouts, scores, conditions) | _extremes(layouts, scores) | _sites(searched)
+    budgets = [
+        [information.force_budget_n(of_leds, c.point) for of_leds, c in zip(by_finger, conditions, strict=True)]
+        for by_finger in (score.responses for score in scores)
+    ]
+    values = [[[*budget.values()] for budget in fingers] for fingers in budgets]
+    data = (
+        described(__package__, force_budget_n=values)
+        | _ranking(layouts, scores, conditions)
+        | _extremes(layouts, scores)
+        | _sites(searched)
+    )
     coordinates = {
         "layout": [layout.name for layout in layouts],
         "finger": [condition.case.name for condition in conditions],
         "pressure": list(PRESSURES),
         "axis": ["u", "v"],
+        "cause": [*budgets[0][0]],
         **({"searched_led": [led.name for led in scene.leds]} if searched else {}),
     }
     result = xr.Dataset(data | _predicted(scores[0].responses[0]), coords=coordinates)
@@ -222,6 +233,27 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     pressures_pa = result.pressure_resolution_pa.max("finger")
     table |= {f"{name}_pressure_pa": pressures_pa.sel(pressure=name).values for name in PRESSURES}
     return [dict(zip(table, row, strict=True)) for row in zip(*(col.tolist() for col in table.values()), strict=True)]
+
+
+def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
+    """The force resolution of the best layout and of those that the search did not make, on the finger where each is
+    worst: total, the floor of every layout, and the rest by cause, which add in squares. [N]"""
+    of = []
+    for i, origin in enumerate(result.origin.values):
+        if i == 0 or origin != "searched":
+            one = result.isel(layout=i, finger=int(result.finger_resolution_n.values[i].argmax()))
+            parts = dict(zip(result.cause.values.tolist(), one.force_budget_n.values.tolist(), strict=True))
+            floor_n = float(np.nan_to_num(one.get("physiological_noise_force_n", 0.0)))
+            if "waves" in parts:
+                parts["waves"] = max(parts["waves"] ** 2 - floor_n**2, 0.0) ** 0.5
+            of.append(
+                {
+                    "layout": str(one.layout.values),
+                    "total": float(np.hypot(floor_n, np.hypot.reduce([*parts.values()]))),
+                }
+            )
+            of[-1] |= {"floor": floor_n} | parts
+    return of
 
 
 def gain(result: xr.Dataset) -> tuple[float, float] | None:

@@ -1,5 +1,6 @@
 """Placement through the body's noise: known cases and limits of the arithmetic, and a placement that has a body."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,9 +14,9 @@ from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
 from nailoptics.report.pages.placement import write_placement
 from nailoptics.scene import Placement, parse_scene
-from nailoptics.sensor import information
+from nailoptics.sensor import electronics, information
 from nailoptics.sensor.information import PhysiologicalNoise, physiological_noise
-from nailoptics.statistics import left_out
+from nailoptics.statistics import covariance_root, left_out
 from nailoptics.studies.placement import place, result
 from nailoptics.studies.placement.objective import LayoutScore, Objective, score_layout
 
@@ -49,6 +50,7 @@ def _read(point: information.OperatingPoint, *, count: int = 6, noise_v: float =
         shunted_fraction=np.zeros(count),
         body_v=None if point.body is None else point.body.shapes_v(zone_v, light_v, 0),
         independent_v2=0.0 if point.body is None else (point.body.reading_gain * light_v) ** 2,
+        light_v=light_v,
     )
 
 
@@ -69,6 +71,54 @@ def test_what_is_marginalised_is_what_a_covariance_of_the_readings_says():
     fitted = np.linalg.solve(exact, read.slope_v_per_pa.T @ np.linalg.solve(covariance, samples.T))
     # 20 000 samples know a standard deviation to 0.5 %; the pressures are known beforehand to 1e5 Pa.
     assert information.force_resolution_n(total, point) == pytest.approx((FORCE_PER_PA @ fitted).std(), rel=0.02)
+
+
+def test_the_budget_of_the_force_is_its_error_cause_by_cause():
+    """Rationale: what a cause makes of readings goes through the same estimate. Expected: squares add up to the force
+    resolution, and each is the spread of forces fitted to readings with that cause alone."""
+    body = PhysiologicalNoise(
+        blood=3e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]),
+        led_gain=covariance_root(4e-4**2 * np.eye(2) + 3e-4**2),
+        reading_gain=5e-4,
+        led_drift=4e-4,
+        lift=3e-4,
+    )
+    point, blocks = replace(_point(None), body=body), np.ones((3, 1))
+    stage = electronics.NoiseBudget(*(part * 4e-5**2 for part in (0.5, 0.2, 0.1, 0.05, 0.15)))
+    by_led, rng = [], np.random.default_rng(0)
+    for led, seen in enumerate((_read(point), _read(point))):
+        zone_v, light_v = blocks[..., None] * seen.zone_v * (1 - 0.3 * led), blocks * seen.light_v
+        shared = {"body_v": body.shapes_v(zone_v, light_v, led), "independent_v2": (body.reading_gain * light_v) ** 2}
+        slope, noise_v2 = zone_v @ point.blood_per_pa, blocks * seen.noise_v2
+        one = information.Response(
+            light_v, noise_v2, slope, zone_v, 0 * light_v, light_v=light_v, noise=stage, **shared
+        )
+        by_led.append(one)
+    budget = information.force_budget_n(by_led, point)
+    total = information.force_resolution_n(information.total_information(by_led), point)
+    shared_v = np.concatenate([read.body_v[0] for read in by_led])
+    light_v, slope = (
+        np.concatenate([getattr(read, name)[0] for read in by_led]) for name in ("light_v", "slope_v_per_pa")
+    )
+    of_led = np.repeat(np.eye(2), 6, axis=0)
+    own = np.concatenate([read.noise_v2[0] + read.independent_v2[0] for read in by_led])
+    inverse = np.linalg.inv(np.diag(own) + shared_v @ shared_v.T)
+    weights = point.force_per_pa @ np.linalg.solve(slope.T @ inverse @ slope, slope.T @ inverse)
+    # What is known of both pressures beforehand errs, too.
+    known = slope.T @ inverse @ slope + np.eye(2) / information.PRIOR_PA**2
+    prior_n = np.linalg.norm(np.linalg.solve(known, point.force_per_pa)) / information.PRIOR_PA
+    assert np.hypot.reduce([*budget.values(), prior_n]) == pytest.approx(total[0], rel=1e-9)
+    samples, normal = 20_000, rng.normal
+    alone = {
+        "shot": normal(size=(samples, 12)) * np.sqrt(0.5) * 4e-5,
+        "waves": normal(size=(samples, 2)) @ shared_v[:, :2].T,
+        "lift": normal(size=(samples, 1)) * 3e-4 * light_v,
+        "drift": (4e-4 * normal(size=(samples, 2)) @ of_led.T + 5e-4 * normal(size=(samples, 12))) * light_v,
+    }
+    for cause, volts in alone.items():
+        # 20 000 samples know a standard deviation to 0.5 %.
+        assert (volts @ weights).std() == pytest.approx(budget[cause], rel=0.02), cause
+    assert {*information.force_budget_n(by_led, _point(None))} == {*budget} - {"waves", "lift", "drift"}
 
 
 def test_a_body_that_becomes_still_leaves_the_electronics():
@@ -268,7 +318,11 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
     assert fresh == pytest.approx(predicted, rel=0.05)
     assert "Electronics alone [mN]" in placement.lines(placement.summary(found))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
-    assert any("too optimistic" in line for line in placement.lines(placement.summary(found)))
+    lines = placement.lines(placement.summary(found))
+    assert any("too optimistic" in line for line in lines) and f"{len(rows)} of {len(rows)} layouts traced" in lines
+    total_n = (found.force_budget_n**2).sum("cause") ** 0.5
+    assert np.allclose(total_n, found.finger_resolution_n, rtol=1e-3)
+    assert any("waves of the body that no layout changes" in line for line in lines)
 
 
 @pytest.mark.long
@@ -276,4 +330,4 @@ def test_the_page_tells_the_bodys_part(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
-    assert text.count("<svg") == 5
+    assert text.count("<svg") == 6

@@ -33,7 +33,7 @@ from nailoptics.studies.placement import (
     search,
     sites,
 )
-from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
+from nailoptics.studies.placement.objective import Objective, moved_photodiodes, resolution_interval_n, score_layout
 from nailoptics.tissue import BloodZones
 
 AT = information.OperatingPoint(
@@ -256,6 +256,29 @@ def test_a_part_beside_the_scene_goes_with_the_chosen_layout(tmp_path):
     )
 
 
+@pytest.mark.jit
+def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
+    """The last of the near photodiodes half a millimetre to the tip, as a layout of its own; the second has no room
+    half a millimetre towards the first."""
+    text = SCENE.replace("[-1.0, -1.0], [-1.0, 1.0]", "[-1.0, -1.5], [-1.0, 1.0]")
+    other = text.replace("[-1.0, 2.0]]", "[-1.0, 2.5]]")
+    requested = parse_scene(text)
+    rules = boards.rules(requested)
+    layout, moved = (
+        place.given(boards.base_board(one), rules_)[0]
+        for one, rules_ in ((requested, rules), (parse_scene(other), boards.rules(parse_scene(other))))
+    )
+    conditions = [place.finger_condition(boards.base_board(requested), FingerCase(name="one"), rules)]
+    cache, objective = photon_map_cache(conditions, seed=0, stream=1, blocks=16), None
+    objective = Objective(rules, [condition.point for condition in conditions])
+    cache.extend(layout.board, 1 << 15)
+    data = xr.Dataset(moved_photodiodes(layout, cache, objective))
+    ratio = score_layout(moved, cache, objective).ranked / score_layout(layout, cache, objective).ranked
+    assert float(data.moved_ranking[3, 3]) == pytest.approx(ratio[0] - 1, rel=1e-9)
+    assert float(data.moved_ranking_stderr[3, 3]) == pytest.approx(float(jackknife(ratio)), rel=1e-9)
+    assert bool(np.isnan(data.moved_ranking[1, 2])) and not np.isnan(data.moved_ranking[1, 3])
+
+
 def test_places_of_a_layout_are_written_with_few_decimals():
     """Expected: not -3.1999999999999997, as the sums of floats are on the way to the nail and back."""
     shifted = SCENE.replace("[board]", "[board]\ncenter_mm = [0.1, 0.1]")
@@ -405,7 +428,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
+    assert text.count("<svg") == 6 and "http:" not in text and "https:" not in text and "paper" in text
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)
