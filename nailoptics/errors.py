@@ -6,7 +6,9 @@ interrupted with a result; 4 a requirement that was checked and missed; 130 inte
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 # Of one message; the middle of longer ones is left out.
 MOST_CHARACTERS = 1000
@@ -63,12 +65,15 @@ def as_far_as_reached(study: Callable[..., Any], *arguments: Any, **options: Any
         return error.result, error
 
 
-def unless_cut_off(result: Any, unmet: object) -> Any:
-    """A study's Dataset; raises NotReachedError with it where `unmet` says why it falls short, as its attributes do."""
+def unless_cut_off(result: T, unmet: NotReachedError | str | None) -> T:
+    """A result; raises NotReachedError with it where `unmet` says why it falls short, as do a Dataset's attributes."""
     if not unmet:
         return result
-    result.attrs["cut_off"] = str(unmet)
-    raise NotReachedError(str(unmet), result=result)
+    if hasattr(result, "attrs"):
+        result.attrs["cut_off"] = str(unmet)
+    error = NotReachedError(unmet) if isinstance(unmet, str) else unmet
+    error.result = result
+    raise error
 
 
 class WriteError(InputError):

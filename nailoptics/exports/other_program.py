@@ -10,7 +10,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from .. import light
-from ..errors import InputError, as_far_as_reached
+from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..light import ProgressCallback, optics
 from ..light.transfer.moments import moments_of
 from ..light.transfer.records import LedTrace
@@ -146,11 +146,7 @@ def compare_with(
     """
     theirs = read_detected(Path(path))
     transfer, unmet = as_far_as_reached(light.trace, theirs.scene, progress=progress, **requested)
-    comparison = compared(transfer.traces[theirs.led], theirs)
-    if unmet:
-        unmet.result = comparison
-        raise unmet
-    return comparison
+    return unless_cut_off(compared(transfer.traces[theirs.led], theirs), unmet)
 
 
 def read_detected(path: Path) -> OtherDetection:

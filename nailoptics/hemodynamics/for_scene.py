@@ -142,7 +142,7 @@ class BloodModel:
         change = np.asarray(2.0 * capillary / state.capillary_diameter_m * gain)
         if (small := model.arterioles) is not None:
             # All that is slower than a beat has the height in arterioles that it has in P_H.
-            beats = np.asarray(frequency_hz) > 0.99 * beats_per_min(self.body) / 60.0
+            beats = np.asarray(frequency_hz) > 0.99 * heart_rate_per_min(self.body) / 60.0
             transmural_pa = p.arterial_pressure_pa - model.zones.on_walls(pressure_pa[:, None])[:-1]
             change = change + small.compliance_per_pa(transmural_pa) * np.where(beats, small.pulse_ratio, 1.0)
         return change
@@ -400,12 +400,7 @@ class BloodBeat:
         return self.pulse[[int(total.argmin()), int(total.argmax())]]
 
 
-def heart_rate_per_min(scene: Scene) -> float:
-    """Beats in a minute of a scene's heart; raises InputError where it does not beat."""
-    return beats_per_min(scene.body)
-
-
-def beats_per_min(body: Body | None) -> float:
+def heart_rate_per_min(body: Body | None) -> float:
     """Beats in a minute of a body's heart; raises InputError where it does not beat."""
     heart = body.heartbeat if body else None
     if heart is None or heart.pulse_pressure_pa == 0:
@@ -429,7 +424,7 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
 
     Raises: InputError where the heart does not beat.
     """
-    rate = heart_rate_per_min(scene)
+    rate = heart_rate_per_min(scene.body)
     assert scene.body is not None and scene.body.heartbeat is not None
     even = Body(heartbeat=scene.body.heartbeat.model_copy(update={"rate_variability": 0.0}))
     held = Touch(

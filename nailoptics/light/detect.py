@@ -6,13 +6,13 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
 
 from .. import geometry
-from ..errors import InputError, NotReachedError, as_far_as_reached
+from ..errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
@@ -27,8 +27,6 @@ from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, made_of, stored_or_made
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
 from .transfer.series import ReadingSeries, readings_over_states
-
-T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -122,7 +120,7 @@ def open_light(
     transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
     rest = transfer.at()
     _warn_of_few_photons(rest, "detected no light or too few photons to estimate a standard error")
-    return _unless(unmet, light_of(transfer, rest=rest))
+    return unless_cut_off(light_of(transfer, rest=rest), unmet)
 
 
 def read_rest(
@@ -137,15 +135,7 @@ def read_rest(
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
         result = _rest_of(transfer)
     cpu, begin = time.process_time() - cpu, time.perf_counter() - begin
-    return _unless(unmet, replace(result, cpu_seconds=cpu, wall_seconds=begin))
-
-
-def _unless(unmet: NotReachedError | None, result: T) -> T:
-    """A result; raises the reason with it where it falls short of what is required."""
-    if unmet is None:
-        return result
-    unmet.result = result
-    raise unmet
+    return unless_cut_off(replace(result, cpu_seconds=cpu, wall_seconds=begin), unmet)
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
@@ -299,7 +289,7 @@ def _light_by_volpath(
     def readings_at(blood: np.ndarray) -> ReadingSeries:
         return volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float))
 
-    return _unless(_unmet(traced), DetectedLight(readings_at, no_path, no_path, absorbers, made))
+    return unless_cut_off(DetectedLight(readings_at, no_path, no_path, absorbers, made), _unmet(traced))
 
 
 def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:

@@ -195,7 +195,7 @@ def oximeter_leds(scene: Scene) -> tuple[int, int]:
     if scene.finger is None:
         raise InputError("oximeter needs a [finger] scene, whose blood beats; a [phantom] has none.")
     leds = red_and_infrared(scene)
-    heart_rate_per_min(scene)
+    heart_rate_per_min(scene.body)
     return leds
 
 

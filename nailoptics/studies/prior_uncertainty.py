@@ -66,23 +66,36 @@ def nodes_of(prior: Prior) -> tuple[float, ...]:
     return tuple(float(x) for x in (np.exp(at) if prior.scale == "log" else at))
 
 
-def over_priors(scene: Scene, priors: Sequence[Prior], answer: Callable[[Scene], np.ndarray]) -> "PriorSensitivity":
+def over_priors(
+    scene: Scene,
+    priors: Sequence[Prior],
+    answer: Callable[[Scene], np.ndarray],
+    retraced: Callable[[Scene], np.ndarray] | None = None,
+) -> "PriorSensitivity":
     """Carry an answer over priors, one at a time.
 
     answer : of a scene, by all photons and without each group of them, (1 + groups, ...) float. Where another value
         takes a trace, that of the middle node is on the parabola through the ends and the scene's own.
+    retraced : the answer of fewer photons of their own, where a value takes a trace: what it adds to that of the scene
+        by as many photons with the same random numbers, so that what both have in common cancels.
     """
-    base = answer(scene)
-    nodes = []
+    base, nodes = answer(scene), []
+    twin = retraced(scene) if retraced and not all(only_absorbs(scene, prior) for prior in priors) else base
+
+    def beside(varied: Scene) -> np.ndarray:
+        assert retraced is not None
+        return base + retraced(varied) - twin
+
     for prior in priors:
-        ends = nodes_of(prior)[::2]
-        low, high = (answer(at_value(scene, prior.field, value)) for value in ends)
-        offset = offset_of(scene, prior)
-        if abs(offset) < MOST_OFFSET and not only_absorbs(scene, prior):
+        reread = only_absorbs(scene, prior)
+        at = answer if reread or retraced is None else beside
+        values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
+        low, high, offset = at(values[0]), at(values[2]), offset_of(scene, prior)
+        if abs(offset) < MOST_OFFSET and not reread:
             middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
             middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
         else:
-            middle = answer(at_value(scene, prior.field, nodes_of(prior)[1]))
+            middle = at(values[1])
         nodes.append([low, middle, high])
     by_prior = np.array(nodes).reshape(len(priors), len(NODES), *base.shape)
     return PriorSensitivity(tuple(priors), by_prior, base, scene.priors.correlation(priors))
@@ -289,14 +302,7 @@ def readings_over_priors(
     def reread(varied: Scene) -> np.ndarray:
         return _quantities(read_by_groups(transfer, varied, states(varied), options.seed))
 
-    base = reread(scene)
-    # Of as many photons with the same random numbers, so that what all have in common cancels.
-    twin = retraced(scene) if own_traces and needing_traces else base
-
-    def answer(varied: Scene) -> np.ndarray:
-        return reread(varied) if light_digest(varied) == light_digest(scene) else base + retraced(varied) - twin
-
-    result = over_priors(scene, evaluated, answer)
+    result = over_priors(scene, evaluated, reread, retraced)
     return ReadingUncertainty(
         level=replace(result, answer=lambda values, _: values[..., 0]),
         change=replace(result, answer=_change),

@@ -238,7 +238,7 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
         small = blood_model(varied).arterioles
         assert small is not None and varied.body is not None and varied.body.heartbeat is not None
         beat = Body(heartbeat=varied.body.heartbeat.model_copy(update={"rate_variability": 0.0}))
-        times_s = np.linspace(0.0, 60.0 / heart_rate_per_min(varied), 256)
+        times_s = np.linspace(0.0, 60.0 / heart_rate_per_min(varied.body), 256)
         arterial_pa = waves_pressure(beat, times_s, mean_pressure_pa=small.mean_pa, pulse_ratio=small.pulse_ratio)
         amplitude = np.ptp(small.fraction(arterial_pa - MMHG_PA * pressure[:, None]), axis=1)
         return np.asarray(amplitude / amplitude.mean())

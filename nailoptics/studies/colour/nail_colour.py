@@ -16,7 +16,6 @@ from ...errors import InputError, unless_cut_off
 from ...hemodynamics import white_band_mm
 from ...hemodynamics.for_scene import steady_blood
 from ...light import ProgressCallback, backend
-from ...light.identity import light_digest
 from ...light.photograph import photograph
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
@@ -183,7 +182,6 @@ def spread_of_colours(
     """
     scene, sites = nail.scene, (ALONG // 2, 0)
     priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
-    light_key = light_digest(scene)
 
     def lab(light: ColourRays, changed: Scene, chosen: tuple[int, ...]) -> Array:
         states = steady_blood(changed, viewing.forces_n[:1])
@@ -196,13 +194,7 @@ def spread_of_colours(
         light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD))
         return lab(light, changed, (0, 1))
 
-    base = lab(rays, scene, sites)
-    twin = walked(scene)
-
-    def answer(changed: Scene) -> Array:
-        return lab(rays, changed, sites) if light_digest(changed) == light_key else base + walked(changed) - twin
-
-    answers = over_priors(scene, priors, answer)
+    answers = over_priors(scene, priors, lambda changed: lab(rays, changed, sites), walked)
     data = answers.variables("lab", ("site", "band"), "L*a*b* at the first force")
     ends, fields = [[p.low, p.high] for p in priors], [p.field for p in priors]
     data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends, prior_field=fields)

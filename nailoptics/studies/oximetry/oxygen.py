@@ -107,7 +107,7 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         "best": best,
         "so2": scene.blood.so2,
         "disturbances": list(disturbances),
-        "rate_per_min": heart_rate_per_min(scene),
+        "rate_per_min": heart_rate_per_min(scene.body),
     }
     return xr.Dataset(data, names, transfer.attributes() | about)
 
@@ -157,7 +157,7 @@ def _error_variables(
         for front_end, fraction in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)
     ]
     data: Variables = {}
-    for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene)), ("", AVERAGE_S)):
+    for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene.body)), ("", AVERAGE_S)):
         rows = []
         for name in CAUSES:
             how = {"shape_rms": shape, "frames": seconds * frame_hz}
