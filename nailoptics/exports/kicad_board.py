@@ -14,7 +14,7 @@ from ..scene.importers.kicad import moved_board, read_board, write_board
 from ..scene.importers.outlines import Outline
 from ..scene.importers.positions import PlacedPart
 from ..scene.rectangles import turned
-from ..studies.placement.result import kicad_parts
+from ..studies.placement.result import kicad_parts, outline
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +33,7 @@ def write_kicad_pcb(scene: Scene, path: Path, *, folder: Path | None = None) -> 
     if is_own(scene):
         write_text(path, own_board(scene, folder or Path())[1])
     else:
-        write_new_board(scene, path)
+        write_new_board(scene, path, outline(scene, scene))
     return {"board": path}
 
 
@@ -42,17 +42,10 @@ def is_own(scene: Scene) -> bool:
     return bool(scene.board.kicad and scene.board.parts and any(led.reference for led in scene.leds))
 
 
-def write_new_board(scene: Scene, path: Path, outline: Outline | None = None) -> None:
-    """Write a layout as a new board, within the board's outline if none is given; raises WriteError."""
-    board, r, (du, dv) = scene.board, scene.layout.outline, scene.board.center_mm
-    if outline is None and board.outline_mm is not None:
-        corners, *holes = (
-            tuple((x + du, y + dv) for x, y in line) for line in (board.outline_mm, *board.outline_holes_mm)
-        )
-        outline = Outline(corners, tuple(holes))
-    box = Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
+def write_new_board(scene: Scene, path: Path, edges: Outline) -> None:
+    """Write a layout as a new board; raises WriteError."""
     sizes = [*(led.size_mm for led in scene.leds), *(e.photodiode.size_mm for e in scene.layout.photodiodes)]
-    write_board(path, kicad_parts(scene), sizes, outline or box, thickness_mm=1e-3 * board.kapton_um)
+    write_board(path, kicad_parts(scene), sizes, edges, thickness_mm=1e-3 * scene.board.kapton_um)
 
 
 def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:

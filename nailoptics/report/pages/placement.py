@@ -309,7 +309,8 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder
     from ...scene.importers.outlines import write_outline
     from ...scene.importers.positions import write_positions
 
-    best, ranking, edges, text = chosen(result), rows(result), outline(result), StringIO(newline="")
+    best, ranking, text = chosen(result), rows(result), StringIO(newline="")
+    edges = outline(parse_scene(str(result.attrs["scene"]), name="the scene"), best)
     board: Any = lambda path: write_new_board(best, path, edges)  # noqa: E731
     if is_own(best):
         try:

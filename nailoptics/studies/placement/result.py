@@ -200,12 +200,12 @@ def rough_words(ranking: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def outline(result: xr.Dataset) -> Outline:
-    """The board's outline, as requested or as the best layout has it."""
-    requested = rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
-    if requested.outline_mm is not None:
-        return Outline(requested.outline_mm, requested.outline_holes_mm)
-    r = chosen(result).layout.outline
+def outline(requested: Scene, layout: Scene) -> Outline:
+    """The board's outline, as a scene requests it or as a layout has it."""
+    asked = rules(requested)
+    if asked.outline_mm is not None:
+        return Outline(asked.outline_mm, asked.outline_holes_mm)
+    r = layout.layout.outline
     return Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
 
 

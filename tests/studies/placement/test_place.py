@@ -391,7 +391,7 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
     parts = result.kicad_parts(near)
     assert [p.ref for p in parts] == ["D1", "PD1", "PD2", "PD3", "PD4"] and parts[0].position_mm == (-3.0, 0.0)
     assert parts[1].position_mm == (-1.0, -2.0)
-    assert result.outline(found.sel(layout=["near"])).corners_mm[0] == (-4.5, -4.5)
+    assert result.outline(scene, near).corners_mm[0] == (-4.5, -4.5)
     rows = result.rows(found)
     assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
 
