@@ -1,7 +1,7 @@
 """Draw a page's figures as the pictures of its tutorial, from the results of the tutorial's commands.
 
-python docs/pictures/tutorial_pictures.py compare results/compare/compare.nc docs/pictures/taylor.png
-python docs/pictures/tutorial_pictures.py place results/place/place.nc docs/pictures/place.png
+python docs/pictures/tutorial_pictures.py compare compare.nc docs/pictures/taylor.png
+python docs/pictures/tutorial_pictures.py place place.nc docs/pictures/place.png
 """
 
 import sys
