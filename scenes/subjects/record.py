@@ -9,7 +9,7 @@ The recordings are made with a different model from the one that is fitted to th
 index finger of default sizes and tissue, vessels "best", two zones with the distal pressure on the distal one only,
 massless walls, one wavelength, neither epidermis nor Kapton, a million photons of seed 0. These people have
 - walls with mass (the inertial equations), and other constants of the vessels;
-- eight zones along the nail, which the bone shields from the distal pressure but for a part;
+- eight zones along the nail, with a distal pressure that decreases with the distance from the tip;
 - other digits, sizes and skin, absorption and scattering of nail, bed, bone and pulp within the priors, other blood and
   saturation;
 - epidermis, Kapton, an LED linewidth of 33 nm, another flux, another thickness of adhesive;
@@ -134,8 +134,7 @@ def light_of_person(scene: Scene, path: Path, *, photons: int = PHOTONS) -> Dete
 
 def _untouched(scene: Scene) -> Scene:
     """The scene without what moves its blood: it shares light with every other touch of the person."""
-    without = {"parameters": "listed", "tuning": None, "distal_reach": 0.0, "bone_edge_mm": 1.0}
-    blood = scene.blood.model_copy(update=without)
+    blood = scene.blood.model_copy(update={"parameters": "listed", "tuning": None, "decay_length": None})
     return scene.model_copy(update={"touch": Touch(), "body": None, "blood": blood})
 
 

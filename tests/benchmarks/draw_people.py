@@ -1,8 +1,7 @@
-"""Draw the eight people in scenes/subjects, from a stated seed. Run: python draw_people.py bodies|contacts
+"""Draw the bodies of the eight people in scenes/subjects, from a stated seed. Run: python draw_people.py
 
-bodies writes into the scenes, in place: the whole [finger] table, blood at rest, of bed and pulp, with its saturation,
-and the LED's flux. contacts writes the reach of the distal pressure, the bone's edge and the contact area. Factors of
-the vessels, pulse and board stay as they are.
+Writes into the scenes, in place: the whole [finger] table, blood at rest, of bed and pulp, with its saturation, and the
+LED's flux. Vessels, contact, pulse and board stay as they are.
 - Digits are given. A size is that of the digit (`nailoptics.scene.finger.ANATOMY`) times a factor with the spread of
   index fingers; the factors of one person are correlated by SIZE_CORRELATION, a judgement.
 - Melanin is that of eight groups of people, from the lightest ring finger to the darkest back of a hand, as
@@ -10,18 +9,14 @@ the vessels, pulse and board stay as they are.
 - Tissue and blood are drawn from the joint prior (assets/priors.toml), each within the range of its own prior:
   as that was when the scenes were drawn, since another prior draws other people.
 - The flux keeps every reading below the range of the converter.
-- Reach and edge are drawn from their priors. The contact area is that at which a proximal touch of about 1 N shuts the
-  vein, as the paper says of all its subjects; within the prior of the area.
 """
 
 import re
-import sys
 
 import numpy as np
 
 from nailoptics.assets import data_dir
-from nailoptics.hemodynamics.parameters import vessels
-from nailoptics.scene import Prior, Priors, load_scene
+from nailoptics.scene import Prior, Priors
 from nailoptics.scene.finger import ANATOMY
 from nailoptics.scene.vessels import FACTORS
 from nailoptics.statistics import Z95
@@ -51,11 +46,14 @@ SIZE_SD = {
 }
 SIZE_CORRELATION = 0.7
 FLUX_MW = (0.9, 1.5)
-# Drawn with the contacts, otherwise, or not at all: the scenes have vessels of their own.
-SHIELD = ("blood.distal_reach", "blood.bone_edge_mm")
-NOT_DRAWN = ("finger.melanin_fraction", *(f"blood.{name}" for name in FACTORS), *SHIELD, "touch.")
-# Force of a proximal touch that shuts the vein, with its relative standard deviation. [N]
-CLOSING_N, CLOSING_SD = 1.05, 0.05
+# Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
+NOT_DRAWN = (
+    "finger.melanin_fraction",
+    *(f"blood.{name}" for name in FACTORS),
+    "blood.distal_reach",
+    "blood.bone_edge_mm",
+    "touch.",
+)
 
 
 def sizes(digit: str, rng: np.random.Generator) -> dict[str, float]:
@@ -76,25 +74,7 @@ def tissue(priors: tuple[Prior, ...], rng: np.random.Generator) -> dict[str, flo
     return {prior.field: float(np.exp(x) if prior.scale == "log" else x) for prior, x in drawn}
 
 
-def contacts() -> None:
-    rng = np.random.default_rng(SEED + 1)
-    priors = tuple(prior for prior in Priors().of_finger() if prior.field in SHIELD)
-    for i in range(1, len(PEOPLE) + 1):
-        path = data_dir("scenes") / "subjects" / f"person_{i}.toml"
-        scene = load_scene(path)
-        p = vessels(scene.model_copy(update={"body": None}))
-        closing_pa = p.arterial_pressure_pa + p.vein_stiffness_n_per_m * p.vein_diameter_m / p.vein_area_m2
-        force_n = CLOSING_N * np.exp(CLOSING_SD * rng.normal())
-        drawn = {"contact_area_mm2": 1e6 * force_n / closing_pa} | tissue(priors, rng)
-        text = path.read_text(encoding="utf-8")
-        for name, value in drawn.items():
-            key = name.removeprefix("blood.")
-            text = re.sub(rf"^{key} = .*$", f"{key} = {value:.3g}", text, flags=re.MULTILINE)
-        path.write_text(text, encoding="utf-8")
-        print(path)
-
-
-def bodies() -> None:
+def main() -> None:
     rng = np.random.default_rng(SEED)
     priors = tuple(prior for prior in Priors().of_finger() if not prior.field.startswith(NOT_DRAWN))
     for i, (digit, group, melanin) in enumerate(PEOPLE, 1):
@@ -118,4 +98,4 @@ def bodies() -> None:
 
 
 if __name__ == "__main__":
-    {"bodies": bodies, "contacts": contacts}[sys.argv[1]]()
+    main()

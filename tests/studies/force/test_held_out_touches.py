@@ -18,10 +18,6 @@ PERSON = "person_4"
 
 def recording(corners: Corners, side: Site, seed: int):
     person = load_person(PERSON)
-    # With the vessels and the contact that this person had first; with those of today errors are 0.21 and 0.32 N.
-    first = {"parameters": "best", "decay_length": 0.12, "distal_reach": 0.0}
-    touch = person.touch.model_copy(update={"contact_area_mm2": 75.0})
-    person = person.model_copy(update={"blood": person.blood.model_copy(update=first), "touch": touch})
     return record_touch(person, untraced(person), touch_of(person, corners, side, rate_hz=20.0), seed=seed)
 
 

@@ -34,7 +34,7 @@ def test_eight_people_differ_in_all_that_the_papers_did():
         lambda s: s.touch.contact_area_mm2,
         lambda s: s.leds[0].flux_mw,
         lambda s: s.body.heartbeat.pulse_pressure_pa,
-        lambda s: s.blood.distal_reach,
+        lambda s: s.blood.decay_length,
         lambda s: s.finger.nail_width_mm,
         lambda s: s.finger.melanin_fraction,
     ):
