@@ -215,7 +215,7 @@ def test_every_package_that_the_tests_import_is_in_the_test_extra():
     needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "tests").rglob("*.py"))}
     extras = PROJECT["project"]["optional-dependencies"]
     known = distributions(PROJECT["project"]["dependencies"] + OPTIONAL + extras["test"])
-    files = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "scenes").rglob("*.py")]
+    files = [path for folder in ("tests", "scenes", "assets") for path in (ROOT / folder).rglob("*.py")]
     local = {name for path in files for name in (path.stem, path.parent.name)}
     assert {name.replace("_", "-") for name in needed - local} <= known
 
