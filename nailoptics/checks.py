@@ -65,8 +65,9 @@ def seed(value: int) -> int:
     return int(value)
 
 
-# What pydantic puts below a field of several kinds: one of them, such as constrained-float or tuple[float, float].
+# Faults of one input that are named.
 MOST_FAULTS = 10
+# What pydantic puts below a field of several kinds: one of them, such as constrained-float or tuple[float, float].
 KIND = re.compile(r"(constrained-)?(float|int|str|bool)|[\w-]*\[.*\]")
 
 

@@ -110,3 +110,18 @@ def _toml(tables: Sequence[tuple[str, dict[str, Any]]]) -> str:
         # JSON writes numbers, texts and lists as TOML does, but for those that are not finite.
         lines += [header, *(f"{k} = {v if isinstance(v, float) else json.dumps(v)}" for k, v in values.items())]
     return "\n".join(lines) + "\n"
+
+
+# A scene on a board of KiCad beside it, with an LED and a photodiode; more of [board], the photodiode and parts.
+ON_KICAD_BOARD = """
+schema_version = 1
+[finger]
+[board]
+kicad = "x.kicad_pcb"
+barrier = false
+{board}
+[board.parts]
+D1 = {{ led = "led_660" }}
+PD1 = {{ photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5]{diode} }}
+{parts}
+"""

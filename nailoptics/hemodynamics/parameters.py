@@ -24,7 +24,9 @@ LEAST_DAMPING_N_S_PER_M = 1e-12
 # Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
 PA_PER_M_OF_BLOOD = 1.04e4
 # The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
-FAR_FROM_LIST, FAR_NAMED = 100.0, 10
+FAR_FROM_LIST = 100.0
+# Of those so many are named.
+FAR_NAMED = 10
 _BEYOND_THE_PAPER = ("venular_share", "venular_closing_pressure_pa")
 
 

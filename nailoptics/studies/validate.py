@@ -33,7 +33,7 @@ from ..scene.priors import shipped_priors
 from ..statistics import Z95, jackknife, seed_of
 from . import people_tables
 from .colour.adaptive_sampling import ALONG, patches_of
-from .colour.colorimetry import WAVELENGTHS_NM, Viewer
+from .colour.colorimetry import WAVELENGTHS_NM, Viewer, lab_of
 from .colour.reflectance import ColourRays, walk_colour
 from .oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
 from .people_tables import COLUMNS, NAIL_RGB, SKIN_RGB, SPECTRUM_NM, people_count, percentile, pooled, read_people
@@ -387,7 +387,7 @@ def _slopes(photos: "pd.DataFrame", middle: Array, spread: Array, noise: Array) 
 def _effects(rgb: Array) -> dict[str, Array]:
     """What of linear sRGB, (..., 3) float, is compared over haemoglobin: ln in percent, and a*, (...) float each."""
     red, green, _ = 100 * np.moveaxis(np.log(rgb), -1, 0)
-    return {"green": green, "green_over_red": green - red, "redness": lab_of(rgb @ XYZ_OF_RGB.T)[..., 1]}
+    return {"green": green, "green_over_red": green - red, "redness": _lab(rgb)[..., 1]}
 
 
 def _linear_rgb(reflectance: Array) -> Array:
@@ -395,10 +395,9 @@ def _linear_rgb(reflectance: Array) -> Array:
     return np.asarray(reflectance @ Viewer().weights @ np.linalg.inv(XYZ_OF_RGB).T)
 
 
-def lab_of(xyz: Array) -> Array:
-    """CIE 1976 L*a*b* under D65, (..., 3) float, of X, Y, Z as `XYZ_OF_RGB` scales them, (..., 3) float."""
-    x, y, z = np.moveaxis(np.cbrt(xyz / XYZ_OF_RGB.sum(1)), -1, 0)
-    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
+def _lab(rgb: Array) -> Array:
+    """CIE 1976 L*a*b* of linear sRGB by daylight, (..., 3) float each."""
+    return lab_of(rgb @ XYZ_OF_RGB.T, XYZ_OF_RGB.sum(1))
 
 
 def nails_lab(photos: "pd.DataFrame") -> Array:
@@ -410,7 +409,7 @@ def nails_lab(photos: "pd.DataFrame") -> Array:
     hands = spectra[spectra.place == "back of hand"]
     skin = np.mean([percentile(hands[hands.group == group], 50) for group in SCALED_TO], 0) / 100
     skin_rgb = _linear_rgb(np.interp(WAVELENGTHS_NM, SPECTRUM_NM, skin))
-    return lab_of(photos[NAIL_RGB].to_numpy() / photos[SKIN_RGB].to_numpy() * skin_rgb @ XYZ_OF_RGB.T)
+    return _lab(photos[NAIL_RGB].to_numpy() / photos[SKIN_RGB].to_numpy() * skin_rgb)
 
 
 class _Skin(_Reflectance):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from small_scenes import ON_KICAD_BOARD
 
 import nailoptics as nail
 from nailoptics.errors import InputError
@@ -22,24 +23,15 @@ BOARD = """(kicad_pcb (version 20240108)
   (gr_rect (start 96 95) (end 104 105) (layer "Edge.Cuts"))
 )
 """
-SCENE = """
-schema_version = 1
-[finger]
-[board]
-kicad = "x.kicad_pcb"
-barrier = false
-center_mm = [0.25, 0.5]
-turn_deg = {turn}
-[board.parts]
-D1 = {{ led = "led_660" }}
-PD1 = {{ photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5], offset_mm = [0.3, 0.1] }}
-{more}
-"""
 
 
 def written(tmp_path, *, side="B.Cu", turn=0.0, held="", more=""):
     (tmp_path / "x.kicad_pcb").write_text(BOARD.format(side=side, held=held))
-    (tmp_path / "mine.toml").write_text(SCENE.format(turn=turn, more=more))
+    (tmp_path / "mine.toml").write_text(
+        ON_KICAD_BOARD.format(
+            board=f"center_mm = [0.25, 0.5]\nturn_deg = {turn}", diode=", offset_mm = [0.3, 0.1]", parts=more
+        )
+    )
     return load_scene(tmp_path / "mine.toml")
 
 

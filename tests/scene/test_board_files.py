@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from small_scenes import ON_KICAD_BOARD
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -22,22 +23,11 @@ BOARD = """(kicad_pcb (version 20171130)
   (gr_rect (start 96 96) (end 104 105) (layer Edge.Cuts))
 )
 """
-SCENE = """
-schema_version = 1
-[finger]
-[board]
-kicad = "x.kicad_pcb"
-barrier = false
-{more}
-[board.parts]
-D1 = {{ led = "led_660" }}
-PD1 = {{ photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5] }}
-"""
 
 
-def write(tmp_path, *, more="", side="B.Cu", turn=90, scene=SCENE):
+def write(tmp_path, *, more="", side="B.Cu", turn=90, scene=ON_KICAD_BOARD):
     (tmp_path / "x.kicad_pcb").write_text(BOARD.format(side=side, turn=turn))
-    (tmp_path / "mine.toml").write_text(scene.format(more=more))
+    (tmp_path / "mine.toml").write_text(scene.format(board=more, diode="", parts=""))
     return tmp_path / "mine.toml"
 
 
@@ -288,7 +278,7 @@ def test_candidates_are_files_with_their_own_parts_matched_by_name(tmp_path):
 
 def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
     with pytest.raises(InputError) as caught:
-        load_scene(write(tmp_path, scene=SCENE[: SCENE.index("[board.parts]")]))
+        load_scene(write(tmp_path, scene=ON_KICAD_BOARD[: ON_KICAD_BOARD.index("[board.parts]")]))
     line = str(caught.value)
     assert 'parts = { D1 = { led = "led_660" }, PD1 = { photodiode = "?" } }' in line and "\n" not in line
 

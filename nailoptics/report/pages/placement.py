@@ -3,6 +3,7 @@
 import csv
 import logging
 import math
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -311,7 +312,7 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder
 
     best, ranking, text = chosen(result), rows(result), StringIO(newline="")
     edges = outline(parse_scene(str(result.attrs["scene"]), name="the scene"), best)
-    board: Any = lambda path: write_new_board(best, path, edges)  # noqa: E731
+    board: Any = partial(write_new_board, best, edges=edges)
     if is_own(best):
         try:
             best, board = own_board(best, scene_folder)

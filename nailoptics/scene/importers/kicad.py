@@ -31,8 +31,8 @@ AT = re.compile(r"(\(\s*at)(\s+[-+.\deE]+\s+[-+.\deE]+)((?:\s+[-+.\deE]+)?)(?=[\
 NOT_MOVED = ("zone", "dimension", "image", "table", "fp_text_box")
 CURVE_POINTS = 33
 PAGE_CENTER_MM = (100.0, 100.0)
-# A footprint that moves by less stays as it is. [um, deg]
-LEAST_MOVE = 2e-3
+# A footprint that moves and turns by less stays as it is. [mm], [deg]
+LEAST_MOVE_MM, LEAST_TURN_DEG = 2e-6, 2e-3
 # Part of a die's longer side that each of its two pads takes.
 PAD_SHARE = 0.4
 # Of the layers that a board may have, those that a written one uses; KiCad adds the others.
@@ -246,7 +246,7 @@ def moved_board(path: Path, places: Mapping[str, tuple[Point, float]], new: Sequ
     for item, part in zip(_all(tree, "module", "footprint"), _board(tree).footprints, strict=True):
         position_mm, angle_deg = places.get(part.ref, (part.position_mm, part.rotation_deg))
         turn_deg = round((angle_deg - part.rotation_deg + 180) % 360 - 180, 6)
-        if max(abs(turn_deg), 1e3 * math.dist(position_mm, part.position_mm)) < LEAST_MOVE:
+        if abs(turn_deg) < LEAST_TURN_DEG and math.dist(position_mm, part.position_mm) < LEAST_MOVE_MM:
             continue
         for held in _all(item, *NOT_MOVED):
             raise InputError(f"{path}: {part.ref} has a {held[0]} in its footprint, which does not move with it.")

@@ -44,15 +44,19 @@ class Viewer:
 
     def lab(self, reflectance: Array) -> Array:
         """CIE 1976 L*a*b* of reflectances (..., q), (..., 3) float."""
-        colour = _science()
-        xyz = np.maximum(reflectance @ self.weights, 0.0)
-        return np.asarray(colour.XYZ_to_Lab(xyz, illuminant=colour.XYZ_to_xy(self.white)))
+        return lab_of(np.maximum(reflectance @ self.weights, 0.0), self.white)
 
     def srgb(self, reflectance: Array) -> Array:
         """The colour on a screen, seen by an eye that is used to the light, (..., 3) float in 0-1."""
         colour = _science()
         xyz = np.maximum(reflectance @ self.weights, 0.0)
         return np.clip(colour.XYZ_to_sRGB(xyz, illuminant=colour.XYZ_to_xy(self.white)), 0.0, 1.0)
+
+
+def lab_of(xyz: Array, white: Array) -> Array:
+    """CIE 1976 L*a*b* of X, Y, Z, (..., 3) float, beside those of a white surface, (3,) float with Y = 1."""
+    colour = _science()
+    return np.asarray(colour.XYZ_to_Lab(xyz, illuminant=colour.XYZ_to_xy(white)))
 
 
 def delta_e_2000(lab: Array, other: Array) -> Array:

@@ -202,9 +202,8 @@ def rough_words(ranking: Sequence[dict[str, Any]]) -> str:
 
 def outline(requested: Scene, layout: Scene) -> Outline:
     """The board's outline, as a scene requests it or as a layout has it."""
-    asked = rules(requested)
-    if asked.outline_mm is not None:
-        return Outline(asked.outline_mm, asked.outline_holes_mm)
+    if (placement := rules(requested)).outline_mm is not None:
+        return Outline(placement.outline_mm, placement.outline_holes_mm)
     r = layout.layout.outline
     return Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
 
@@ -238,22 +237,16 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
 def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
     """The force resolution of the best layout and of those that the search did not make, on the finger where each is
     worst: total, the floor of every layout, and the rest by cause, which add in squares. [N]"""
-    of = []
-    for i, origin in enumerate(result.origin.values):
-        if i == 0 or origin != "searched":
-            one = result.isel(layout=i, finger=int(result.finger_resolution_n.values[i].argmax()))
-            parts = dict(zip(result.cause.values.tolist(), one.force_budget_n.values.tolist(), strict=True))
-            floor_n = float(np.nan_to_num(one.get("physiological_noise_force_n", 0.0)))
-            if "waves" in parts:
-                parts["waves"] = max(parts["waves"] ** 2 - floor_n**2, 0.0) ** 0.5
-            of.append(
-                {
-                    "layout": str(one.layout.values),
-                    "total": float(np.hypot(floor_n, np.hypot.reduce([*parts.values()]))),
-                }
-            )
-            of[-1] |= {"floor": floor_n} | parts
-    return of
+    by_layout = []
+    for i in [0, *(np.flatnonzero(result.origin.values[1:] != "searched") + 1)]:
+        layout = result.isel(layout=i, finger=int(result.finger_resolution_n.values[i].argmax()))
+        parts = dict(zip(result.cause.values.tolist(), layout.force_budget_n.values.tolist(), strict=True))
+        floor_n = float(np.nan_to_num(layout.get("physiological_noise_force_n", 0.0)))
+        if "waves" in parts:
+            parts["waves"] = max(parts["waves"] ** 2 - floor_n**2, 0.0) ** 0.5
+        total_n = float(np.hypot(floor_n, np.hypot.reduce([*parts.values()])))
+        by_layout.append({"layout": str(layout.layout.values), "total": total_n, "floor": floor_n} | parts)
+    return by_layout
 
 
 def gain(result: xr.Dataset) -> tuple[float, float] | None:
