@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from .transfer.reweight import attenuation
 
 if TYPE_CHECKING:
     from .walk.finger import FingerTracer
-    from .walk.tallies import VoxelGrid
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
@@ -208,65 +207,39 @@ class BoardTracer:
 
         return accepted(self.scene.layout.photodiodes[photodiode].photodiode, cos)
 
-    def detected(
-        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """What the scene's own photodiodes read, and the sensitivity of each of them by place in the finger.
+    def detected(self, led: int, point: "BloodPoint", *, photons: int, seed: int) -> np.ndarray:
+        """What the scene's own photodiodes read: means of a BloodPoint's values, (photodiodes, 2 + K) float."""
 
-        Returns: means of a BloodPoint's values, (photodiodes, 2 + K) float; and how the reading falls with absorption
-        in each cell, per volume, (photodiodes, u, v, depth) float. [mm^-2]
-        """
+        def trace() -> dict[str, np.ndarray]:
+            from .walk.interfaces import DETECTED
+            from .walk.sampling import acceptance_of
+
+            tracer = self.tracer
+            walked = tracer.walk(led, photons=photons, seed=seed, acceptance=acceptance_of(self.scene.photodiodes))
+            ended, count = np.flatnonzero(walked.outcome >= DETECTED), len(tracer.photodiodes)
+            paths, nowhere = tracer.by_zone(walked.path_mm[:, ended]), np.zeros((len(ended), 2))
+            values = point.values(Arrivals(photons, ended, nowhere, walked.weight[ended], paths))
+            by_column = [np.bincount(walked.outcome[ended] - DETECTED, column, minlength=count) for column in values.T]
+            return {"means": np.stack(by_column, -1) / photons}
+
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
-        trace = partial(self._detected, led, point, photons=photons, seed=seed, cells=cells)
-        name = f"detected{seed}-{photons}"
-        arrays = self._stored(led, name, trace, blood=blood, cells=list(cells.shape))
-        return arrays["means"], arrays["sensitivity"]
-
-    def _detected(
-        self, led: int, point: "BloodPoint", *, photons: int, seed: int, cells: "VoxelGrid"
-    ) -> dict[str, np.ndarray]:
-        from .walk.interfaces import DETECTED
-        from .walk.sampling import acceptance_of
-        from .walk.tallies import SensitivityTally
-
-        backends.activate(self.backend)
-        walked = self.tracer.walk(led, photons=photons, seed=seed, acceptance=acceptance_of(self.scene.photodiodes))
-        ended, count = np.flatnonzero(walked.outcome >= DETECTED), len(self.tracer.photodiodes)
-        where, nowhere = walked.outcome[ended] - DETECTED, np.zeros((len(ended), 2))
-        arrived = Arrivals(photons, ended, nowhere, walked.weight[ended], self.tracer.by_zone(walked.path_mm[:, ended]))
-        values = point.values(arrived)
-        means = np.stack([np.bincount(where, column, minlength=count) for column in values.T], -1) / photons
-        if not len(ended):
-            return {"means": means, "sensitivity": np.zeros((count, *cells.shape))}
-        counts, detector = np.zeros(photons), np.zeros(photons, int)
-        counts[ended], detector[ended] = values[:, 0], where
-        tally = SensitivityTally(cells, (counts, detector), count)
-        again = self.tracer.walk(led, photons=photons, seed=seed, which=ended, section=tally).outcome[ended]
-        if np.count_nonzero(again != walked.outcome[ended]) > 1 + 0.01 * len(ended):
-            raise RuntimeError("photons walked otherwise when they walked again; this backend does not repeat itself.")
-        return {"means": means, "sensitivity": tally.sums() / (photons * cells.volume_mm3)}
+        return self._stored(led, f"detected{seed}-{photons}", trace, blood=blood)["means"]
 
     def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
         """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail
         plate's outer face, (radius_mm, depth_mm) float. [mm^-2]"""
-        from .walk.tallies import SensitivityTally
+        backends.activate(self.backend)
+        from .walk.tallies import FluenceTally, VoxelGrid
 
-        cells = self.cells()
-        tally = SensitivityTally(cells)
+        cells = VoxelGrid.under_nail(self.scene, self.tracer.geometry)
+        tally = FluenceTally(cells)
         self.tracer.walk(led, photons=photons, seed=seed, section=tally)
         u, v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in (cells.u_mm, cells.v_mm, cells.depth_mm))
         at = self.scene.layout.leds[led].center_mm
         ring = (np.hypot(u[:, None] - at[0], v - at[1]) / ring_mm).astype(int).ravel()
-        fluence = (tally.sums()[0] / (photons * cells.volume_mm3)).reshape(len(ring), len(depth))
+        fluence = (tally.sums() / (photons * cells.volume_mm3)).reshape(len(ring), len(depth))
         mean = np.stack([np.bincount(ring, column) for column in fluence.T], -1) / np.bincount(ring)[:, None]
         return xr.DataArray(mean, {"radius_mm": ring_mm * (np.arange(len(mean)) + 0.5), "depth_mm": depth})
-
-    def cells(self) -> "VoxelGrid":
-        """Cells under the nail of this finger, for `detected`."""
-        backends.activate(self.backend)
-        from .walk.tallies import VoxelGrid
-
-        return VoxelGrid.under_nail(self.scene, self.tracer.geometry)
 
 
 @dataclass(frozen=True)

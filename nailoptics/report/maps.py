@@ -70,11 +70,11 @@ def level_holding(part: float, density: np.ndarray) -> float | None:
     return float(level) if density.min() < level < density.max() else None
 
 
-def draw_rectangle(axes: "Axes", r: Rectangle, *, turned: bool = False, **look: Any) -> None:
-    """Draw a rectangle of the board with the tip upwards, or turned to the right."""
+def draw_rectangle(axes: "Axes", r: Rectangle, **look: Any) -> None:
+    """Draw a rectangle of the board with the tip upwards."""
     from matplotlib.patches import Polygon
 
-    axes.add_patch(Polygon([corner[::-1] if turned else corner for corner in r.corners_mm], closed=True, **look))
+    axes.add_patch(Polygon(r.corners_mm, closed=True, **look))
 
 
 @style.drawing()

@@ -136,8 +136,7 @@ def test_maps_and_reciprocity_read_a_narrow_response_as_a_trace_does(jit_backend
     point, photons = blood_point(scene, 0), 1 << 18
     arrived = bare.arrivals(0, photons=photons, seed=1)
     by_map = [column[:, 0] for column in readings(arrived, point.values(arrived), areas)]
-    cells = own.cells()
-    each = [own.detected(0, point, photons=photons // 8, seed=seed, cells=cells)[0][:, 0] for seed in range(4)]
+    each = [own.detected(0, point, photons=photons // 8, seed=seed)[:, 0] for seed in range(4)]
     fresh = [np.mean(each, 0), np.std(each, 0, ddof=1) / 2]
     lit = [own.back(j, 0, photons=photons, seed=5)[0] for j in range(2)]
     back = np.array([readings(one, point.values(one)[:, :1], die) for one in lit])[:, :, 0, 0].T

@@ -83,8 +83,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
     for blood in (0.01, 0.05):
         at = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": blood})})
         tracer, point = BoardTracer(at, spacing_mm=0.2), blood_point(at, 0)
-        made = {"photons": tracer.batch_photons, "cells": tracer.cells()}
-        seen = [tracer.detected(0, point, seed=70 + i, **made)[0][:, 0] for i in range(BATCHES)]
+        seen = [tracer.detected(0, point, photons=tracer.batch_photons, seed=70 + i)[:, 0] for i in range(BATCHES)]
         each.append(np.array(seen))
     difference = (each[1] - each[0]) / 0.04
     spread = difference.std(0, ddof=1) / np.sqrt(BATCHES)

@@ -11,7 +11,7 @@ import pytest
 from nailoptics.light import backend
 
 VERSIONS = range(15, 21)
-# Everything whose kernels are ours: both walks, light onto the board and back, and where the photodiodes look.
+# Everything whose kernels are ours: both walks, light onto the board and back, and fluence.
 JOB = """
 import hashlib, json
 import numpy as np
@@ -35,7 +35,8 @@ note("phantom", light.photodiode, light.weight, light.path_mm)
 board = BoardTracer(finger, backend="llvm", spacing_mm=0.3)  # made in a second; 0.1 mm takes five
 light = board.tracer.batch(0, photons=20_000, seed=1)
 note("finger", light.photodiode, light.weight, light.path_mm)
-note("replay", *board.detected(0, blood_point(finger, 0), photons=5_000, seed=2, cells=board.cells()))
+note("detected", board.detected(0, blood_point(finger, 0), photons=5_000, seed=2))
+note("fluence", board.fluence(0, 0.3, photons=5_000, seed=4).values)
 onto = board.back(0, 0, photons=5_000, seed=3)[0]
 note("board", onto.photon, onto.place_mm, onto.weight, onto.path_mm)
 print(json.dumps({"library": backend.choose("llvm").library, "found": found}))

@@ -18,7 +18,7 @@ from . import sampling
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import PhotonEnds, WalkedPhotons, remaining, rotate_direction
 from .splitting import Reach, Splitting
-from .tallies import BoardTally, Section, SensitivityTally
+from .tallies import BoardTally, FluenceTally, Section
 
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
 FREE_EVENTS = 6
@@ -81,24 +81,14 @@ class FingerTracer:
             events=walked.events,
         )
 
-    def walk(
-        self, led: int, *, photons: int, seed: int, which: np.ndarray | None = None, face: Face | None = None, **to: Any
-    ) -> WalkedPhotons:
+    def walk(self, led: int, *, photons: int, seed: int, face: Face | None = None, **to: Any) -> WalkedPhotons:
         """Trace some photons of one LED, each counting for itself; their paths are in the order of `by_zone`.
 
-        which : (k,) int. Walk these of the photons alone. Each ends as among all, but for one in ten thousand or so
-            whose rays round otherwise among other rays.
         face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
         to : section, board, splitting: what tallies the photons on their way; acceptance.
         """
         rng, count = sampling.lanes(photons, seed)
         first = dr.arange(mi.UInt32, dr.width(count))
-        if which is not None:
-            first, lane = mi.UInt32(which.astype(np.uint32)), rng
-            rng = mi.PCG32(size=len(which))  # type: ignore[operator]
-            states = lane.state, mi.UInt64(lane.inc)
-            rng.state, rng.inc = (dr.gather(mi.UInt64, a, first % dr.width(a)) for a in states)
-            count = dr.full(mi.UInt32, 1, len(which))
         emission = sampling.LAMBERTIAN if face else sampling.emission_table(self.scene.leds[led])
         emitter = Emitter(face or self.geometry.leds[led], emission, self.regions[led].epoxy)
         ends = PhotonEnds(photons, paths=self.paths, media=len(self.regions[led].absorbing))
@@ -155,7 +145,7 @@ class FingerWalk:
     zones: ZoneEdges
     emitter: Any
     ends: PhotonEnds
-    section: Section | SensitivityTally | None = None
+    section: Section | FluenceTally | None = None
     board: BoardTally | None = None
     splitting: Splitting | None = None
     acceptance: sampling.Acceptance | None = None
@@ -253,7 +243,7 @@ class FingerWalk:
         segment.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
         if self.section is not None:
             weight = photon.weight * remaining(dr.fma(segment.length, medium.mu_a, photon.tau))
-            self.section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
+            self.section.add(photon.p + photon.w * (0.5 * step), step, weight, active)
         segment.length = segment.length + step
         photon.p = mi.Point3f(photon.p + photon.w * step)
 

@@ -13,7 +13,7 @@ from ...geometry import Geometry
 from ...scene import Scene
 from .arithmetic import atan2
 from .interfaces import FingerPhoton
-from .sampling import Photon, remaining
+from .sampling import remaining
 
 
 class CellGrid:
@@ -65,37 +65,23 @@ class BoardTally:
 
 
 class PathTally:
-    """Sums of paths on a grid of cells, each times what its photon counts for, in several groups of photons.
+    """Sums of paths on a grid of cells, each times the photon's weight there: per volume they are the fluence.
 
     place : coordinates of a point on the grid.
-    detected : weight and group, (photons,) each. What each photon of the walk counts for, and in which group; without
-        it all are one group and count by their weight at each place, whose sums per volume are the fluence.
     """
 
-    def __init__(
-        self,
-        edges_mm: Sequence[np.ndarray],
-        place: Callable[[Any], Sequence[Any]],
-        detected: tuple[np.ndarray, np.ndarray] | None = None,
-        groups: int = 1,
-    ) -> None:
-        self.shape, self.place, self.detected = (groups, *(len(e) - 1 for e in edges_mm)), place, None
-        if detected:
-            self.detected = mi.Float(detected[0].astype(np.float32)), mi.UInt32(detected[1].astype(np.uint32))
+    def __init__(self, edges_mm: Sequence[np.ndarray], place: Callable[[Any], Sequence[Any]]) -> None:
+        self.shape, self.place = tuple(len(e) - 1 for e in edges_mm), place
         self.values = dr.zeros(mi.Float64, int(np.prod(self.shape)))
-        self.per_group = dr.opaque(mi.UInt32, int(np.prod(self.shape[1:])))
-        self.grid = CellGrid([e[0] for e in edges_mm], [e[1] - e[0] for e in edges_mm], self.shape[1:])
+        self.grid = CellGrid([e[0] for e in edges_mm], [e[1] - e[0] for e in edges_mm], self.shape)
 
-    def add(self, photon: Photon, p: Any, path: Any, weight: Any, active: Any) -> None:
+    def add(self, p: Any, path: Any, weight: Any, active: Any) -> None:
         """Add a photon's path, of a middle p and a weight there. [mm]"""
         cell, inside = self.grid.cell(self.place(p), active)
-        if self.detected:
-            weight = dr.gather(mi.Float, self.detected[0], photon.index, active)
-            cell += dr.gather(mi.UInt32, self.detected[1], photon.index, active) * self.per_group
         dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
 
     def sums(self) -> np.ndarray:
-        """Sums in each group and cell, (groups, ...) float. [mm]"""
+        """Sums in each cell, (...) float. [mm]"""
         return np.array(self.values).reshape(self.shape)
 
 
@@ -109,7 +95,7 @@ class Section(PathTally):
 
     def density(self, photons: int) -> np.ndarray:
         """Path per area of the section and emitted photon, (y, z) float. [mm^-1]"""
-        return np.asarray(self.sums()[0] / (photons * self.spacing_mm**2))
+        return np.asarray(self.sums() / (photons * self.spacing_mm**2))
 
 
 ACROSS_MM, ALONG_MM = 0.3, 0.2
@@ -159,16 +145,14 @@ class VoxelGrid:
         return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
 
 
-class SensitivityTally(PathTally):
+class FluenceTally(PathTally):
     """Sums of paths on the cells under a nail."""
 
-    def __init__(
-        self, cells: VoxelGrid, detected: tuple[np.ndarray, np.ndarray] | None = None, groups: int = 1
-    ) -> None:
+    def __init__(self, cells: VoxelGrid) -> None:
         nail, board = (dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm))
 
         def place(p: Any) -> tuple[Any, Any, Any]:
             height = p.z + nail
             return board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height)
 
-        super().__init__((cells.u_mm, cells.v_mm, cells.depth_mm), place, detected, groups)
+        super().__init__((cells.u_mm, cells.v_mm, cells.depth_mm), place)

@@ -48,8 +48,6 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     layout = [figure(maps.top_view(best), TEXTS["board"], narrow=True), table(_photodiodes(result), groups=groups)]
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
-        layout.append(subheading("Sensitivity of each photodiode"))
-        layout += [_of_led(figures.banana_figure(best, of_led), TEXTS["bananas"], of_led, best) for of_led in by_led]
         layout += [subheading("Ambient light"), table(_ambient(result)), small(TEXTS["ambient"])]
         checked = _check(result)
     text = document(
@@ -275,7 +273,6 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
                 line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
             if "mitsuba_ratio" in reading:
                 line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
-            line["Mean depth [mm]"] = estimated(reading, "mean_depth_mm") if "mean_depth_mm" in reading else "–"
             lines.append(line)
     return lines
 

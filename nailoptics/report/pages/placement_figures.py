@@ -1,4 +1,4 @@
-"""Figures of a placement: the ranking, the board, maps of light, noise and resolution, and sensitivity volumes."""
+"""Figures of a placement: the ranking, the board, and maps of light, noise and resolution."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,6 @@ import xarray as xr
 from ...scene import Scene
 from ...scene.layout import Rectangle
 from .. import maps, style
-from ..maps import coloured_along_nail
 from ..scene_description import CAUSES
 
 if TYPE_CHECKING:
@@ -20,8 +19,6 @@ SHOWN = 20
 # A cause of less than this of a layout's variance is not drawn.
 LEAST_PART = 5e-3
 SMOOTH_CELLS = 2.0
-# The densest places that hold so much of what a photodiode sees are outlined.
-HELD = 0.5
 # A resolution whose relative error is larger is left blank: with few photons it is biased low.
 KNOWN = 0.25
 # Dynamic range of the maps of light.
@@ -179,80 +176,24 @@ def sites_figure(result: xr.Dataset) -> "Figure":
     return figure
 
 
-@style.drawing()
-def banana_figure(scene: Scene, result: xr.Dataset) -> "Figure":
-    """Sensitivity of each photodiode to absorption below the nail: cut lengthwise, and the bed from above."""
-    assert scene.finger is not None
-    finger, layout = scene.finger, scene.layout
-    plate = finger.nail_thickness_mm
-    bed = (plate, plate + finger.bed_thickness_mm)
-    sensitivity = (result.depth_sensitivity.isel(led=0) * result.cell_volume_mm3).transpose(
-        ..., "under_u", "under_v", "depth"
-    )
-    in_bed = sensitivity.where((result.depth > bed[0]) & (result.depth < bed[1]), 0.0)
-    v, u, depth = (result[name].to_numpy() for name in ("under_v", "under_u", "depth"))
-    cut, above = sensitivity.sum("under_u").to_numpy(), in_bed.sum("depth").to_numpy()
-    layers = (("plate", "plate", 0.0, bed[0]), ("bed", "bed", *bed), ("below", "bone", bed[1], depth[-1]))
-    colours = coloured_along_nail(scene, len(layout.photodiodes))
-    figure, (section, plan) = style.panels(9.2, 8.4, 2, height_ratios=[2.6, 4.6])
-    for name, tissue, top, bottom in layers:
-        section.axhspan(top, bottom, color=maps.TISSUE[tissue], lw=0, zorder=0)
-        section.text(v[0] + 0.1, (top + bottom) / 2, name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
-    _bananas(section, v, depth, cut, colours)
-    for colour, j in colours:
-        area = layout.photodiode_areas[j]
-        section.plot([area.v_min, area.v_max], [-0.12] * 2, color=colour, lw=5, solid_capstyle="butt")
-    section.plot([_lit(scene, result).center_mm[1]], [-0.32], "v", color=maps.LED, mec=style.DARK_INK, mew=0.7, ms=8)
-    section.set(xlim=(v[0], v[-1]), ylim=(depth[-1], -0.5), aspect="equal", xlabel=maps.ALONG, ylabel="depth [mm]")
-    section.set_title("Cut lengthwise, summed over the width")
-    section.grid(False)
-    _bananas(plan, v, u, above.transpose(0, 2, 1), colours)
-    _parts(plan, scene, result, turned=True)
-    plan.set(xlim=(v[0], v[-1]), ylim=(u[0], u[-1]), aspect="equal")
-    plan.set_title("The bed from above, summed over its depth")
-    return figure
-
-
-def _bananas(axes: "Axes", x: np.ndarray, y: np.ndarray, data: np.ndarray, colours: list[tuple[str, int]]) -> None:
-    """Where all photodiodes look, and the densest places that hold half of what each of them sees.
-
-    each : (photodiodes, x, y) float. What each sees in each cell.
-    """
-    from matplotlib.colors import to_rgb
-    from scipy.ndimage import gaussian_filter
-
-    shares = [gaussian_filter(cells / max(cells.sum(), 1e-300), 1.0) for cells in data]
-    whole = np.mean(shares, axis=0)
-    whole /= whole.max()
-    shade = np.zeros((*whole.T.shape, 4))
-    shade[..., :3] = to_rgb(style.DARK_INK)
-    shade[..., 3] = 0.7 * np.clip(1 + np.log10(np.maximum(whole.T, 1e-9)) / maps.DECADES, 0, 1)
-    axes.imshow(shade, extent=maps.extent(x, y), origin="lower", zorder=2, interpolation="bilinear")
-    for colour, j in colours:
-        level = maps.level_holding(HELD, shares[j])
-        if level is not None:
-            axes.contour(x, y, shares[j].T, levels=[level], colors=[colour], linewidths=1.5, zorder=4)
-
-
 def _lit(scene: Scene, result: xr.Dataset) -> Rectangle:
     """The LED that a result of one LED is about."""
     return next(die for die in scene.layout.leds if die.name == str(result.led.values[0]))
 
 
-def _parts(axes: "Axes", scene: Scene, result: xr.Dataset, *, turned: bool = False) -> None:
-    """Outline the layout's parts over a map, its tip upwards, or turned to the right; the LED that is lit is filled."""
+def _parts(axes: "Axes", scene: Scene, result: xr.Dataset) -> None:
+    """Outline the layout's parts over a map; the LED that is lit is filled."""
     lit = _lit(scene, result)
     for r in scene.layout.barriers:
-        maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=maps.BARRIER, lw=0)
+        maps.draw_rectangle(axes, r, zorder=3, fc=maps.BARRIER, lw=0)
     boxes = [(e.area, "none") for e in scene.layout.photodiodes] + [
         (led, maps.LED if led == lit else "none") for led in scene.layout.leds
     ]
     for r, fill in boxes:
         for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
-            maps.draw_rectangle(axes, r, turned=turned, zorder=3, fc=fill, ec=colour, lw=width)
+            maps.draw_rectangle(axes, r, zorder=3, fc=fill, ec=colour, lw=width)
     axes.grid(False)
-    labels = (maps.ALONG, "across [mm]") if turned else ("across [mm]", "along, to the tip [mm]")
-    axes.set(xlabel=labels[0], ylabel=labels[1])
+    axes.set(xlabel="across [mm]", ylabel="along, to the tip [mm]")
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The best layout at close range: a fresh trace of its own board, what each photodiode senses, and ambient light."""
+"""The best layout at close range: a fresh trace of its own board, and ambient light."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
 from ...sensor.information import OperatingPoint, Response, force_resolution_n, scene_responses, total_information
-from ...statistics import Z95, left_out, seed_of, stderr_of_mean
+from ...statistics import Z95, left_out, seed_of
 from ...variables import Estimate, Variables, described, jackknifed, variable
 from . import boards
 from .candidates import CandidateLayout
@@ -62,39 +62,16 @@ class _Verification:
     def fresh_trace(self, batches: int, photons: int, deadline: float) -> tuple[np.ndarray, Variables]:
         """Values of each LED, (1 + batches, leds, photodiodes, 4) float, by all batches and without each; and the
         variables of the fresh trace."""
-        cells = self.tracer.cells()
         means: list[np.ndarray] = []
-        by_depth: list[np.ndarray] = []
-        total, square = (
-            np.zeros((len(self.blood), len(self.scene.layout.photodiodes), *cells.shape)) for _ in range(2)
-        )
-        volume = cells.volume_mm3[0, 0]
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
             detections = []
             for i, blood in enumerate(self.blood):
                 self.check_time()
                 seed = seed_of(self.cache.seed, FORWARD, i, len(means))
-                detections.append(self.tracer.detected(i, blood, photons=photons, seed=seed, cells=cells))
-            sensitivity = np.stack([cells_of for _, cells_of in detections])
-            means.append(np.stack([reading for reading, _ in detections]))
-            by_depth.append((sensitivity * volume).sum((2, 3)))
-            total += sensitivity
-            square += sensitivity**2
-        values, weights = left_out(np.stack(means)), left_out(np.stack(by_depth))
-        mean, error = total / len(means), stderr_of_mean(total, square, len(means))
-        under_u, under_v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in (cells.u_mm, cells.v_mm, cells.depth_mm))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean_depth_mm = jackknifed(weights @ depth / weights.sum(-1))
-        return values, described(
-            __package__,
-            checked_fraction=jackknifed(values[..., 0]),
-            depth_sensitivity=Estimate(mean.astype(np.float32), error.astype(np.float32)),
-            under_u=under_u,
-            under_v=under_v,
-            depth=depth,
-            cell_volume_mm3=volume,
-            mean_depth_mm=mean_depth_mm,
-        )
+                detections.append(self.tracer.detected(i, blood, photons=photons, seed=seed))
+            means.append(np.stack(detections))
+        values = left_out(np.stack(means))
+        return values, described(__package__, checked_fraction=jackknifed(values[..., 0]))
 
     def ambient(self, values: np.ndarray) -> Variables:
         """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force

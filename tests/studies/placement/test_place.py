@@ -34,7 +34,6 @@ from nailoptics.studies.placement import (
     sites,
 )
 from nailoptics.studies.placement.objective import Objective, moved_photodiodes, resolution_interval_n, score_layout
-from nailoptics.tissue import BloodZones
 
 AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
@@ -180,22 +179,6 @@ def test_the_best_is_first_and_its_fresh_trace_agrees(found):
     assert abs(predicted - fresh) < 4 * np.hypot(error, spread)
     assert np.hypot(error, spread) < 0.3 * predicted
     assert "paper" in found.layout.values and result.gain(found)[0] > 0
-
-
-@pytest.mark.long
-def test_each_photodiode_looks_where_the_blood_tells_it(found):
-    """The depth map of a fresh trace and the slopes of the bare board's map: which zone dims which photodiode."""
-    seen = found.depth_sensitivity[0] * found.cell_volume_mm3
-    bed = seen.where((found.depth > 0.45) & (found.depth < 2.15), 0.0).sum(("under_u", "depth"))
-    weight = BloodZones((0.0,), 2.0).weights(found.under_v.values)
-    by_zone = bed.values @ weight
-    share = by_zone / by_zone.sum(1, keepdims=True)
-    slope = found.predicted_zone_v[0].values
-    error = found.predicted_zone_v_stderr[0].values / np.abs(slope.sum(1, keepdims=True))
-    predicted = slope / slope.sum(1, keepdims=True)
-    known = np.isfinite(error)
-    assert known.mean() > 0.8 and np.all((np.abs(share - predicted) < 4 * np.sqrt(2) * error + 0.02)[known])
-    assert share[0, 0] > 0.7 and share[-1, 1] > 0.7
 
 
 @pytest.mark.long
@@ -428,7 +411,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert text.count("<svg") == 6 and "http:" not in text and "https:" not in text and "paper" in text
+    assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)

@@ -75,8 +75,6 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
         "ambient_a",
         "place_resolution_n",
         "irradiance",
-        "depth_sensitivity",
-        "mean_depth_mm",
         "direct",
     ],
 )
