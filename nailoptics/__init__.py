@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from . import scene as scene
     from . import tissue as tissue
     from .batch import open_results as open_results
+    from .batch import sweep as sweep
     from .exports.formats import export as export
     from .exports.other_program import compare_with as compare_with
     from .light import Transfer as Transfer
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 # Imported when first used, so that `import nailoptics` takes no time.
 _ROOMS = ("hemodynamics", "scene", "tissue")
 _NAMES = {
-    ".batch": "open_results",
+    ".batch": "open_results sweep",
     ".exports.formats": "export",
     ".exports.other_program": "compare_with",
     ".light": "Transfer trace",

@@ -1,5 +1,6 @@
 """Variables of a Dataset under the CF conventions: dimensions, values, units, a name in words, and a standard error."""
 
+import re
 import tomllib
 from functools import cache
 from importlib import resources
@@ -17,11 +18,27 @@ Variables = dict[str, Variable]
 # Of more samples than this, what is worked out for each is kept in single precision, 6e-8 of it, which is far below
 # the error of a trace and the step of a converter.
 MANY_SAMPLES = 200_000
+# By the ends of names.
+UNITS = {
+    **{name: name for name in ("nm", "mm", "m", "s", "kg", "lux")},
+    **{"um": "µm", "mm2": "mm²", "m2": "m²", "m3": "m³", "ms": "ms", "deg": "°", "percent": "%", "px": "pixels"},
+    **{"n": "N", "pa": "Pa", "pa_s": "Pa s", "n_s": "N s", "hz": "Hz", "rt_hz": "√Hz", "rt_min": "√min", "min": "min"},
+    **{"v": "V", "nv": "nV", "na": "nA", "ohm": "Ω", "mohm": "MΩ", "pf": "pF", "mw": "mW", "w": "W", "k": "K"},
+}
 
 
 def precision(samples: int) -> type[np.floating[Any]]:
     """The type in which numbers of each of so many samples are kept; their times are double always."""
     return np.float32 if samples > MANY_SAMPLES else np.float64
+
+
+def unit_of(field: str) -> str:
+    """The unit that a field's name ends with: "N/m" of blood.tuning.vein_stiffness_n_per_m; "1" where it has none."""
+    head, *below = re.sub(r"\[\d+\]", "", field).rpartition(".")[2].split("_per_")
+    words = head.split("_")
+    ends = ("_".join(words[-count:]) for count in (2, 1) if count < len(words))
+    above = next((UNITS[end] for end in ends if end in UNITS), "1")
+    return "/".join([above, *(UNITS.get(word, word) for word in below)])
 
 
 def variable(

@@ -21,7 +21,7 @@ from ..light.transfer import current_versions
 from ..scene import Accuracy
 from ..scene.base import Table
 from ..scene.sweep import Axis, StudyName
-from ..variables import from_record
+from ..variables import from_record, unit_of
 from .studies import STUDIES
 
 log = logging.getLogger(__name__)
@@ -332,12 +332,13 @@ def _coordinates(plan: Plan) -> dict[str, Any]:
     coordinates: dict[str, Any] = {}
     for axis in plan.axes:
         values: Any = list(axis.values)
+        attributes = {"long_name": axis.path} if axis.path else {}
         if not all(isinstance(v, bool) for v in values) and all(isinstance(v, int | float) for v in values):
-            values = np.array(values)
+            values, attributes = np.array(values), attributes | {"units": unit_of(axis.path)}
         elif not all(isinstance(v, str) for v in values):
             values = np.array([str(v) for v in values])
         dim = axis.name if axis.name in plan.dims else "sample"
-        coordinates[axis.name] = (dim, values, {"long_name": axis.path} if axis.path else {})
+        coordinates[axis.name] = (dim, values, attributes)
     return coordinates
 
 

@@ -1,9 +1,10 @@
 """Numbers for people, rounded to their uncertainty, in a prefix of the unit that suits them; and for summaries."""
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+from ..variables import unit_of
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 # What a terminal without Unicode lacks.
@@ -12,12 +13,6 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = "−"
 TINY = 1e-290  # what is less has no power of ten to divide by
 ROUNDING = 1e-9  # of a number: what sums of millions of double-precision numbers may leave
-UNITS = {
-    **{name: name for name in ("nm", "mm", "m", "s", "kg", "lux")},
-    **{"um": "µm", "mm2": "mm²", "m2": "m²", "m3": "m³", "ms": "ms", "deg": "°", "percent": "%", "px": "pixels"},
-    **{"n": "N", "pa": "Pa", "pa_s": "Pa s", "n_s": "N s", "hz": "Hz", "rt_hz": "√Hz", "rt_min": "√min", "min": "min"},
-    **{"v": "V", "nv": "nV", "na": "nA", "ohm": "Ω", "mohm": "MΩ", "pf": "pF", "mw": "mW", "w": "W", "k": "K"},
-}
 
 
 def prefix(magnitude: float, *, digits: int = 3) -> tuple[float, str]:
@@ -91,15 +86,6 @@ def plain(data: Any, *names: str, **renamed: str) -> dict[str, Any]:
 def with_stderr(data: Any, name: str) -> dict[str, Any]:
     """An estimate of a dataset as a summary has it."""
     return plain(data, value=name, stderr=f"{name}_stderr")
-
-
-def unit_of(field: str) -> str:
-    """The unit that a field's name ends with: "N/m" of blood.tuning.vein_stiffness_n_per_m; "1" where it has none."""
-    head, *below = re.sub(r"\[\d+\]", "", field).rpartition(".")[2].split("_per_")
-    words = head.split("_")
-    ends = ("_".join(words[-count:]) for count in (2, 1) if count < len(words))
-    above = next((UNITS[end] for end in ends if end in UNITS), "1")
-    return "/".join([above, *(UNITS.get(word, word) for word in below)])
 
 
 def range_of(field: str, low: float, high: float) -> str:

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -13,7 +14,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
-from .files import load_scene, scene_of, schema_of, shipped_scene
+from .files import load_scene, scene_of, schema_of, shipped_scene, tables_of
 from .models import Scene
 from .text_files import is_there, parse_toml, read_text, short
 
@@ -176,6 +177,41 @@ def load_sweep(path: str | Path) -> Sweep:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
         raise explain(error, SweepFile, "" if str(error).startswith(str(path)) else str(path)) from None
+
+
+def sweep_over(
+    scene: Scene | str | Path, over: Mapping[str, Any], *, study: StudyName = "simulate", combine: str = "product"
+) -> Sweep:
+    """The sweep of a scene, of a scene file or of a shipped scene over the values of its fields.
+
+    An axis is called as the last part of its path; as all of it where another axis or the results have that name.
+
+    Raises: InputError.
+    """
+    if not over:
+        raise InputError('over = {}: give fields and their values, such as {"blood.so2": [0.9, 0.97]}.')
+    reserved, last = _TAKEN | _TAKEN_BY.get(study, set()), {path: str(path).rpartition(".")[2] for path in over}
+    axes = []
+    for path, given in over.items():
+        values = _plain(given)
+        if not (isinstance(values, tuple) and values):
+            raise InputError(f'over: "{path}" = {given!r} is no list of values; give one, such as [0.9, 0.97].')
+        shared = last[path] in reserved or list(last.values()).count(last[path]) > 1
+        name = re.sub(r"\W+", "_", str(path)).strip("_") if shared else None
+        axes.append({"path": str(path), "values": values, "name": name})
+    base = tables_of(scene) if isinstance(scene, Scene) else str(scene)
+    file = {"schema_version": 1, "study": study, "base": base, "combine": combine, "axes": tuple(axes)}
+    try:
+        return _build(SweepFile.model_validate(file), Path("sweep"))
+    except (ValidationError, InputError) as error:
+        raise explain(error, SweepFile) from None
+
+
+def _plain(given: Any) -> Any:
+    """Arrays, lists and ranges as tuples, as a sweep file has them, with Python's own numbers."""
+    if hasattr(given, "__array__"):
+        given = np.asarray(given).tolist()
+    return tuple(map(_plain, given)) if isinstance(given, list | tuple | range) else given
 
 
 def sweep_json_schema() -> dict[str, Any]:

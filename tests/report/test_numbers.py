@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from nailoptics.report import style
-from nailoptics.report.numbers import fixed, polynomial, prefix, quantity, significant, unit_of, with_error
+from nailoptics.report.numbers import fixed, polynomial, prefix, quantity, significant, with_error
 from nailoptics.report.style import spread
+from nailoptics.variables import unit_of
 
 
 @pytest.mark.parametrize(

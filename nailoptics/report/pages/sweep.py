@@ -12,7 +12,7 @@ from ...batch import write_table
 from ...io import write_text
 from .. import style
 from ..html import document, figure, section, small, table, texts
-from ..numbers import prefix, significant, unit_of
+from ..numbers import prefix, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,7 +116,7 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
-    unit = f" [{unit_of(str(results[name].attrs.get('long_name', name)))}]" if numeric else ""
+    unit = f" [{results[name].attrs['units']}]" if numeric else ""
     axes.set_xlabel(style.plain(f"{name}{unit}"))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])

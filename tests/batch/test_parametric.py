@@ -1,0 +1,112 @@
+"""A sweep from Python: the scenes, results and folder of a batch over the same values."""
+
+import numpy as np
+import pytest
+
+import nailoptics as nail
+from nailoptics.assets import data_dir
+from nailoptics.batch import load_sweep, run_batch
+from nailoptics.errors import InputError, NotReachedError
+from nailoptics.scene.files import scene_of, tables_of
+from nailoptics.scene.sweep import sweep_over
+
+from .conftest import FINGERS, bits, phantoms
+
+OVER = {"blood.so2": [0.75, 0.97], "electronics.feedback_ohm": [2e5, 4e5]}
+
+
+@pytest.mark.jit
+def test_a_sweep_has_the_results_of_a_batch_and_a_dimension_for_each_field(jit_backend, here, fingers, tmp_path):
+    swept = nail.sweep(nail.load_scene("prototype"), OVER, photons=8000, backend=jit_backend.name, workers=1)
+    run_batch(fingers, tmp_path / "b", photons=8000, backend=jit_backend.name, workers=1)
+    batch = nail.open_results(tmp_path / "b").squeeze("photons", drop=True)
+    for name in ("volts_start", "volts_start_stderr", "volts_change_peak", "detected_fraction_rest_stderr"):
+        assert swept[name].dims == ("so2", "feedback_ohm", "led", "photodiode") and (swept[name] > 0).any()
+        assert np.array_equal(swept[name], batch[name])
+    for name, path, unit in (("so2", "blood.so2", "1"), ("feedback_ohm", "electronics.feedback_ohm", "Ω")):
+        assert swept[name].values.tolist() == OVER[path]
+        assert swept[name].attrs == {"long_name": path, "units": unit}
+
+
+@pytest.mark.jit
+def test_in_a_folder_a_sweep_goes_on(jit_backend, here, tmp_path):
+    scene, folder = phantoms(tmp_path, 1).scenes[0], tmp_path / "b"
+    field = "phantom.layers.slab.thickness_mm"
+    more = {"folder": folder, "workers": 1, "backend": jit_backend.name}
+    first = nail.sweep(scene, {field: [0.5, 1.0]}, **more)
+    before = bits(folder)
+    both = nail.sweep(scene, {field: np.array([0.5, 1.0, 2.0])}, **more)
+    assert len(bits(folder)) == 3 and before.items() <= bits(folder).items()
+    assert both.isel(thickness_mm=[0, 1]).equals(first)
+
+
+@pytest.mark.jit
+def test_where_scenes_fail_the_others_are_the_result(jit_backend, here, tmp_path):
+    over = {"light.engine": ["photons", "volpath"], "phantom.layers.slab.thickness_mm": [1.0, 2.0]}
+    (scene,) = phantoms(tmp_path, 1).scenes
+    scene = scene.model_copy(
+        update={
+            "leds": (
+                scene.leds[0].model_copy(
+                    update={"pattern": "measured", "pattern_deg": (0.0, 90.0), "pattern_relative": (1.0, 0.0)}
+                ),
+            )
+        }
+    )
+    with pytest.raises(NotReachedError, match="2 failed") as caught:
+        nail.sweep(scene, over, workers=1, backend=jit_backend.name)
+    result = caught.value.result
+    assert result.state.values.tolist() == [["done"] * 2, ["failed"] * 2] and "2 failed" in result.attrs["cut_off"]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
+def test_the_tables_of_a_scene_make_it_again(name):
+    scene = nail.load_scene(name)
+    assert scene_of(tables_of(scene)) == scene
+
+
+def test_a_scene_and_its_file_make_the_same_scenes(tmp_path):
+    """Whatever follows from a field: what its part has, sizes of its digit, a finger as long as its nail."""
+    for path, values in (
+        ("leds.ir.part", ["led_660", "led_940"]),
+        ("finger.digit", ["ring", "thumb"]),
+        ("finger.nail_length_mm", [11.0, 13.0]),
+        ("leds.ir.flux_mw", [1.0, 2.0]),
+    ):
+        from_file = sweep_over("prototype", {path: values})
+        from_scene = sweep_over(nail.load_scene("prototype"), {path: values})
+        assert from_scene.scenes == from_file.scenes and len(set(from_file.scenes)) == 2
+    (tmp_path / "fingers.toml").write_text(FINGERS)
+    assert (
+        sweep_over("prototype", OVER | {"accuracy.photons": [8000]}).scenes
+        == load_sweep(tmp_path / "fingers.toml").scenes
+    )
+
+
+def test_fields_of_one_name_are_called_by_their_path():
+    sweep = sweep_over("pulse_oximeter", {"leds.red.flux_mw": [1.0, 2.0], "leds[1].flux_mw": [3.0, 4.0]}, combine="zip")
+    assert [axis.name for axis in sweep.axes] == ["leds_red_flux_mw", "leds_1_flux_mw"]
+    assert [tuple(led.flux_mw for led in scene.leds) for scene in sweep.scenes] == [(1.0, 3.0), (2.0, 4.0)]
+
+
+@pytest.mark.parametrize(
+    ("over", "more", "words"),
+    [
+        ({}, {}, "over = {}: give fields"),
+        ({"blood.so2": 0.9}, {}, '"blood.so2" = 0.9 is no list'),
+        ({"blood.so2": []}, {}, "is no list"),
+        ({"digit": "ring"}, {}, "is no list"),
+        ({"blood.so2": [0.9, 2.0]}, {}, "blood.so2 = 2.0: must be less than or equal to 1"),
+        ({"blood.so3": [0.9]}, {}, 'blood.so3 is not a known field; did you mean "so2"'),
+        ({"leds.uv.flux_mw": [1.0]}, {}, "there is no item uv here"),
+        ({"blood..so2": [1.0]}, {}, "is no field"),
+        ({"blood.so2": [0.9]}, {"study": "smell"}, 'study = "smell"'),
+        ({"blood.so2": [0.9], "touch.force_n": [1.0, 2.0]}, {"combine": "zip"}, "as many of each"),
+        ({"blood.so2": [0.9]}, {"photons": -1}, "photons = -1"),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_is_written(tmp_path, over, more, words):
+    with pytest.raises(InputError) as caught:
+        nail.sweep("prototype", over, folder=tmp_path / "b", **more)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "b").exists()
