@@ -78,6 +78,17 @@ def estimated(record: Any, name: str, scale: float = 1.0) -> str:
     return with_error(*(scale * float(record[f"{name}{end}"]) for end in ("", "_stderr")))
 
 
+def cells(record: Any, columns: Mapping[str, tuple[str, float, int]]) -> dict[str, str]:
+    """Cells of a row of a table, from a dataset or a record.
+
+    columns : by their heads, name, scale and significant digits of each; with 0 digits, ± its standard error.
+    """
+    return {
+        head: significant(scale * float(record[name]), digits) if digits else estimated(record, name, scale)
+        for head, (name, scale, digits) in columns.items()
+    }
+
+
 def plain(data: Any, *names: str, **renamed: str) -> dict[str, Any]:
     """Variables of a dataset as plain numbers, texts and lists of them, by their names or, renamed, by a key."""
     return {key: data[name].values.tolist() for key, name in ({name: name for name in names} | renamed).items()}

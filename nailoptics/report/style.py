@@ -117,6 +117,12 @@ def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> 
     figure.legend(handles, labels, loc="outside upper center", ncols=ncols, **look)
 
 
+def named_rows(axes: "Axes", names: Sequence[object]) -> None:
+    """Names of the rows 0, 1 and so on of a panel, the first on top."""
+    axes.set_yticks(range(len(names)), [plain(name) for name in names])
+    axes.set_ylim(len(names) - 0.5, -0.5)
+
+
 def remark(axes: "Axes", text: str) -> None:
     """A few words at the right above a panel, beside its title."""
     axes.set_title(text, loc="right", fontsize=8, fontweight="normal", color=MUTED)

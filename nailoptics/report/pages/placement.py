@@ -5,28 +5,26 @@ import logging
 import math
 from functools import partial
 from io import StringIO
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import xarray as xr
 
 from ...errors import InputError
 from ...io import plain_cell, write_text
-from ...scene import Placement, Scene, parse_scene
+from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.result import budgets as budgets_of
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from .. import maps
 from ..files import Report, run_summary, scene_text
-from ..html import Html, document, figure, section, small, subheading, table, texts
-from ..numbers import aligned, estimated, quantity, significant, with_error
+from ..html import document, figure, section, small, subheading, table, texts
+from ..numbers import aligned, cells, estimated, quantity, significant, with_error
 from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from . import placement_figures as figures
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 log = logging.getLogger(__name__)
 
@@ -36,14 +34,24 @@ NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
 WAYS = tuple(f"0.5 mm {way} [%]" for way in ("left", "right", "proximal", "distal"))
-# What of the ranking has no room in a terminal.
-PAGE_ALONE = ("Split known [mN]", "Proximal, distal pressure [Pa]", "Condition", "Lowest SNR", "Full scale / reading")
+# Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
+RANKING = {
+    "Resolution [mN]": ("force_resolution_n", 1e3, 0),
+    "Electronics alone [mN]": ("electronics_resolution_n", 1e3, 0),
+    "Prior std [mN]": ("force_resolution_spread_n", 1e3, 0),
+    "SpO2 [%]": ("spo2_error_percent", 1.0, 0),
+    "Share [%]": ("share_resolution", 100.0, 0),
+    "Shunted [%]": ("shunted_fraction", 100.0, 2),
+    "Condition": ("condition_number", 1.0, 3),
+    "Lowest SNR": ("least_snr", 1.0, 3),
+    "Full scale / reading": ("adc_headroom", 1.0, 3),
+}
+PAGE_ALONE = tuple(RANKING)[-3:]
 
 
 def write_placement(result: xr.Dataset, path: Path) -> None:
     """Write the page of what `place` returns, whole or not at all; raises WriteError."""
     best, ranking = chosen(result), rows(result)
-    by_led = [result.isel(led=[i]) for i in range(result.sizes["led"])]
     groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
     layout = [figure(maps.top_view(best), TEXTS["board"], narrow=True), table(_photodiodes(result), groups=groups)]
     checked = "No time was left to verify the best layout by its own trace."
@@ -64,9 +72,11 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
                 small(checked),
             ),
             _limits(result),
-            _physiological_noise(best, result),
             section("The best layout", *layout),
-            section("Maps of this board", *(part for of_led in by_led for part in _maps(best, of_led))),
+            *(
+                section(f"Maps of {name}", figure(figures.map_figure(best, result, led=led), TEXTS["maps"]))
+                for led, name in enumerate(f"LED {led.name}, {led.wavelength_nm:.0f} nm" for led in best.leds)
+            ),
             spread_section(result),
         ],
         attributes=result.attrs,
@@ -74,60 +84,28 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     write_text(Path(path), text)
 
 
-def _led_words(scene: Scene, of_led: xr.Dataset) -> str:
-    """Which LED a result of one LED is about."""
-    led = next(led for led in scene.leds if led.name == str(of_led.led.values[0]))
-    return f"LED {led.name}, {led.wavelength_nm:.0f} nm"
-
-
-def _of_led(drawing: "Figure", caption: str, of_led: xr.Dataset, scene: Scene, *, narrow: bool = False) -> Html:
-    """A figure of one LED; of several LEDs each is named."""
-    named = f"{_led_words(scene, of_led)}. {caption}" if len(scene.leds) > 1 else caption
-    return figure(drawing, named, narrow=narrow)
-
-
-def _maps(best: Scene, of_led: xr.Dataset) -> list[Html]:
-    """All maps of one LED."""
-    narrow = figures.slender(of_led)
-    maps = [subheading(_led_words(best, of_led))] if len(best.leds) > 1 else []
-    maps.append(_of_led(figures.map_figure(best, of_led), TEXTS["maps"], of_led, best))
-    maps.append(_of_led(figures.sensitivity_figure(best, of_led), TEXTS["sensitivity"], of_led, best, narrow=narrow))
-    if of_led.sizes["led_site"]:
-        maps.append(_of_led(figures.sites_figure(of_led), TEXTS["tried"], of_led, best, narrow=True))
-    return maps
-
-
 def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
-    first, tied = ranking[0], sum(row["rank"] == 1 for row in ranking)
-    force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
-    fingers = result.sizes["finger"]
-    over = "" if fingers == 1 else f", {_rules(result).over_fingers} of {fingers} fingers"
-    traced = f"{result.sizes['layout']} of {result.attrs['layouts_given']} layouts were traced. "
-    others = f"{'One' if tied == 2 else tied - 1} more {'is' if tied == 2 else 'are'} tied with it."
-    if tied == 1:
-        others = "No other layout is tied with it." if len(ranking) > 1 else "It is the only one evaluated."
-    noise = body_words(chosen(result)) if "electronics_resolution_n" in result else ""
+    """What the best layout resolves, on which fingers and beside what, and how many others are as good."""
+    best, first, rules = chosen(result), ranking[0], boards.rules(parse_scene(result.attrs["scene"], name="the scene"))
     name = f"Layout {first['layout']}"
     if first["origin"] == "searched":
-        places = (
-            f"{led.name} at ({led.center_mm[0]:.3g}, {led.center_mm[1]:.3g})" for led in chosen(result).layout.leds
-        )
+        places = ("{} at ({:.3g}, {:.3g})".format(led.name, *led.center_mm) for led in best.layout.leds)
         name = f"The layout with {', '.join(places)} mm"
+    force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
+    fingers = result.sizes["finger"]
+    over = "" if fingers == 1 else f", {rules.over_fingers} of {fingers} fingers"
+    noise = f", with {body_words(best)}" if "electronics_resolution_n" in result else ""
+    others = sum(row["rank"] == 1 for row in ranking) - 1
     return (
-        f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), "
-        f"for any split between the proximal and the distal side{f', with {noise}' if noise else ''}. "
-        f"{_ranked_by(result, first)}{traced}{others}"
+        f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), for any split "
+        f"between the proximal and the distal side{noise}. {_ranked_by(rules, first)}{result.sizes['layout']} of "
+        f"{result.attrs['layouts_given']} layouts were traced, {others or 'none'} of the others tied with it."
     )
 
 
-def _rules(result: xr.Dataset) -> Placement:
-    """The rules of the search."""
-    return boards.rules(parse_scene(str(result.attrs["scene"]), name="the scene"))
-
-
-def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
+def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
     """What layouts are ranked by, where that is not the force alone, and the best one's figures for it."""
-    weights, others = _rules(result).weights, []
+    weights, others = rules.weights, []
     if "share" in weights:
         others.append(f"that part to {estimated(first, 'share_resolution', 100)} % of the force")
     if "oxygen" in weights:
@@ -139,80 +117,60 @@ def _ranked_by(result: xr.Dataset, first: dict[str, Any]) -> str:
 
 
 def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    first = ranking[0]
+    """Force resolution, with the electronics' noise alone, and beside the paper's layout."""
+    first, better = ranking[0], gain(result)
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
-    better = gain(result)
     if better and first["layout"] != "paper":
-        cards.append((f"{with_error(*better)} ×", f"better force resolution than the paper's layout{_tied(ranking)}"))
-    cards.append((significant(first["condition_number"]), "condition number of readings by blood zones"))
-    shunted = f"{100 * first['shunted_fraction']:.0f} %"
-    return [*cards, (shunted, "shunted: the largest part of a photodiode's light that bypassed the bed")]
-
-
-def _tied(ranking: list[dict[str, Any]]) -> str:
-    tied = sum(row["tied"] for row in ranking)
-    return f"; {tied} layouts are tied with each other" if tied else ""
+        cards.append((f"{with_error(*better)} ×", "better force resolution than the paper's layout"))
+    return cards
 
 
 def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
-    """The ranking in words, on the page and in the terminal; what is known of no layout is left out."""
-    optional = {
-        "Electronics alone [mN]": ("electronics_resolution_n", 1e3),
-        "Prior std [mN]": ("force_resolution_spread_n", 1e3),
-        "SpO2 [%]": ("spo2_error_percent", 1.0),
-    }
+    """The ranking in words, on the page and in the terminal."""
     known = {
-        head: key for head, key in optional.items() if any(math.isfinite(r.get(key[0], math.nan)) for r in ranking)
+        head: column
+        for head, column in RANKING.items()
+        if any(math.isfinite(row.get(column[0], math.nan)) for row in ranking)
     }
-    lines = []
-    for row in ranking:
-        rank = f"{row['rank']}{' (tied)' if row['tied'] else ''}"
-        line = {"Layout": row["layout"], "Rank": rank}
-        line["Resolution [mN]"] = estimated(row, "force_resolution_n", 1e3)
-        line |= {head: estimated(row, *key) for head, key in known.items()}
-        if "electronics_rank" in row:
-            line["Rank by electronics"] = str(row["electronics_rank"])
-        line["Split known [mN]"] = significant(1e3 * row["fixed_ratio_resolution_n"])
-        line["Share [%]"] = estimated(row, "share_resolution", 100)
-        pressures = (significant(row[f"{name}_pressure_pa"]) for name in ("proximal", "distal"))
-        line["Proximal, distal pressure [Pa]"] = ", ".join(pressures)
-        line["Condition"] = significant(row["condition_number"])
-        line["Lowest SNR"] = significant(row["least_snr"])
-        line["Full scale / reading"] = significant(row["adc_headroom"])
-        line["Shunted [%]"] = f"{100 * row['shunted_fraction']:.0f}"
-        lines.append(line)
-    return lines
+    return [
+        {"Layout": row["layout"], "Rank": f"{row['rank']}{' (tied)' if row['tied'] else ''}"} | cells(row, known)
+        for row in ranking
+    ]
 
 
 def _limits(result: xr.Dataset) -> str:
     """What the resolution consists of, and how it changes where one photodiode of the best layout is moved."""
-    budgets = budgets_of(result)
-    parts = [figure(figures.budget_figure(budgets), TEXTS["budget"])]
-    causes = {name: CAUSES.get(name, name) for name in list(budgets[0])[1:]} | {"floor": "no layout changes"}
-    cells = [
-        {f"{words} [mN]": significant(1e3 * row[name]) for name, words in causes.items() if name in row}
-        for row in budgets
-    ]
-    parts.append(
-        table([{"Layout": row["layout"]} | line for row, line in zip(budgets, cells, strict=True)], kind="dense")
-    )
+    budgets, names = budgets_of(result), {"floor": "no layout changes"} | CAUSES
+    causes = {f"{names.get(cause, cause)} [mN]": (cause, 1e3, 3) for cause in list(budgets[0])[1:]}
     moved = []
     for name in result.moved_photodiode.values:
         of = result.sel(moved_photodiode=name)
-        steps = (of.isel(step=k) for k in range(of.sizes["step"]))
-        changes = [(100 * float(step.moved_ranking), 100 * float(step.moved_ranking_stderr)) for step in steps]
-        moved.append({"Photodiode": str(name)} | dict(zip(WAYS, map(_change, changes), strict=True)))
-    parts += [subheading("One photodiode moved"), table(moved), small(TEXTS["moved"])]
-    return section("What limits it", " ".join(map(why, budgets)), *parts)
+        changes = map(_change, 100 * of.moved_ranking.values, 100 * of.moved_ranking_stderr.values)
+        moved.append({"Photodiode": str(name)} | dict(zip(WAYS, changes, strict=True)))
+    body = ""
+    if "electronics_resolution_n" in result:
+        bandwidth_hz = result.attrs["bandwidth_hz"]
+        sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
+        body = TEXTS["physiological"].format(sample, body_words(chosen(result)))
+    return section(
+        "What limits it",
+        " ".join(map(why, budgets)),
+        figure(figures.budget_figure(budgets), TEXTS["budget"]),
+        table([{"Layout": row["layout"]} | cells(row, causes) for row in budgets], kind="dense"),
+        small(body),
+        subheading("One photodiode moved"),
+        table(moved),
+        small(TEXTS["moved"]),
+    )
 
 
-def _change(percent: tuple[float, float]) -> str:
+def _change(percent: float, error: float) -> str:
     """A change with its standard error; of a photodiode that has no room or saturates, in words."""
-    if math.isnan(percent[0]):
+    if math.isnan(percent):
         return "no room"
-    return "more than ten times" if percent[0] > MOST_PERCENT else with_error(*percent, sign=True)
+    return "more than ten times" if percent > MOST_PERCENT else with_error(percent, error, sign=True)
 
 
 def why(row: dict[str, Any]) -> str:
@@ -226,16 +184,6 @@ def why(row: dict[str, Any]) -> str:
         f"Of the {quantity(total, 'N')} of {row['layout']}, {quantity(floor, 'N')} are waves of the body that no "
         f"layout changes; another layout could change {quantity(above, 'N')} ({share:.2g} % of the variance), {rest}."
     )
-
-
-def _physiological_noise(best: Scene, result: xr.Dataset) -> str:
-    """The effect of physiological noise on the resolution; empty without a body."""
-    if "electronics_resolution_n" not in result:
-        return ""
-    bandwidth_hz = result.attrs["bandwidth_hz"]
-    sample = f"a mean over {significant(500 / bandwidth_hz)} ms (a bandwidth of {bandwidth_hz:g} Hz)"
-    false_force = ", ".join(dict.fromkeys(significant(1e3 * float(x)) for x in result.physiological_noise_force_n))
-    return section("Physiological noise", TEXTS["physiological"].format(sample, body_words(best), false_force))
 
 
 def _check(result: xr.Dataset) -> str:
@@ -260,40 +208,39 @@ def _by_mitsuba(result: xr.Dataset, name: str) -> str:
 def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
     """The readings of the best layout on the first finger: each photodiode under each LED."""
     lines = []
-    for led in result.led.values:
-        for i, name in enumerate(chosen(result).layout.photodiode_names):
-            reading = result.sel(led=led).isel(best_photodiode=i)
-            volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
-            line = {"Photodiode": name, "Reading [V]": estimated(reading, "predicted_volts")}
-            line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
-            line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
-            line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
-            # A hundredth of the bed's volume, in millivolts.
-            for k, zone in enumerate(("Proximal", "Distal")):
-                line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
-            if "mitsuba_ratio" in reading:
-                line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
-            lines.append(line)
+    for led, (i, name) in product(result.led.values, enumerate(chosen(result).layout.photodiode_names)):
+        reading = result.sel(led=led).isel(best_photodiode=i)
+        volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
+        line = {"Photodiode": name, "Reading [V]": estimated(reading, "predicted_volts")}
+        line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
+        line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
+        line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
+        # A hundredth of the bed's volume, in millivolts.
+        for k, zone in enumerate(("Proximal", "Distal")):
+            line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
+        if "mitsuba_ratio" in reading:
+            line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
+        lines.append(line)
     return lines
 
 
 def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
-    """Sun and lamp, with and without the cover."""
-    heads = ("Light", "Photocurrent at most [µA]", "Output at most [V]", "Noise at most [µV]", "Resolution [mN]")
-    alone = [result.predicted_volts.max(), 1e6 * result.predicted_noise_v.max(), 1e3 * result.finger_resolution_n[0, 0]]
-    lines = [["none", "0", *(significant(float(value)) for value in alone)]]
-    for cover in result.cover.values:
-        for source in sources_of(chosen(result)):
-            at = result.sel(cover=cover, ambient=source.kind)
-            name = f"{source.words}, {'with the cover' if cover == 'covered' else 'without it'}"
-            most = [1e6 * at.ambient_high_a.max(), at.ambient_volts.max(), 1e6 * at.ambient_noise_v.max()]
-            current, output, noise = (significant(float(value)) for value in most)
-            if bool((at.ambient_volts >= result.attrs["adc_range_v"]).any()):
-                output += " (saturated)"
-            resolution_mn = 1e3 * float(at.ambient_resolution_n)
-            resolves = significant(resolution_mn) if resolution_mn < NOTHING_MN else "nothing"
-            lines.append([name, current, output, noise, resolves])
-    return [dict(zip(heads, line, strict=True)) for line in lines]
+    """Sun and lamp, with and without the cover, beside no light at all."""
+    none = (0.0, result.predicted_volts.max(), result.predicted_noise_v.max(), result.finger_resolution_n[0, 0])
+    lights = {"none": none}
+    for cover, source in product(result.cover.values, sources_of(chosen(result))):
+        at = result.sel(cover=cover, ambient=source.kind)
+        most = (at.ambient_high_a.max(), at.ambient_volts.max(), at.ambient_noise_v.max(), at.ambient_resolution_n)
+        lights[f"{source.words}, {'with the cover' if cover == 'covered' else 'without it'}"] = most
+    rows = []
+    for name, (current_a, volts, noise_v, resolution_n) in lights.items():
+        saturated = " (saturated)" if volts >= result.attrs["adc_range_v"] else ""
+        row = {"Light": name, "Photocurrent at most [µA]": significant(1e6 * float(current_a))}
+        row["Output at most [V]"] = significant(float(volts)) + saturated
+        row["Noise at most [µV]"] = significant(1e6 * float(noise_v))
+        known = 1e3 * float(resolution_n) < NOTHING_MN
+        rows.append(row | {"Resolution [mN]": significant(1e3 * float(resolution_n)) if known else "nothing"})
+    return rows
 
 
 def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder: Path = Path()) -> tuple[Any, ...]:
@@ -355,7 +302,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
     out += [line.replace("\u00a0", " ") for line in summary["limits"]]
     if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
-        out.append(f"force resolution better than the paper's layout: {times}{_tied(ranking)}")
+        out.append(f"force resolution better than the paper's layout: {times}")
     words = [rough_words(ranking), summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 

@@ -330,4 +330,4 @@ def test_the_page_tells_the_bodys_part(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
-    assert text.count("<svg") == 6
+    assert text.count("<svg") == 4

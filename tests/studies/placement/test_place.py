@@ -411,7 +411,10 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_placement(found, tmp_path / "place.html")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
-    assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
+    assert text.count("<svg") == 4 and "http:" not in text and "https:" not in text and "paper" in text
+    for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
+        assert title in text
+    assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(found.sizes["led_site"])
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)
