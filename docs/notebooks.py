@@ -1,0 +1,143 @@
+"""Pages whose code is run when they are built: with how many photons, their downloads, thumbnails of their pictures.
+
+A page is run in a folder of its own by myst-nb. With NAILOPTICS_DOCS=quick in the environment, as tests build them,
+commands and functions that trace light take few photons, and pages that say `quick: false` on top are not run.
+"""
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from sphinx.util.docutils import SphinxDirective
+
+from nailoptics.report import style
+
+QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
+PHOTONS = 20_000
+CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
+TRACING = re.compile(
+    r"^(nailoptics (?:simulate|trace|compare|oximeter|colour|place|tradeoff|explain|explore)\b.*)$", re.M
+)
+LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
+LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|max_seconds|photons)=[\d_.]+")
+
+
+def with_few_photons(app: Any, name: str, source: list[str]) -> None:
+    """Before a page is read: what it runs takes few photons, or is not run, where pages are only tried."""
+    page = source[0]
+    if not QUICK or not page.startswith("---\nfile_format: mystnb"):
+        return
+    if "\nquick: false\n" in page.partition("\n---\n")[0] + "\n":
+        page = page.replace("\n---\n", '\nmystnb:\n  execution_mode: "off"\n---\n', 1)
+    source[0] = CELL.sub(lambda cell: with_limit(cell[0], PHOTONS), page)
+
+
+def with_limit(cell: str, photons: int) -> str:
+    """A cell that traces so many photons, whatever limits it has."""
+    cell = LIMIT_IN_PYTHON.sub(f"photons={photons}", cell)
+    return TRACING.sub(lambda command: f"{LIMIT.sub('', command[1])} --photons {photons}", cell)
+
+
+def prepare_kernels(app: Any) -> None:
+    """Kernels have the look of the pages' figures, and nothing of the user's own settings."""
+    profile = Path(app.outdir).resolve().parent / "ipython" / "profile_default"
+    profile.mkdir(parents=True, exist_ok=True)
+    look = {"figure.dpi": 144, "figure.figsize": [6.4, 3.6], "figure.facecolor": "white", "grid.color": style.GRID}
+    lines = [f"c.InlineBackend.rc = {look}", "c.IPKernelApp.log_level = 40"]
+    (profile / "ipython_kernel_config.py").write_text("\n".join(lines), encoding="utf-8")
+    os.environ.pop("MPLBACKEND", None)  # figures are shown below the cells that make them
+    # What is installed beside Sphinx is run, in lines as wide as the page.
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    os.environ |= {
+        "COLUMNS": "110",
+        "IPYTHONDIR": str(profile.parent),
+        "MATPLOTLIBRC": str(Path(style.__file__).with_name("figures.mplstyle")),
+        "PATH": path,
+    }
+
+
+# Downloads
+
+
+def executed(app: Any, page: str) -> Path | None:
+    """The notebook that a page became when it was run."""
+    path = Path(app.outdir).parent / "jupyter_execute" / f"{page}.ipynb"
+    return path if path.exists() else None
+
+
+def offer_download(app: Any, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Below a page's heading: a link to the page as a notebook."""
+    if doctree is not None and executed(app, page):
+        path = context["pathto"](f"_downloads/{page}.ipynb", 1)
+        link = f'<a href="{path}" download>Download this page as a notebook</a>'
+        context["body"] = context["body"].replace("</h1>", f'</h1>\n<p class="download">{link}</p>', 1)
+
+
+def write_downloads(app: Any, failure: Exception | None) -> None:
+    """Notebooks with their outputs; of links to other pages the words stay."""
+    for page in [] if failure else app.env.found_docs:
+        if path := executed(app, page):
+            notebook = json.loads(path.read_text(encoding="utf-8"))
+            for cell in notebook["cells"]:
+                if cell["cell_type"] == "markdown":
+                    text = re.sub(r"(?<!!)\[([^\]]+)\]\((?!http)[^)]*\)", r"\1", "".join(cell["source"]))
+                    cell["source"] = text
+            target = Path(app.outdir) / "_downloads" / f"{page}.ipynb"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(json.dumps(notebook, indent=1), encoding="utf-8")
+
+
+# Thumbnails
+
+
+class thumbnails(nodes.General, nodes.Element):
+    """Where the thumbnails of some pages are to be."""
+
+
+class Thumbnails(SphinxDirective):
+    """Each page that it names, one a line, by the last picture in it, its heading and its first sentence."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        folder = Path(self.env.docname).parent
+        pages = [(folder / line).as_posix() for line in self.content]
+        for page in pages:
+            self.env.note_dependency(self.env.doc2path(page))
+        return [thumbnails(pages=pages)]
+
+
+def fill_thumbnails(app: Any, doctree: nodes.document, page: str) -> None:
+    """Replace the marks of the directive by links with pictures."""
+    for mark in list(doctree.findall(thumbnails)):
+        cards = nodes.container(classes=["thumbnails"])
+        cards += [card(app, page, target) for target in mark["pages"]]
+        mark.replace_self(cards)
+
+
+def card(app: Any, page: str, target: str) -> nodes.Node:
+    """A picture with a heading and a sentence, which links to its page."""
+    shown = app.env.get_doctree(target)
+    link = nodes.reference(refuri=app.builder.get_relative_uri(page, target), internal=True)
+    for picture in list(shown.findall(nodes.image))[-1:]:
+        link += nodes.image(uri=picture["uri"], candidates=picture["candidates"], alt="")
+    link += nodes.strong(text=app.env.titles[target].astext())
+    card = nodes.container(classes=["card"])
+    first = next(iter(shown.findall(nodes.paragraph))).astext()
+    card += [nodes.paragraph("", "", link), nodes.paragraph(text=re.match(r".*?[.:?](?=\s|$)|.*", first, re.S)[0])]
+    return card
+
+
+def setup(app: Any) -> None:
+    """Register the directive, and what is done as pages are read, written and finished."""
+    prepare_kernels(app)
+    app.add_directive("thumbnails", Thumbnails)
+    app.add_node(thumbnails)
+    app.connect("source-read", with_few_photons)
+    app.connect("doctree-resolved", fill_thumbnails)
+    app.connect("html-page-context", offer_download)
+    app.connect("build-finished", write_downloads)
