@@ -46,6 +46,12 @@ def not_negative(name: str, value: ArrayLike) -> Array:
     return _where(np.isfinite(array) & (array >= 0), name, array, "must be finite and not negative; correct it")
 
 
+def positive(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one is not positive or not finite."""
+    array = np.asarray(value, dtype=float)
+    return _where(np.isfinite(array) & (array > 0), name, array, "must be finite and greater than 0; correct it")
+
+
 def fraction(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one lies outside 0 to 1."""
     array = np.asarray(value, dtype=float)

@@ -13,7 +13,6 @@ from scipy.ndimage import uniform_filter1d
 from .. import hemodynamics
 from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
-from ..scene.touch import CONTACT
 from ..statistics import covariance_root
 from ..variables import precision, variable
 from .blood import Arterioles, arterioles_of
@@ -432,7 +431,7 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
         force_n=force_n,
         duration_s=60.0 / rate,
         sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
-        **{name: getattr(scene.touch, name) for name in CONTACT},
+        **scene.touch.contact(),
     )
     return _beat(scene.model_copy(update={"touch": held, "body": even, "placement": None}))
 

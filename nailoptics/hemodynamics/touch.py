@@ -7,11 +7,11 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite, number
+from ..checks import finite, fraction, not_negative, positive
 from ..errors import InputError
 from ..scene import Scene, Touch
-from ..scene.base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2
-from ..scene.touch import BESIDE_FORCE, CONTACT
+from ..scene.base import USUAL_CONTACT_AREA_MM2
+from ..scene.touch import BESIDE_FORCE
 from .drive import Waveform
 from .parameters import Parameters
 from .zones import Zones
@@ -51,9 +51,7 @@ def pressures(
 
     Raises: InputError if the force is negative or not finite, an area is not positive, or the share is not in 0..1.
     """
-    force, share = finite("force_n", force_n), finite("proximal_share", proximal_share)
-    if np.any(force < 0.0):
-        raise InputError(f"force_n must be 0 or more, got {force.min():g} N; a finger pushes, it does not pull.")
+    force, share = not_negative("force_n", force_n), fraction("proximal_share", proximal_share)
     if distal_onset_n > 0.0:
         share = 1.0 - (1.0 - share) * np.maximum(1.0 - distal_onset_n / np.maximum(force, distal_onset_n), 0.0)
     proximal_mm2, distal_mm2 = side_areas_mm2(
@@ -75,8 +73,8 @@ def shear_pressure(
     It bears on the distal half of the contact, or on the stated distal area: a newton of it whitens the tip twice as
     much as one of normal force. The paper says that shear is more effective, not by how much.
     """
-    half = 0.5 * _area("contact_area_mm2", contact_area_mm2)
-    area = half if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
+    half = 0.5 * positive("contact_area_mm2", contact_area_mm2)
+    area = half if distal_area_mm2 is None else positive("distal_area_mm2", distal_area_mm2)
     return np.abs(finite("shear_n", shear_n)) / (1e-6 * area)
 
 
@@ -97,23 +95,11 @@ def side_areas_mm2(
 
     Raises: InputError if an area is not positive, or the share is not in 0..1.
     """
-    contact, share = _area("contact_area_mm2", contact_area_mm2), finite("proximal_share", proximal_share)
-    if np.any((share < 0.0) | (share > 1.0)):
-        wrong = share.ravel()[np.abs(share - 0.5).argmax()]
-        raise InputError(f"proximal_share must lie in 0..1, got {wrong:g}; 0.5 is an even touch.")
+    contact, share = positive("contact_area_mm2", contact_area_mm2), fraction("proximal_share", proximal_share)
     halves = [contact * np.maximum(part, 0.5) for part in (share, 1.0 - share)]
-    proximal = halves[0] if proximal_area_mm2 is None else _area("proximal_area_mm2", proximal_area_mm2)
-    distal = halves[1] if distal_area_mm2 is None else _area("distal_area_mm2", distal_area_mm2)
+    proximal = halves[0] if proximal_area_mm2 is None else positive("proximal_area_mm2", proximal_area_mm2)
+    distal = halves[1] if distal_area_mm2 is None else positive("distal_area_mm2", distal_area_mm2)
     return proximal, distal
-
-
-def _area(name: str, value: ArrayLike) -> np.ndarray:
-    area = finite(name, value)
-    if np.any(area < LEAST_AREA_MM2):
-        raise InputError(
-            f"{name} must be {LEAST_AREA_MM2:g} or more, got {area.min():g}; {USUAL_CONTACT_AREA_MM2:g} is usual."
-        )
-    return area
 
 
 def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: ArrayLike) -> np.ndarray:
@@ -129,9 +115,7 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     Raises: InputError if a value is not finite, or the time constant is negative.
     """
     time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    relaxation = finite("relaxation_s", relaxation_s)
-    if (relaxation < 0.0).any():
-        raise InputError(f"relaxation_s must be 0 or more, got {relaxation.min():g} s.")
+    relaxation = not_negative("relaxation_s", relaxation_s)
     left = touch.copy()
     if relaxation.any():
         # Of several, those that are 0 die away within any step.
@@ -157,11 +141,7 @@ def spreading_pressure(
     Raises: InputError if a value is not finite, the part is not in 0..1, or the time constant is not positive.
     """
     time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    lost, delay = finite("part", part), number("time_constant_s", time_constant_s)
-    if ((lost < 0.0) | (lost > 1.0)).any():
-        raise InputError(f"part must lie in 0..1, got {lost.ravel()[np.abs(lost - 0.5).argmax()]:g}; 0.1 is usual.")
-    if delay <= 0.0:
-        raise InputError(f"time_constant_s must be greater than 0, got {delay:g} s.")
+    lost, delay = fraction("part", part), positive("time_constant_s", time_constant_s)
     delayed = np.zeros_like(touch)
     for i, h in enumerate(np.diff(time)):
         delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, delay)
@@ -238,14 +218,14 @@ class TouchCourse:
         Recorded pressures have the ratio that they have where the force is largest.
         """
         if self.per_n_pa is None:
-            return pressures(force_n, **contact(self.touch))
+            return pressures(force_n, **self.touch.contact())
         return self.per_n_pa[0] * np.asarray(force_n, float), self.per_n_pa[1] * np.asarray(force_n, float)
 
     def contact_at(self, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the touch presses at a force: both pressures [Pa], their change by newton, and the change of the force
         on either side by pascal [N/Pa], (2,) each.
         """
-        touch, areas_m2 = self.touch, 1e-6 * np.array(side_areas_mm2(**_stated(self.touch)))
+        touch, areas_m2 = self.touch, 1e-6 * _side_areas_mm2(self.touch)
         if touch.contact_force_n is None and not touch.distal_onset_n:
             per_n = np.array(self.sides_pa(1.0))
             return force_n * per_n, per_n, areas_m2
@@ -266,10 +246,10 @@ class TouchCourse:
         """The pressures over time under a pulp that spreads and, on the distal side, recovers slowly."""
         touch, time_s, rows = self.touch, self.time_s, self.pressure_pa
         if touch.creep:
-            time_s, rows = _with_knots_after(time_s, rows, touch.creep_s)
+            time_s, rows = _with_knots(time_s, rows, _relaxation_times_s(time_s, touch.creep_s))
             rows = spreading_pressure(time_s, rows, part=touch.creep, time_constant_s=touch.creep_s)
         if touch.distal_relaxation_s is not None:
-            time_s, rows = _with_knots_after(time_s, rows, touch.distal_relaxation_s)
+            time_s, rows = _with_knots(time_s, rows, _relaxation_times_s(time_s, touch.distal_relaxation_s))
             rows[1] = creeping_pressure(time_s, rows[1], relaxation_s=touch.distal_relaxation_s)
         return [Waveform(time_s=time_s, pressure_pa=row) for row in rows]
 
@@ -277,61 +257,53 @@ class TouchCourse:
 def touch_course(touch: Touch) -> TouchCourse:
     """A scene's touch over time."""
     samples_s, (time_s, force_n) = touch.times_s(), touch.corners()
-    given, per_n_pa = contact(touch), None
     columns = {name: getattr(touch, f"recorded_{name}") for name in BESIDE_FORCE}
     beside = {name: np.array(column) for name, column in columns.items() if column is not None}
-    if touch.recorded_proximal_pressure_pa is None:
-        if touch.contact_force_n is not None or touch.distal_onset_n:
-            finer_s, force_n = _with_knots_of_contact(touch, time_s, force_n)
-            beside = {name: np.interp(finer_s, time_s, column) for name, column in beside.items()}
-            time_s = finer_s
-        beside_force = {name: beside[name] for name in BESIDE_FORCE[1:] if name in beside}
-        rows = np.array(pressures(force_n, **given | beside_force))
-    else:
+    where = beside.keys() - {"shear_n"}
+    are_recorded = touch.recorded_proximal_pressure_pa is not None
+    if are_recorded:
         rows = np.array([touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa])
-        areas_mm2 = np.array(side_areas_mm2(**_stated(touch)))
-        force_n = 1e-6 * areas_mm2 @ rows if np.isnan(force_n).any() else force_n
-    most = int(np.argmax(force_n))
-    if touch.recorded_proximal_pressure_pa is not None or len(beside.keys() - {"shear_n"}):
+        force_n = 1e-6 * _side_areas_mm2(touch) @ rows if np.isnan(force_n).any() else force_n
+    else:
+        rows = [force_n, *beside.values()]
+        time_s, (force_n, *finer) = _with_knots(time_s, rows, _bend_times_s(touch, time_s, force_n))
+        beside = dict(zip(beside, finer, strict=True))
+        rows = np.array(pressures(force_n, **touch.contact() | {name: beside[name] for name in where}))
+    most, shear_n, per_n_pa = int(np.argmax(force_n)), beside.get("shear_n"), None
+    if are_recorded or where:
         per_n_pa = rows[:, most] / force_n[most] if force_n[most] > 0 else np.zeros(2)
-    shear_n = beside.get("shear_n")
     if shear_n is None and touch.shear_n is not None:
-        shear_n = touch.shear_n * force_n / max(float(force_n.max()), np.finfo(float).tiny)
+        shear_n = touch.shear_n * force_n / max(float(force_n[most]), np.finfo(float).tiny)
     if shear_n is not None:
         area_mm2, distal_mm2 = touch.contact_area_mm2, touch.distal_area_mm2
         rows = np.vstack([rows, shear_pressure(shear_n, area_mm2, distal_area_mm2=distal_mm2)])
     return TouchCourse(touch, samples_s, time_s, force_n, shear_n, rows, per_n_pa)
 
 
-def contact(touch: Touch) -> dict[str, Any]:
-    """Where a force presses, as `hemodynamics.pressures` takes it."""
-    return {name: getattr(touch, name) for name in CONTACT} | {"distal_onset_n": touch.distal_onset_n or 0.0}
+def _side_areas_mm2(touch: Touch) -> np.ndarray:
+    """The areas of both sides as stated, whatever the force, (2,) float. [mm^2]"""
+    sides = {"proximal_area_mm2": touch.proximal_area_mm2, "distal_area_mm2": touch.distal_area_mm2}
+    return np.array(side_areas_mm2(touch.contact_area_mm2, touch.proximal_share, **sides))
 
 
-def _stated(touch: Touch) -> dict[str, Any]:
-    """The areas and the share as stated, whatever the force."""
-    return {name: value for name, value in contact(touch).items() if name not in ("contact_force_n", "distal_onset_n")}
-
-
-def _with_knots_of_contact(touch: Touch, time_s: np.ndarray, force_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A course at more times, where its force passes what the pressures between corners bend at."""
+def _bend_times_s(touch: Touch, time_s: np.ndarray, force_n: np.ndarray) -> np.ndarray:
+    """When a force passes what its pressures bend at between corners."""
     levels_n = force_n.max() * (np.arange(1, KNOTS_OF_CONTACT) / KNOTS_OF_CONTACT) ** 3
-    levels_n = levels_n if touch.contact_force_n is not None else levels_n[:0]
-    more_s, more_n = [time_s], [force_n]
-    for level_n in [*levels_n, touch.distal_onset_n or 0.0]:
-        passes = np.flatnonzero(((force_n[:-1] < level_n) != (force_n[1:] < level_n)) & (np.diff(time_s) > 0.0))
-        part = (level_n - force_n[passes]) / (force_n[passes + 1] - force_n[passes])
-        more_s.append(time_s[passes] + part * (time_s[passes + 1] - time_s[passes]))
-        more_n.append(np.full(passes.size, level_n))
-    order = np.argsort(np.concatenate(more_s), kind="stable")
-    return np.concatenate(more_s)[order], np.concatenate(more_n)[order]
+    levels_n = np.append(levels_n if touch.contact_force_n is not None else [], touch.distal_onset_n or 0.0)[:, None]
+    level, before = np.nonzero(((force_n[:-1] < levels_n) != (force_n[1:] < levels_n)) & (np.diff(time_s) > 0.0))
+    part = (levels_n[level, 0] - force_n[before]) / np.diff(force_n)[before]
+    return np.asarray(time_s[before] + part * np.diff(time_s)[before])
 
 
-def _with_knots_after(time_s: np.ndarray, rows: np.ndarray, relaxation_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """A course at as many more times as it takes to follow what dies away after each of its corners."""
+def _relaxation_times_s(time_s: np.ndarray, relaxation_s: float) -> np.ndarray:
+    """As many times as it takes to follow what dies away after each corner."""
     after_s = relaxation_s * np.arange(1, 10 * KNOTS_PER_RELAXATION) / KNOTS_PER_RELAXATION
     gaps_s = np.append(np.diff(time_s), np.inf)
-    more_s = np.concatenate([t + after_s[after_s < gap] for t, gap in zip(time_s, gaps_s, strict=True)])
+    return np.concatenate([t + after_s[after_s < gap] for t, gap in zip(time_s, gaps_s, strict=True)])
+
+
+def _with_knots(time_s: np.ndarray, rows: Any, more_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Courses (k,) at more times, linear between their own."""
     more = [Waveform(time_s=time_s, pressure_pa=row).at(more_s) for row in rows]
     order = np.argsort(np.concatenate([time_s, more_s]), kind="stable")
     return np.concatenate([time_s, more_s])[order], np.hstack([rows, more])[:, order]

@@ -200,6 +200,10 @@ class Touch(Table):
             )
         return self
 
+    def contact(self) -> dict[str, Any]:
+        """Where a force presses, as `hemodynamics.pressures` takes it."""
+        return {name: getattr(self, name) for name in CONTACT} | {"distal_onset_n": self.distal_onset_n or 0.0}
+
     def times_s(self) -> np.ndarray:
         """Sample times, (t,) float, from the start of the touch. [s]"""
         if self.recorded_time_s is not None:
