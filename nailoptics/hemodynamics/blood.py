@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import Array, finite, number
+from ..checks import Array, fraction, positive
 from ..errors import InputError
 from ..scene import Blood, Body
 from ..scene.base import USUAL_BLOOD_FRACTION
@@ -40,23 +40,20 @@ def blood_fraction(
     The paper's areas and diameters disagree on volume: eq. (3)-(4) displace A dx/dt. The motion follows (3)-(4), the
     blood follows (7), as in the paper.
 
-    Raises: InputError if the rest fraction is not 0 or more and less than 1, a diameter is not positive, or the result
-    would be more than 1.
+    Raises: InputError if the rest fraction is not in 0..1, a diameter is not positive, or the result would be more than 1.
 
     References: Mascaro and Asada 2001, eq. (7).
     """
-    fraction = _rest_fraction(rest_blood_fraction)
-    diameter = finite("capillary_diameter_m", capillary_diameter_m)
-    if np.any(diameter <= 0.0):
-        raise InputError(f"capillary_diameter_m must be positive, got {diameter.min():g} m.")
+    diameter = positive("capillary_diameter_m", capillary_diameter_m)
     rest_m, share, closing_pa = _constants(parameters, zones, unit, diameter.ndim)
-    result = fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
+    rest_fraction = fraction("rest_blood_fraction", rest_blood_fraction)
+    result = rest_fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
     if np.any(result > 1.0):
         raise InputError(
-            f"rest_blood_fraction {fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
+            f"rest_blood_fraction {rest_fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
             "lower it or the suction."
         )
-    return result
+    return np.asarray(result)
 
 
 def relative_blood(
@@ -163,15 +160,6 @@ def _of_units(parameters: Parameters, zones: Zones) -> tuple[np.ndarray, ...]:
         return steady_state(p, zones=zones, pressure_pa=np.zeros(zones.inputs)).capillary_diameter_m, *venules
     # All units rest at one diameter: that of the paper's two, to the last bit.
     return np.resize(steady_state(p).capillary_diameter_m[:1], zones.count), *venules
-
-
-def _rest_fraction(value: float) -> float:
-    fraction = number("rest_blood_fraction", value)
-    if not 0.0 <= fraction < 1.0:
-        raise InputError(
-            f"rest_blood_fraction must lie in 0 to less than 1, got {fraction:g}; {USUAL_BLOOD_FRACTION:g} is usual."
-        )
-    return fraction
 
 
 @dataclass(frozen=True)

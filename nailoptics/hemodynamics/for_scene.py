@@ -14,16 +14,14 @@ from .. import hemodynamics
 from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
 from ..statistics import covariance_root
-from ..variables import precision, variable
+from ..variables import described, precision
 from .blood import Arterioles, arterioles_of
 from .parameters import posture_pa, vessels, with_posture
-from .respond import Model, touch_variables
+from .respond import Model
 from .touch import TouchCourse, touch_course
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
 
-# Pressures that a body moves.
-MOVING = {"arterial_pressure_pa": "arterial pressure P_H", "venous_pressure_pa": "venous pressure P_L"}
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0
 # Its pressure goes through so many knots in the shortest of its periods: a pulse is off by 0.4 % of its height at most.
@@ -262,29 +260,23 @@ class BloodModel:
         def without_pulse(values: np.ndarray) -> np.ndarray:
             return np.asarray(uniform_filter1d(values, beat, axis=-1, mode="nearest"))
 
-        def flows(diameter_m: Any, capillary_pa: Any, vein_pa: Any, high_pa: Any) -> tuple[Any, Any]:
-            """Inflow, which goes with the fourth power of the diameter, and outflow."""
-            return (high_pa - capillary_pa) * diameter_m**4, capillary_pa - vein_pa
+        def flows(state: Any, parameters: hemodynamics.Parameters | xr.Dataset) -> np.ndarray:
+            """Inflow, which goes with the fourth power of the diameter, and outflow, (2, zones, ...) float."""
+            within = np.asarray(state.capillary_pressure_pa)
+            inflow = (np.asarray(parameters.arterial_pressure_pa) - within) * np.asarray(state.capillary_diameter_m) ** 4
+            return np.stack([inflow, within - np.asarray(state.vein_pressure_pa)])
 
-        def through(*state: Any) -> np.ndarray:
-            # What a wall that moves takes up or gives off does not flow through.
-            both = zip(flows(*state), at_rest, strict=True)
-            return np.asarray(np.minimum(*(np.maximum((flow.T / rest_flow).T, 0.0) for flow, rest_flow in both)))
+        def untouched(parameters: hemodynamics.Parameters) -> np.ndarray:
+            return flows(hemodynamics.steady_state(parameters, zones=self.zones), parameters)[..., None]
 
-        def untouched(parameters: hemodynamics.Parameters) -> tuple[Any, ...]:
-            state = hemodynamics.steady_state(parameters, zones=self.zones)
-            vessels = state.capillary_diameter_m, state.capillary_pressure_pa, state.vein_pressure_pa
-            return *vessels, parameters.arterial_pressure_pa
-
-        at_rest = flows(*untouched(self.rest))
-        names = "capillary_diameter_m", "capillary_pressure_pa", "vein_pressure_pa", "arterial_pressure_pa"
-        flow = through(*(run[name].values for name in names))
+        # What a wall that moves takes up or gives off does not flow through.
         ends = ("arterial_pressure_pa", "venous_pressure_pa")
         first = {name: float(without_pulse(run[name].values)[0]) for name in ends}
         # A touch that is there from the first sample finds the finger as it was without it.
-        before = through(*untouched(self.parameters.replace(**first)))
+        courses = untouched(self.parameters.replace(**first)), flows(run, run)
+        before, flow = (np.maximum(one / untouched(self.rest), 0.0).min(0) for one in courses)
         steady = without_pulse(fraction.astype(float))
-        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(flow), flow_before=before)
+        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(flow), flow_before=before[:, 0])
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
@@ -327,22 +319,16 @@ class BloodModel:
         run = run[["capillary_diameter_m", "vein_diameter_m"]]
         # One by one, as they come as parts of one array.
         run["capillary_diameter_m"], run["vein_diameter_m"] = diameter_m.astype(kind), run.vein_diameter_m.astype(float)
-        over, force_n = ("zone", "time"), np.interp(time_s, course.time_s, course.force_n)
-        data = variable("force_n", "time", force_n, "touch force", units="N")
-        data |= touch_variables(over_time_pa)
+        data = {"force_n": np.interp(time_s, course.time_s, course.force_n)}
+        data |= {"proximal_pressure_pa": over_time_pa[0], "distal_pressure_pa": over_time_pa[1]}
         if course.shear_n is not None:
-            text = "longitudinal force, positive towards the tip"
-            data |= variable("shear_n", "time", np.interp(time_s, course.time_s, course.shear_n), text, units="N")
-        for name, waveform in moving.items():
-            data |= variable(name, "time", waveform.at(time_s), MOVING[name], units="Pa")
-        data |= variable("blood_fraction", over, fraction, "blood fraction of the nail bed")
+            data["shear_n"] = np.interp(time_s, course.time_s, course.shear_n)
+        data |= {name: waveform.at(time_s) for name, waveform in moving.items()} | {"blood_fraction": fraction}
         if self.blood.venous_so2 is not None:
-            so2 = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2
-            data |= variable("so2", over, so2, "oxygen saturation of the nail bed's blood")
+            data["so2"] = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2
         if len(fraction) > 2:
-            text = "width of the band at the tip that holds less than half of its blood at rest"
-            data |= variable("white_band_mm", "time", self.white_band_mm(fraction), text, units="mm")
-        return run.assign(data)
+            data["white_band_mm"] = self.white_band_mm(fraction)
+        return run.assign(described(__package__, **data))
 
 
 def blood_model(scene: Scene) -> BloodModel:

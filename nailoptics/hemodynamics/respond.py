@@ -1,6 +1,5 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled."""
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
@@ -9,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import finite
 from ..errors import InputError
-from ..variables import Variable, variable
+from ..variables import described
 from . import inertial, massless
 from .drive import Drive, waveform_of
 from .parameters import Parameters
@@ -80,8 +79,8 @@ def respond(
     contact = model != "printed"
     integrate: Any = massless.integrate if model == "massless" else partial(inertial.integrate, contact=contact)
     run = integrate(walls, drive, time, begin, inputs, rtol=rtol)
-    data = _variables(zones, run, None if only_diameters else over_time)
-    return _dataset(data, zones, time, {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()})
+    attributes = {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()}
+    return _dataset(zones, time, run, None if only_diameters else over_time).assign_attrs(attributes)
 
 
 def _check_choices(model: str, start: str, *, rtol: float) -> None:
@@ -104,42 +103,22 @@ def _times(time_s: ArrayLike) -> np.ndarray:
     return time
 
 
-def _variables(
-    zones: Zones, run: tuple[np.ndarray, np.ndarray, np.ndarray], over_time: np.ndarray | None
-) -> dict[str, Variable]:
-    """Diameters and, with the inputs over time, pressures, contacts and inputs."""
-    (width, pressure, closed), n, over = run, zones.count, ("zone", "time")
-    data = variable("capillary_diameter_m", over, width[:n], "capillary diameter D_C + x_C", units="m")
-    data |= variable("vein_diameter_m", "time", width[n], "vein diameter D_V + x_V", units="m")
-    if over_time is None:
-        return data
-    data |= variable("capillary_pressure_pa", over, pressure[:n], "capillary blood pressure", units="Pa")
-    data |= variable("capillary_closed", over, closed[:n], "capillary walls in contact")
-    data |= variable("vein_pressure_pa", "time", pressure[n], "vein blood pressure", units="Pa")
-    data |= variable("vein_closed", "time", closed[n], "vein walls in contact")
-    high, low, *touch = over_time
-    data |= variable("arterial_pressure_pa", "time", high, "arterial pressure P_H", units="Pa")
-    data |= variable("venous_pressure_pa", "time", low, "venous pressure P_L", units="Pa")
-    if zones.inputs != 2:
-        return data | variable("touch_pressure_pa", ("input", "time"), touch, "touch pressure inputs", units="Pa")
-    return data | touch_variables(touch)
-
-
-def touch_variables(touch_pa: Sequence[np.ndarray] | np.ndarray) -> dict[str, Variable]:
-    """The proximal and the distal pressure of a touch over time."""
-    data = variable("proximal_pressure_pa", "time", touch_pa[0], "touch pressure on the vein P_F1", units="Pa")
-    text = "touch pressure on the distal capillaries P_F2"
-    return data | variable("distal_pressure_pa", "time", touch_pa[1], text, units="Pa")
-
-
 def _dataset(
-    variables: dict[str, Variable], zones: Zones, time: np.ndarray, attributes: dict[str, Any]
+    zones: Zones, time: np.ndarray, run: tuple[np.ndarray, np.ndarray, np.ndarray], over_time: np.ndarray | None
 ) -> "xarray.Dataset":
+    """Diameters and, with the inputs over time, pressures, contacts and inputs."""
     import xarray
 
-    text = "centre of the unit along the bed, 0 cuticle to 1 tip"
-    coordinates = variable("time", "time", time, "time", units="s")
-    coordinates |= variable("zone_position", "zone", zones.position, text)
+    (width, pressure, closed), n = run, zones.count
+    data = {"capillary_diameter_m": width[:n], "vein_diameter_m": width[n]}
+    if over_time is not None:
+        data |= {"capillary_pressure_pa": pressure[:n], "capillary_closed": closed[:n]}
+        data |= {"vein_pressure_pa": pressure[n], "vein_closed": closed[n]}
+        high, low, *touch = over_time
+        data |= {"arterial_pressure_pa": high, "venous_pressure_pa": low}
+        sides = dict(zip(("proximal_pressure_pa", "distal_pressure_pa"), touch, strict=False))
+        data |= sides if zones.inputs == 2 else {"touch_pressure_pa": np.array(touch)}
+    coordinates = described(__package__, time=time, zone_position=zones.position)
     names = {"long_name": "capillary unit, from the cuticle to the tip"}
     coordinates["zone"] = (("zone",), np.array(zones.names), names)
     about = {
@@ -147,4 +126,4 @@ def _dataset(
         "title": "touch to blood: vessel diameters and pressures under the nail",
         "references": "Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), eq. (1)-(4)",
     }
-    return xarray.Dataset(variables, coordinates, about | attributes)
+    return xarray.Dataset(described(__package__, **data), coordinates, about)

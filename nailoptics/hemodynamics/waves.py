@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import finite, number
+from ..checks import finite, not_negative, number, positive
 from ..errors import InputError
 from ..scene import Body
 from ..statistics import seed_of
@@ -71,19 +71,12 @@ def cardiac_pressure(
     Raises: InputError if a value is not finite, the rate is not positive, the pulse is negative, or the variability is
     not in 0..0.2.
     """
-    time = finite("time_s", time_s)
-    mean = number("mean_pressure_pa", mean_pressure_pa)
-    pulse = number("pulse_pressure_pa", pulse_pressure_pa)
-    rate = number("rate_per_min", rate_per_min)
-    if rate <= 0.0:
-        raise InputError(f"rate_per_min must be greater than 0, got {rate:g}; 70 is usual.")
-    if pulse < 0.0:
-        raise InputError(f"pulse_pressure_pa must be 0 or more, got {pulse:g}; give 0 for a steady pressure.")
+    mean, pulse = number("mean_pressure_pa", mean_pressure_pa), not_negative("pulse_pressure_pa", pulse_pressure_pa)
     variability = number("rate_variability", rate_variability)
     if not 0.0 <= variability <= MOST_VARIABILITY:
         raise InputError(f"rate_variability must lie in 0..{MOST_VARIABILITY:g}, got {variability:g}; 0.05 is usual.")
     beat = _beat(np.arange(2048) / 2048.0)
-    beats = time * rate / 60.0
+    beats = finite("time_s", time_s) * positive("rate_per_min", rate_per_min) / 60.0
     phase = _uneven(beats, variability, seed) if variability else beats
     return mean + pulse * (_beat(phase) - beat.mean()) / np.ptp(beat)
 
