@@ -15,7 +15,7 @@ from ..light.transfer.series import ReadingSeries
 from ..options import Requested, TraceOptions
 from ..scene import Board, Scene
 from ..statistics import seed_of
-from ..variables import Variables, described, variable
+from ..variables import Estimate, Variables, described
 
 # Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
 KNOTS_PER_S = 20.0
@@ -24,8 +24,7 @@ KNOTS_PER_S = 20.0
 LIFT_UM, SLIDE_UM = 40.0, 250.0
 # Streams of the body's seed, beside those of its pressures.
 _LED_DRIFT, _READING_DRIFT = 21, 22
-# The same of each motion, and what it moves.
-_MOTIONS = {"lift": (23, "distance from the nail"), "slide": (24, "place along the nail")}
+_MOTIONS = {"lift": 23, "slide": 24}
 
 
 @dataclass(frozen=True)
@@ -111,9 +110,8 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
         data |= described(__package__, reading_drift=np.exp(walk).reshape(leds, photodiodes, -1))
     for name, rms_um in _rms_um(scene).items():
         assert body.motion is not None
-        stream, text = _MOTIONS[name]
-        course = rms_um * _ornstein_uhlenbeck(since_s, body.motion.correlation_s, seed_of(body.seed, stream))
-        data |= variable(f"sensor_{name}_um", "time", course, f"the sensor's {text} less its mean", units="um")
+        course = _ornstein_uhlenbeck(since_s, body.motion.correlation_s, seed_of(body.seed, _MOTIONS[name]))
+        data |= described(__package__, **{f"sensor_{name}_um": rms_um * course})
     return xr.Dataset(data)
 
 
@@ -129,9 +127,8 @@ def motion_artefact(
 
     Raises: InputError where the sensor moves in a way that was not traced.
     """
-    exponent = np.zeros((1, 1, 1))
+    exponent, traced = np.zeros((1, 1, 1)), {shift.motion: shift for shift in moved}
     data: Variables = {}
-    traced = {shift.motion: shift for shift in moved}
     for name in _MOTIONS:
         if f"sensor_{name}_um" not in worn:
             continue
@@ -145,9 +142,7 @@ def motion_artefact(
             per_um = np.log(there.fraction / in_place.fraction) / shift.distance_um
             stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / shift.distance_um
         exponent = exponent + np.where(np.isfinite(per_um), per_um, 0.0) * worn[f"sensor_{name}_um"].values
-        text = f"change of a reading at the start by a {name} of the sensor, relative"
-        over = ("led", "photodiode")
-        data |= variable(f"{name}_per_um", over, per_um[..., 0], text, units="um-1", stderr=stderr[..., 0])
+        data |= described(__package__, **{f"{name}_per_um": Estimate(per_um[..., 0], stderr[..., 0])})
     return np.exp(exponent), data
 
 
@@ -169,11 +164,11 @@ def _random_walks(count: int, since_s: Array, seed: int) -> Array:
 
 def _ornstein_uhlenbeck(since_s: Array, correlation_s: float, seed: int) -> Array:
     """An Ornstein-Uhlenbeck process of mean 0 and standard deviation 1, (t,) float."""
+    from scipy.signal import lfilter
+
     knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 2
     drawn = np.random.default_rng(seed).standard_normal(knots)
     memory = np.exp(-1.0 / (KNOTS_PER_S * correlation_s))
-    course = np.empty(knots)
-    course[0] = drawn[0]
-    for k in range(1, knots):
-        course[k] = memory * course[k - 1] + np.sqrt(1.0 - memory**2) * drawn[k]
+    drawn[1:] *= np.sqrt(1.0 - memory**2)
+    course = lfilter([1.0], [1.0, -memory], drawn)
     return np.interp(since_s, np.arange(knots) / KNOTS_PER_S, course)

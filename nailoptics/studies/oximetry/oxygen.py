@@ -15,7 +15,7 @@ from ...scene import Oximeter, Scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
-from ...variables import Estimate, Variables, described, jackknifed, variable
+from ...variables import Estimate, Variables, described, jackknifed
 from .disturbances import CalibratedOximeter, path_warnings, sensitivity_curves
 from .ratio import (
     FIT_SO2,
@@ -75,7 +75,7 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     calibrations = _calibrations(curve(FIT_SO2).ratio)
     slope = np.abs(calibrations["linear"][1][:, 1])
     volts = _volts(transfer, leds, beat, front_ends, seed)
-    time_s, light = light_of_touch(scene, transfer, leds, seed=seed)
+    time_s, light = light_of_touch(scene, transfer, leds)
     data = calibrations | volts | _error_variables(oximeter, slope, front_ends, volts)
     data |= described(
         __package__,
@@ -156,18 +156,14 @@ def _error_variables(
         {name: front_end.weights**2 @ slots for name, slots in front_end.slot_noise_v2(fraction).items()}
         for front_end, fraction in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)
     ]
-    data: Variables = {}
+    noise_v2 = [np.stack([noise[name] for noise in noises]) for name in CAUSES]
+    data: dict[str, Array] = {}
     for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene.body)), ("", AVERAGE_S)):
-        rows = []
-        for name in CAUSES:
-            how = {"shape_rms": shape, "frames": seconds * frame_hz}
-            rows.append(slope * ratio_stderr(ratio, index, level_v, np.stack([noise[name] for noise in noises]), **how))
-        rows.append(slope * jackknife(nominal.ratio[..., 0]))
-        by_cause, text = np.array(rows), f"standard error of SpO2 over {seconds:.3g} s"
-        data |= variable(f"spo2_stderr{end}_by_cause", ("cause", "photodiode"), by_cause, text, units="percent")
-        total = np.sqrt((by_cause**2).sum(0))
-        data |= variable(f"spo2_stderr{end}", "photodiode", total, f"{text}, all causes", units="percent")
-    return data
+        how = {"shape_rms": shape, "frames": seconds * frame_hz}
+        by_noise = [ratio_stderr(ratio, index, level_v, of_cause, **how) for of_cause in noise_v2]
+        by_cause = slope * np.stack([*by_noise, jackknife(nominal.ratio[..., 0])])
+        data |= {f"spo2_stderr{end}_by_cause": by_cause, f"spo2_stderr{end}": np.linalg.norm(by_cause, axis=0)}
+    return described(__package__, **data)
 
 
 def _warnings(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_ratio: Array) -> list[str]:

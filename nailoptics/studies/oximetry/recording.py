@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ... import hemodynamics, tissue
+from ... import hemodynamics
 from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...hemodynamics.for_scene import blood_over_touch
-from ...light import Transfer
-from ...light.transfer.interpolation import ChebyshevBox
+from ...light import Transfer, optics
+from ...light.detect import light_of
 from ...scene import Oximeter, Scene
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
@@ -20,10 +20,8 @@ from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_ends_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
-from .ratio import read_states, saturation_of
+from .ratio import saturation_of
 
-# Nodes along the first principal components of the zones' blood, between which light is interpolated.
-NODES = (8, 4)
 _NOISE = 61
 # Interval between two estimates. [s]
 STEP_S = 1.0
@@ -41,29 +39,23 @@ AROUND_S = 0.5
 LEAST_STILL = 0.5
 
 
-def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int], *, seed: int) -> tuple[Array, Array]:
+def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int]) -> tuple[Array, Array]:
     """Times of the frames over a scene's touch [s], and the light that is detected then, (2, photodiodes, t) float.
 
     The median of the blood is mixed, all else arterial, or as saturated as the balance of oxygen has it.
     """
-    frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    touch = scene.touch.model_copy(update={"sample_rate_hz": frame_hz})
-    touched = blood_over_touch(scene.model_copy(update={"touch": touch}))
-    blood, so2 = touched.blood_fraction.values.T, scene.blood.so2
-    resting, light = np.median(blood, axis=0), []
-    for led in leds:
-        away, nm = blood - resting, scene.leds[led].wavelength_nm
-        if scene.blood.oxygen_balance:
-            # Arterial blood that absorbs, at the LED's peak, what there is beyond the median's.
-            mixed = tissue.blood_mu_a_per_mm(nm, hemodynamics.saturation(scene.blood, resting))
-            absorbed = blood * tissue.blood_mu_a_per_mm(nm, touched.so2.values.T) - resting * mixed
-            away = absorbed / tissue.blood_mu_a_per_mm(nm, so2)
-        components = np.linalg.eigh(away.T @ away)[1][:, ::-1][:, : len(NODES)]
-        places = away @ components
-        box = ChebyshevBox(places.min(0), places.max(0) + 1e-12, NODES[: places.shape[1]])
-        states = [(so2, resting, box.nodes @ components.T)]
-        light.append(read_states(transfer, led, states, seed=seed)[0] @ box.weights(places).T)
-    return touched.time.values, np.stack(light)
+    touch = scene.touch.model_copy(update={"sample_rate_hz": (scene.oximeter or Oximeter()).frame_hz})
+    course = blood_over_touch(scene.model_copy(update={"touch": touch}))
+    blood, light = course.blood_fraction.values, light_of(transfer)
+    if scene.blood.oxygen_balance:
+        so2 = course.so2.values
+    else:
+        resting = np.median(blood, axis=1, keepdims=True)
+        mixed = hemodynamics.saturation(scene.blood, resting)
+        so2 = scene.blood.so2 + (mixed - scene.blood.so2) * resting / np.maximum(blood, np.finfo(float).tiny)
+    states = [optics.equivalent_blood(scene, scene.leds[led], blood, so2).T for led in leds]
+    fractions = [light.readings_at(of_led).fraction[led] for led, of_led in zip(leds, states, strict=True)]
+    return course.time.values, np.stack(fractions)
 
 
 def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
