@@ -40,7 +40,7 @@ def blood_fraction(
     The paper's areas and diameters disagree on volume: eq. (3)-(4) displace A dx/dt. The motion follows (3)-(4), the
     blood follows (7), as in the paper.
 
-    Raises: InputError if the rest fraction is not in 0..1, a diameter is not positive, or the result would be more than 1.
+    Raises: InputError if the rest fraction is not in 0..1, a diameter is not positive, or the result is more than 1.
 
     References: Mascaro and Asada 2001, eq. (7).
     """

@@ -262,9 +262,9 @@ class BloodModel:
 
         def flows(state: Any, parameters: hemodynamics.Parameters | xr.Dataset) -> np.ndarray:
             """Inflow, which goes with the fourth power of the diameter, and outflow, (2, zones, ...) float."""
-            within = np.asarray(state.capillary_pressure_pa)
-            inflow = (np.asarray(parameters.arterial_pressure_pa) - within) * np.asarray(state.capillary_diameter_m) ** 4
-            return np.stack([inflow, within - np.asarray(state.vein_pressure_pa)])
+            width_m, within_pa = np.asarray(state.capillary_diameter_m), np.asarray(state.capillary_pressure_pa)
+            inflow = (np.asarray(parameters.arterial_pressure_pa) - within_pa) * width_m**4
+            return np.stack([inflow, within_pa - np.asarray(state.vein_pressure_pa)])
 
         def untouched(parameters: hemodynamics.Parameters) -> np.ndarray:
             return flows(hemodynamics.steady_state(parameters, zones=self.zones), parameters)[..., None]
@@ -275,8 +275,8 @@ class BloodModel:
         # A touch that is there from the first sample finds the finger as it was without it.
         courses = untouched(self.parameters.replace(**first)), flows(run, run)
         before, flow = (np.maximum(one / untouched(self.rest), 0.0).min(0) for one in courses)
-        steady = without_pulse(fraction.astype(float))
-        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, without_pulse(flow), flow_before=before[:, 0])
+        steady, flow = without_pulse(fraction.astype(float)), without_pulse(flow)
+        so2 = hemodynamics.saturation_over_time(self.blood, time_s, steady, flow, flow_before=before[:, 0])
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
