@@ -253,6 +253,9 @@ def commands() -> str:
 # Library
 
 
+SCENE_MEMBERS = "from_kicad, with_led, with_photodiode, with_, draw, layout, zone_edges_mm, zone_width_mm"
+
+
 def library() -> str:
     """Every public name of the package, by kind."""
     kinds: dict[str, list[str]] = {"Functions": [], "Classes": [], "Errors": [], "Modules": []}
@@ -264,7 +267,7 @@ def library() -> str:
             kinds["Errors"].append(f".. autoexception:: nailoptics.{name}\n")
         elif inspect.isclass(one):
             # The fields of a scene have a reference of their own.
-            members = "layout, zone_edges_mm, zone_width_mm" if one is Scene else ""
+            members = SCENE_MEMBERS if one is Scene else ""
             given = "()" if one is Scene else ""
             kinds["Classes"].append(f".. autoclass:: nailoptics.{name}{given}\n   :members: {members}\n")
         else:

@@ -26,7 +26,7 @@ from nailoptics.report.pages.tradeoff import TRADEOFF
 PACKAGE = Path(__file__).parents[1] / "nailoptics"
 # Rooms in one entry do not import each other.
 ORDER = [
-    {"errors", "version"},
+    {"display", "errors", "version"},
     {"assets"},
     {"checks", "commit", "statistics", "io"},
     {"options", "variables"},

@@ -200,14 +200,18 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
-def section(scene: Scene, light: DetectedLight, options: TraceOptions) -> xr.Dataset:
+def section(
+    scene: Scene,
+    light: DetectedLight | None = None,
+    options: TraceOptions = TraceOptions(),  # noqa: B008
+) -> xr.Dataset:
     """The picture of the finger cut lengthwise at u = 0: regions and, by the photons engine, each LED's path density.
 
     The light is shown as it goes through usual blood, from the store if it is there.
 
-    light : that of the scene.
+    light : that of the scene; without it, the regions alone.
     """
-    if light.transfer is None:
+    if light is None or light.transfer is None:
         return _section(scene, options, geometry.build(scene))
     options = replace(options, backend=backends.choose(options.backend).name)
     made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")

@@ -1,15 +1,18 @@
 """How a kind of result is given out: the files in its folder, its summary as JSON, and lines for the terminal."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
 from ..io import turn, write_bytes, write_dataset, write_text
 from ..scene import Scene, to_toml
 from .style import write_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # What commands call their files, by their endings; of several, the first.
 ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv", ".png": "picture"}
@@ -25,12 +28,14 @@ class Report:
     contents : of the files of a result, in their order, as `write_files` takes them.
     summary : of a result, as plain numbers and texts.
     lines : of a result and its summary, for the terminal.
+    figures : of a result, by their names, the most telling first.
     """
 
     files: tuple[str, ...]
     contents: Callable[..., Sequence[Any]]
     summary: Callable[[Any], dict[str, Any]]
     lines: Callable[[Any, dict[str, Any]], Iterable[object]]
+    figures: Mapping[str, Callable[[Any], "Figure"]] = field(default_factory=dict)
 
     def write(self, result: Any, folder: Path, **options: Any) -> dict[str, Path]:
         """Write a result into a folder; returns the main paths by their role. Raises WriteError."""

@@ -6,9 +6,13 @@ import itertools
 import textwrap
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
+
+from ..checks import explain
+from .text_files import frozen
 
 # What a scene has where its author says nothing, and what later rooms take where nobody says more.
 USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.01 to 0.05
@@ -29,6 +33,21 @@ class Table(BaseModel):
     """One table of a scene file."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+    def __init__(self, **fields: Any) -> None:
+        """A table built in Python, from lists and arrays, too; parts and files are looked for in the current folder.
+
+        Raises: InputError, a line for each fault, with the field, the rule and the value.
+        """
+        if "schema_version" in type(self).model_fields:
+            fields = {"schema_version": 1} | fields
+        try:
+            self.__pydantic_validator__.validate_python(frozen(fields), self_instance=self, context={"folder": Path()})
+        except ValueError as error:
+            raise explain(error, type(self)) from None
+
+    # Tables of files are validated without it, whose faults are those of the whole file.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:

@@ -2,14 +2,19 @@
 
 import math
 from bisect import bisect_right
-from typing import Annotated, Literal, Self
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
 from ..assets import WAVELENGTH_RANGE_NM
+from ..display import Displayed
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Positive, Table, check_unique
 from .body import Body
+from .edits import steps_of, with_value
 from .finger import Finger
 from .importers.board_files import read_board_file
 from .layout import Layout, lay_out
@@ -17,8 +22,12 @@ from .oximeter import DARK, Oximeter, two_leds
 from .parts import Board, Led, Photodiode
 from .placement import Placement
 from .priors import Prior, Priors
+from .text_files import short
 from .touch import Force, Touch
 from .vessels import Blood
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Illuminant = Literal["D65", "A", "LED-B3"]
 Observer = Literal["2", "10"]
@@ -191,7 +200,7 @@ class Accuracy(Table):
     """Photons per LED wavelength, instead of a tolerance."""
 
 
-class Scene(Table):
+class Scene(Displayed, Table):
     """A scene: everything that determines the result."""
 
     schema_version: Literal[1]
@@ -359,6 +368,76 @@ class Scene(Table):
                         "move it"
                     )
         return self
+
+    @classmethod
+    def from_kicad(
+        cls,
+        path: str | Path,
+        parts: Mapping[str, Any] | None = None,
+        *,
+        board: Mapping[str, Any] = MappingProxyType({}),
+        **tables: Any,
+    ) -> Self:
+        """The scene of a KiCad board on a nail, its outline and the positions of its parts included.
+
+        parts : what the board's references are, such as {"D1": {"led": "led_800"}, "U2": {"photodiode": "bpw34"}};
+            without it the error proposes them.
+        board : further fields of [board], such as {"faces_nail": "bottom"}.
+        tables : further tables of the scene, such as touch={"force_n": 2.0}; an index finger if finger is not given.
+
+        Raises: InputError.
+        """
+        file = {"kicad": str(path)} | ({} if parts is None else {"parts": dict(parts)})
+        return cls(**{"finger": {}, "board": file | dict(board)} | tables)
+
+    def with_(self, **changes: Any) -> Self:
+        """The scene with other values at dotted paths, as of a sweep's axes: with_(**{"blood.so2": 0.9}).
+
+        Another part, digit or recording brings its own values along, but for those that differ from the old one's; a
+        whole table or list replaces the old one, with_(touch={"profile": "hold"}), and None removes what is optional.
+
+        Raises: InputError, a line for each fault, with the field, the rule and the value.
+        """
+        try:
+            return self._edited([(steps_of(path), value) for path, value in changes.items()])
+        except ValueError as error:
+            raise InputError(f"{error}.") from None
+
+    def with_led(self, name: str | int, **changes: Any) -> Self:
+        """The scene with other values of one LED, by its name or number: with_led("ir", position_mm=(-2, 0)).
+
+        Raises: InputError, as `with_`.
+        """
+        return self._edited([(["leds", name, field], value) for field, value in changes.items()])
+
+    def with_photodiode(self, name: str | int, **changes: Any) -> Self:
+        """The scene with other values of one photodiode, or of one array, by its name or number.
+
+        Raises: InputError, as `with_`.
+        """
+        return self._edited([(["photodiodes", name, field], value) for field, value in changes.items()])
+
+    def _edited(self, edits: Iterable[tuple[list[str | int], Any]]) -> Self:
+        tables: dict[str, Any] = dict(self)
+        for steps, value in edits:
+            tables = with_value(tables, steps, value, ".".join(map(str, steps)))
+        return type(self)(**tables)
+
+    def draw(self) -> "Figure":
+        """Its board on the nail from above, and the section below it, as a matplotlib Figure.
+
+        Raises: InputError for a phantom, which has no board.
+        """
+        return self.nail.plot()
+
+    def __repr__(self) -> str:
+        """What it holds, in a line; `to_toml` writes all of it."""
+        worn = "phantom" if self.finger is None else self.finger.digit
+        leds = ", ".join(f"{led.name} {led.wavelength_nm:g} nm" for led in self.leds)
+        elements = sum(len(p.wired or range(p.elements)) for p in self.photodiodes)
+        return f"<Scene: {worn}; LEDs: {short(leds, 60)}; photodiodes: {elements}; touch: {self.touch.profile}>"
+
+    __str__ = __repr__
 
     def require_blood(self, command: str) -> None:
         """Raise InputError where a bed without blood leaves a command nothing that a touch changes."""

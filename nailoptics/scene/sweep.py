@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
+from .edits import steps_of, with_value
 from .files import load_scene, scene_of, schema_of, shipped_scene, tables_of
 from .models import Scene
 from .text_files import is_there, parse_toml, read_text, short
@@ -51,7 +52,7 @@ class AxisTable(Table):
     @field_validator("path")
     @classmethod
     def _path_has_steps(cls, path: str) -> str:
-        _steps(path)
+        steps_of(path)
         return path
 
     @model_validator(mode="after")
@@ -258,39 +259,10 @@ def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
     return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 
 
-def _steps(path: str) -> list[str | int]:
-    """A dotted path as keys and indices: leds[0].flux_mw is leds, 0, flux_mw."""
-    steps: list[str | int] = []
-    for part in path.split("."):
-        match = re.fullmatch(r"([\w\-]+)((?:\[\d+\])*)", part)
-        if not match:
-            raise ValueError(f'"{path}": "{part}" is no field; write it as in leds[0].flux_mw')
-        steps.append(match[1])
-        steps += [int(n) for n in re.findall(r"\d+", match[2])]
-    return steps
-
-
 def _scene(name: str, tables: dict[str, Any], folder: Path, axes: tuple[Axis, ...], values: tuple[Any, ...]) -> Scene:
     """The base with values at their places; a digit or a part still fills what was not given."""
     at = []
     for axis, value in zip(axes, values, strict=True):
-        tables = _with(tables, _steps(axis.path), value, axis.path)
+        tables = with_value(tables, steps_of(axis.path), value, axis.path)
         at.append(f"{axis.path} = {short(str(value))}")
     return scene_of(tables, folder=folder, name=f"{name} with {', '.join(at)}" if at else name)
-
-
-def _with(item: Any, steps: list[str | int], value: Any, path: str) -> Any:
-    """A copy of tables and arrays with a value at a place, in arrays by number or name."""
-    if not steps:
-        return value
-    step, *rest = steps
-    if isinstance(item, dict) and isinstance(step, str):
-        return item | {step: _with(item.get(step, {}) if rest else None, rest, value, path)}
-    if not isinstance(item, tuple):
-        raise InputError(f'axis path "{path}" goes on at {step!r} where the base scene has a value; correct the path.')
-    names = [row.get("name", row.get("part", row.get("array"))) if isinstance(row, dict) else None for row in item]
-    if step not in names and not (isinstance(step, int) and step < len(item)):
-        known = ", ".join([f"0 to {len(item) - 1}", *(name for name in names if isinstance(name, str))])
-        raise InputError(short(f'axis path "{path}": there is no item {step} here; known: {known}', 300) + ".")
-    i = step if isinstance(step, int) else names.index(step)
-    return (*item[:i], _with(item[i], rest, value, path), *item[i + 1 :])

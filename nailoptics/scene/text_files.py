@@ -155,14 +155,17 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def frozen(data: Any, depth: int = 0) -> Any:
-    """The same tables with tuples for lists; raises ValueError or RecursionError for what no scene needs."""
+    """The same tables with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError for
+    what no scene needs."""
     if depth > MOST_DEPTH:
         raise RecursionError
     if isinstance(data, dict):
         return {key: frozen(value, depth + 1) for key, value in data.items()}
+    if isinstance(data, np.ndarray | np.generic):
+        data = data.tolist()
     if isinstance(data, int) and data.bit_length() > MOST_BITS:
         raise ValueError("it holds a number of thousands of digits")
-    return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list) else data
+    return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list | tuple) else data
 
 
 def finite_number(text: str, name: str, where: str, *, hint: str = "correct it") -> float:

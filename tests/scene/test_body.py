@@ -1,7 +1,6 @@
 """What moves the arterial pressure, as a scene says it: off unless requested, or recorded."""
 
 import pytest
-from pydantic import ValidationError
 from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
@@ -86,5 +85,5 @@ def test_a_recorded_pressure_that_cannot_be_used_is_refused_in_one_line(tmp_path
     ],
 )
 def test_a_body_that_cannot_be_is_refused(make, words):
-    with pytest.raises(ValidationError, match=words):
+    with pytest.raises(InputError, match=words):
         make()

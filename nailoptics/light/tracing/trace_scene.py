@@ -8,9 +8,7 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
-from pydantic import ValidationError
 
-from ... import checks
 from ...errors import NotReachedError
 from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene
@@ -199,10 +197,7 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     if given:
         # Requesting photons alone sets the scene's tolerance aside; a time limit alone keeps it.
         base = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
-        try:
-            required = Accuracy(**(base | given))
-        except ValidationError as error:
-            raise checks.explain(error, Accuracy) from None
+        required = Accuracy(**(base | given))
     if not required.model_dump(exclude_none=True):
         return Accuracy(photons=DEFAULT_PHOTONS)
     return required

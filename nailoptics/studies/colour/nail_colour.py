@@ -9,9 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from ...checks import explain
 from ...errors import InputError, unless_cut_off
 from ...hemodynamics import white_band_mm
 from ...hemodynamics.for_scene import steady_blood
@@ -122,12 +120,7 @@ def _viewing(scene: Scene, options: TraceOptions, **given: Any) -> Viewing:
     if options.relative_error is not None:
         raise InputError("colour has no relative_error; give tolerance, a difference of colour (CIEDE2000).")
     given = {name: value for name, value in given.items() if value is not None}
-    if "forces_n" in given:
-        given["forces_n"] = tuple(float(force) for force in given["forces_n"])
-    try:
-        return Viewing.model_validate(scene.colour.model_dump() | given)
-    except ValidationError as error:
-        raise explain(error, Viewing) from None
+    return Viewing(**(dict(scene.colour) | given))
 
 
 def _redness_left(redness: Array, pale: Array) -> Array:

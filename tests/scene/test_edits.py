@@ -1,0 +1,122 @@
+"""Scenes built and edited in Python: what another part or digit brings along, and errors in the user's words."""
+
+import numpy as np
+import pytest
+from small_scenes import finger
+
+import nailoptics as nail
+from nailoptics.scene import Finger, Led
+
+BOARD = "tests/scene/of_kicad/version_9.kicad_pcb"
+
+
+@pytest.fixture
+def scene():
+    return nail.load_scene("prototype")
+
+
+def test_a_field_an_led_and_a_photodiode_are_edited_by_a_call_each(scene):
+    assert scene.with_(**{"blood.so2": 0.9, "touch.force_n": 2}).touch.force_n == 2.0
+    moved = scene.with_led("ir", position_mm=[-1.5, 1.0])
+    assert moved.leds[0].position_mm == (-1.5, 1.0) and moved.photodiodes == scene.photodiodes
+    louder = scene.with_photodiode("distal", feedback_ohm=2e6)
+    assert [one.feedback_ohm for one in louder.photodiodes] == [None, 2e6]
+    assert louder.with_photodiode(1, feedback_ohm=None) == scene
+    two = scene.with_(leds=[*scene.leds, {"name": "red", "part": "led_660", "position_mm": np.array([-1.2, 1.0])}])
+    assert [led.wavelength_nm for led in two.leds] == [800.0, 660.0] and two.with_(leds=two.leds[:1]) == scene
+    assert scene.leds[0].position_mm == (-1.2, 0.0)
+
+
+def test_what_a_scene_is_edited_to_is_what_a_file_with_these_lines_is(scene):
+    """Rationale: a scene holds all that parts, digits and profiles fill in; edits must not freeze it.
+    Expected: the same scene as a file with the edited line."""
+    assert scene.with_(**{"finger.digit": "thumb"}).finger == Finger(digit="thumb")
+    for same in (scene, nail.parse_scene(nail.to_toml(scene))):
+        red = same.with_led("ir", part="led_660", position_mm=(-2.0, 0.0)).leds[0]
+        assert red == Led(name="ir", part="led_660", position_mm=(-2.0, 0.0), fwhm_nm=0.0)
+    cycle = scene.with_(**{"touch.profile": "cycle", "touch.cycles": 2}).touch
+    assert (cycle.period_s, cycle.duration_s) == (20.0, 40.25)
+    assert scene.with_(**{"touch.site": "distal"}).touch.proximal_share == 0.0
+    driven = scene.with_led("ir", flux_mw=3.0, current_ma=10.0)
+    assert driven.with_led("ir", flux_mw=4.0).leds[0].current_ma == 10.0  # was given, and goes with no part
+
+
+def test_another_flux_takes_another_current_of_its_part():
+    part = nail.parse_scene(finger({"part": "bpw34", "position_mm": [2.0, 0.0]}, leds=({"part": "sfh7051_green"},)))
+    before, after = part.leds[0], part.with_led("ir", flux_mw=2 * part.leds[0].flux_mw).leds[0]
+    assert after.current_ma == pytest.approx(2 * before.current_ma)
+
+
+def test_another_recording_is_read(tmp_path, monkeypatch, scene):
+    monkeypatch.chdir(tmp_path)
+    for name, force_n in (("a.csv", 1), ("b.csv", 2)):
+        (tmp_path / name).write_text(f"time_s,force_n\n0,0\n1,{force_n}\n")
+    first = scene.with_(touch={"profile": "recorded", "file": "a.csv"})
+    assert first.with_(**{"touch.file": "b.csv"}).touch.recorded_force_n == (0.0, 2.0)
+    assert first.with_(**{"touch.profile": "hold", "touch.file": None}).touch.recorded_force_n is None
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (lambda s: s.with_led("red", flux_mw=1), "leds.red.flux_mw.*no item red here; known: 0 to 0, ir"),
+        (lambda s: s.with_led("ir", flux=1), r'leds\[0\].flux is not a known field; did you mean "flux_mw"'),
+        (lambda s: s.with_led("ir", flux_mw=-1), r"leds\[0\].flux_mw = -1: must be greater than 0"),
+        (lambda s: s.with_led("ir", position_mm=(0, -2)), "position_mm lies .* mm inside photodiode"),
+        (lambda s: s.with_(**{"blood so2": 0.9}), "is no field"),
+        (lambda s: s.with_(**{"blood.so2": 97}), "blood.so2 = 97: must be less than or equal to 1"),
+        (lambda s: s.with_(**{"blood.so2.x": 1}), "blood.so2"),
+        (lambda s: s.with_(leds=[]), "leds = .*at least 1 item"),
+        (lambda s: nail.Scene(finger={}, leds=s.leds), "photodiodes: a finger scene needs at least one"),
+        (lambda s: nail.Scene(schema_version=2, finger={}, leds=s.leds), "schema_version = 2"),
+        (lambda s: Led(name="ir", wavelength_nm="red"), 'wavelength_nm = "red": must be a valid number'),
+        (lambda s: Led(name="ir", part="none"), 'part "none" is unknown'),
+        (lambda s: nail.Scene.from_kicad("no.kicad_pcb"), "no.kicad_pcb: cannot be read"),
+        (lambda s: nail.Scene.from_kicad(BOARD), "nothing says what its parts are; choose from this"),
+    ],
+)
+def test_an_edit_that_makes_no_scene_says_which_field_and_rule(scene, edit, message):
+    with pytest.raises(nail.InputError, match=message):
+        edit(scene)
+
+
+def test_an_edit_without_effect_is_refused(tmp_path, scene):
+    """Where the part is not to be had any more, or the board's file has been read."""
+    (tmp_path / "mine.toml").write_text('kind = "led"\npeak_nm = 850.0\nfwhm_nm = 30.0\nflux_mw = 3.0\n')
+    text = finger({"name": "p", "position_mm": [2.0, 0.0]}, leds=({"part": "mine"},))
+    mine = nail.parse_scene(text, folder=tmp_path)
+    with pytest.raises(nail.InputError, match=r"leds.ir.part: .* its old part is not in this folder"):
+        mine.with_led("ir", part="led_660")
+    worn = of_kicad()
+    with pytest.raises(nail.InputError, match="board.turn_deg: the file of the board has been read"):
+        worn.with_(**{"board.turn_deg": 90.0})
+
+
+def of_kicad():
+    parts = {"D1": {"led": "led_660"}, "PD1": {"photodiode": "bpw34"}}
+    return nail.Scene.from_kicad(BOARD, parts, board={"barrier": False}, finger={"digit": "thumb"})
+
+
+def test_a_scene_is_built_from_a_board_of_kicad(monkeypatch):
+    worn = of_kicad()
+    assert [led.name for led in worn.leds] == ["D1"] and worn.board.outline_mm and "R1" in worn.board.unmapped
+    assert nail.parse_scene(nail.to_toml(worn)) == worn
+    moved = worn.with_led("D1", position_mm=(-4.0, 0.0))
+    assert moved.leds[0].reference == "D1" and moved.board == worn.board
+    # The film is the file's, or assumed, as check says; an edit must not make it stated.
+    assert moved.board.model_fields_set == worn.board.model_fields_set
+
+
+def test_a_scene_says_what_it_holds_in_a_line_and_draws_itself(scene):
+    assert repr(scene) == str(scene) == "<Scene: index; LEDs: ir 800 nm; photodiodes: 8; touch: step>"
+    top, cut = scene.draw().axes
+    assert {"LED ir, 800 nm", "distal.9"} <= {text.get_text() for text in top.texts} and len(cut.images) == 1
+    html = scene._repr_html_()
+    assert html.startswith("&lt;Scene: index;") and 'src="data:image/png;base64,' in html
+
+
+def test_a_phantom_has_no_board_to_draw():
+    phantom = nail.load_scene("phantom")
+    with pytest.raises(nail.InputError, match="phantom has no board to draw"):
+        phantom.draw()
+    assert phantom._repr_html_().startswith("&lt;Scene: phantom;") and "img" not in phantom._repr_html_()
