@@ -11,10 +11,7 @@ from ..assets import data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
-from .catalogue import LedPart, PhotodiodePart
-from .finger import sizes_of
 from .models import Scene
-from .parts import without_part
 from .text_files import is_there, parse_toml, read_text
 
 
@@ -55,17 +52,6 @@ def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: 
         return Scene.model_validate(tables, context={"folder": folder})
     except (ValidationError, InputError) as error:
         raise explain(error, Scene, name) from None
-
-
-def tables_of(scene: Scene) -> dict[str, Any]:
-    """A scene's tables without what its parts and its digit fill in, so that others may; `scene_of` undoes it."""
-    tables = scene.model_dump(exclude_none=True)
-    for name, kind in ("leds", LedPart), ("photodiodes", PhotodiodePart):
-        tables[name] = tuple(without_part(row, kind) for row in tables[name])
-    if finger := tables.get("finger"):
-        filled = sizes_of(finger["digit"], finger)
-        tables["finger"] = {name: value for name, value in finger.items() if filled.get(name) != value}
-    return tables
 
 
 def digest(scene: Scene) -> str:

@@ -1,7 +1,7 @@
 """The finger a scene asks for: sizes from anatomy, each of which can be overridden."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -25,13 +25,6 @@ ABSORBING = (
 SCATTERING = ("plate_scattering", "bed_scattering", "bone_scattering", "pulp_scattering")
 # From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
 BEYOND_NAIL_MM = 4.0
-
-
-def sizes_of(digit: str, given: dict[str, Any]) -> dict[str, float]:
-    """Sizes of a digit, and the length that goes with that of its nail, which may be given. [mm]"""
-    sizes = ANATOMY.get(digit, {})
-    nail = (sizes | given).get("nail_length_mm")
-    return sizes | ({"length_mm": nail + BEYOND_NAIL_MM} if isinstance(nail, int | float) else {})
 
 
 class Finger(Table):
@@ -102,7 +95,9 @@ class Finger(Table):
         digit = data.get("digit", "index") if isinstance(data, dict) else None
         if not (isinstance(data, dict) and isinstance(digit, str)):
             return data
-        return sizes_of(digit, data) | data
+        sizes = ANATOMY.get(digit, {}) | data
+        nail = sizes.get("nail_length_mm")
+        return {"length_mm": nail + BEYOND_NAIL_MM} | sizes if isinstance(nail, int | float) else sizes
 
     @model_validator(mode="after")
     def _shape_is_possible(self) -> Self:

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
-from .catalogue import Angle, LedPart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
+from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
 
@@ -44,29 +44,15 @@ def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
     except InputError as error:
         # As a ValueError it comes with the place in the scene that names the part.
         raise ValueError(str(error).rstrip(".")) from None
-    return _filled_by(part, data) | data
-
-
-def without_part(row: dict[str, Any], kind: Any) -> dict[str, Any]:
-    """The table of an LED or photodiode without what its part fills in, so that another part may."""
-    try:
-        filled = _filled_by(load_part(row["part"], expect=kind), row) if "part" in row else {}
-    except InputError:  # a part of the user's own, beside a scene file that is not known here
-        return row
-    left = {name: value for name, value in row.items() if name not in filled or value != filled[name]}
-    return row if FROM_PART[kind] <= left.keys() else left
-
-
-def _filled_by(part: Any, data: dict[str, Any]) -> dict[str, Any]:
-    """What a part fills into the table of an LED or photodiode."""
-    fields: dict[str, Any] = part.scene_fields()
+    assert not isinstance(part, ModulePart)
+    fields = part.scene_fields()
     if isinstance(flux_mw := data.get("flux_mw"), int | float) and fields["current_ma"] is not None:
         # The part's current is that of the part's flux.
         fields["current_ma"] *= flux_mw / fields["flux_mw"]
     if data.get("pattern", "measured") != "measured":
         # The part's measured table goes with the part's own pattern only.
         fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
-    return fields
+    return fields | data
 
 
 class Mounted(Table):

@@ -15,9 +15,9 @@ from ..checks import explain
 from ..errors import InputError
 from .base import Table
 from .edits import steps_of, with_value
-from .files import load_scene, scene_of, schema_of, shipped_scene, tables_of
+from .files import load_scene, scene_of, schema_of, shipped_scene
 from .models import Scene
-from .text_files import is_there, parse_toml, read_text, short
+from .text_files import frozen, is_there, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000
 # Names that the results themselves use: of every study, and of some.
@@ -194,25 +194,18 @@ def sweep_over(
     reserved, last = _TAKEN | _TAKEN_BY.get(study, set()), {path: str(path).rpartition(".")[2] for path in over}
     axes = []
     for path, given in over.items():
-        values = _plain(given)
+        values = frozen(list(given) if isinstance(given, range) else given)
         if not (isinstance(values, tuple) and values):
             raise InputError(f'over: "{path}" = {given!r} is no list of values; give one, such as [0.9, 0.97].')
         shared = last[path] in reserved or list(last.values()).count(last[path]) > 1
         name = re.sub(r"\W+", "_", str(path)).strip("_") if shared else None
         axes.append({"path": str(path), "values": values, "name": name})
-    base = tables_of(scene) if isinstance(scene, Scene) else str(scene)
+    base = dict(scene) if isinstance(scene, Scene) else str(scene)
     file = {"schema_version": 1, "study": study, "base": base, "combine": combine, "axes": tuple(axes)}
     try:
         return _build(SweepFile.model_validate(file), Path("sweep"))
     except (ValidationError, InputError) as error:
         raise explain(error, SweepFile) from None
-
-
-def _plain(given: Any) -> Any:
-    """Arrays, lists and ranges as tuples, as a sweep file has them, with Python's own numbers."""
-    if hasattr(given, "__array__"):
-        given = np.asarray(given).tolist()
-    return tuple(map(_plain, given)) if isinstance(given, list | tuple | range) else given
 
 
 def sweep_json_schema() -> dict[str, Any]:

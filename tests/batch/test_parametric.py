@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.assets import data_dir
 from nailoptics.batch import load_sweep, run_batch
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.scene.files import scene_of, tables_of
 from nailoptics.scene.sweep import sweep_over
 
 from .conftest import FINGERS, bits, phantoms
@@ -57,12 +55,6 @@ def test_where_scenes_fail_the_others_are_the_result(jit_backend, here, tmp_path
         nail.sweep(scene, over, workers=1, backend=jit_backend.name)
     result = caught.value.result
     assert result.state.values.tolist() == [["done"] * 2, ["failed"] * 2] and "2 failed" in result.attrs["cut_off"]
-
-
-@pytest.mark.parametrize("name", sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
-def test_the_tables_of_a_scene_make_it_again(name):
-    scene = nail.load_scene(name)
-    assert scene_of(tables_of(scene)) == scene
 
 
 def test_a_scene_and_its_file_make_the_same_scenes(tmp_path):

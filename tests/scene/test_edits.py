@@ -5,6 +5,7 @@ import pytest
 from small_scenes import finger
 
 import nailoptics as nail
+from nailoptics.assets import data_dir
 from nailoptics.scene import Finger, Led
 
 BOARD = "tests/scene/of_kicad/version_9.kicad_pcb"
@@ -39,6 +40,18 @@ def test_what_a_scene_is_edited_to_is_what_a_file_with_these_lines_is(scene):
     assert scene.with_(**{"touch.site": "distal"}).touch.proximal_share == 0.0
     driven = scene.with_led("ir", flux_mw=3.0, current_ma=10.0)
     assert driven.with_led("ir", flux_mw=4.0).leds[0].current_ma == 10.0  # was given, and goes with no part
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
+def test_a_value_that_a_scene_has_already_changes_nothing(name):
+    """Though the tables around it are made again from what defines them."""
+    scene = nail.load_scene(name)
+    same = {"leds[0].name": scene.leds[0].name, "blood.so2": scene.blood.so2, "touch.force_n": scene.touch.force_n}
+    if scene.photodiodes:
+        same["photodiodes[0].position_mm"] = list(scene.photodiodes[0].position_mm)
+    if scene.finger is not None:
+        same["finger.nail_length_mm"] = scene.finger.nail_length_mm
+    assert scene.with_(**same) == scene
 
 
 def test_another_flux_takes_another_current_of_its_part():
