@@ -463,13 +463,14 @@ def export(
     *,
     output: Output,
     format_: Annotated[
-        Literal["glb", "ply", "kicad_pcb", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")
+        Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")
     ] = None,
     voxel_mm: float | None = None,
     json_: Json = False,
 ) -> None:
-    """Write the finger and the board for another program: a mesh (glb, ply), what it needs to trace the light, or the
-    board (kicad_pcb): your own, if the layout came from one, with its parts where the scene has them.
+    """Write the finger and the board for another program: a mesh (glb, ply), what it needs to trace the light, the
+    board (kicad_pcb): your own, if the layout came from one, with its parts where the scene has them, or the circuit
+    (spice) with the photocurrents of the touch.
 
     The README in a folder lists what the format cannot represent.
 

@@ -1,5 +1,5 @@
 """Export a scene: glb and ply are meshes for viewers and CAD; mmc, mcx and mitsuba trace the same light elsewhere;
-kicad_pcb is its board."""
+kicad_pcb is its board, spice its circuit."""
 
 import os
 from importlib import import_module
@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..io import check_writable
 from ..scene import Scene
 
-FormatName = Literal["glb", "ply", "kicad_pcb", "mmc", "mcx", "mitsuba"]
+FormatName = Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"]
 
 
 # The function that writes a scene to a path and returns the files by what they are.
@@ -18,12 +18,18 @@ WRITERS: dict[FormatName, tuple[str, str]] = {
     "glb": ("mesh_files", "write_mesh"),
     "ply": ("mesh_files", "write_mesh"),
     "kicad_pcb": ("kicad_board", "write_kicad_pcb"),
+    "spice": ("spice", "write_spice"),
     "mmc": ("mmc", "write_mmc"),
     "mcx": ("mcx", "write_mcx"),
     "mitsuba": ("mitsuba_files", "write_mitsuba"),
 }
-# Formats of one file, named by its ending; the others make a folder.
-FILES = ("glb", "ply", "kicad_pcb")
+# Formats of one file by the endings of its name; the others make a folder.
+FILES: dict[FormatName, tuple[str, ...]] = {
+    "glb": (".glb",),
+    "ply": (".ply",),
+    "kicad_pcb": (".kicad_pcb",),
+    "spice": (".cir", ".sp"),
+}
 
 
 def export(
@@ -36,37 +42,40 @@ def export(
 ) -> dict[str, Path]:
     """Write a finger scene for another program.
 
-    path : a file for glb, ply and kicad_pcb, else a folder, which is made.
+    path : a file for glb, ply, kicad_pcb and spice (.cir or .sp), else a folder, which is made.
     format : if not given, the ending of the path decides.
     voxel_mm : side of the voxels of the format mcx; 0.1 if not given. [mm]
     folder : where the board lies from which the scene's layout came, for kicad_pcb; the current one if not given.
+
+    The format spice traces the scene's light, as far as its [accuracy] requires.
 
     Returns: what was written, by what it is.
 
     Raises: InputError for a phantom or an unknown format; WriteError where nothing can be written.
     """
     path = Path(path)
-    ending = path.suffix.lower().removeprefix(".")
-    known = ", ".join(get_args(FormatName))
-    name = ending if format is None else format
-    if format is None and name not in WRITERS:
-        raise InputError(
-            f"{path}: its ending names no format; end it in .glb, .ply or .kicad_pcb, or give format, one of {known}."
-        )
+    ending, known = path.suffix.lower(), ", ".join(get_args(FormatName))
+    name = next((one for one, endings in FILES.items() if ending in endings), None) if format is None else format
+    if name is None:
+        endings = ", ".join(one for endings in FILES.values() for one in endings)
+        raise InputError(f"{path}: its ending names no format; end it in {endings}, or give format, one of {known}.")
     if name not in WRITERS:
         raise InputError(f'format = "{name}" is unknown; choose from {known}.')
     if voxel_mm is not None and name != "mcx":
         raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
     single = name in FILES
-    if single and ending != name:
-        raise InputError(f"{path}: a file in the format {name} ends in .{name}; rename it.")
+    if single and ending not in FILES[name]:
+        raise InputError(f"{path}: a file in the format {name} ends in {' or '.join(FILES[name])}; rename it.")
     if not single and os.path.exists(path) and not os.path.isdir(path):
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
     check_writable(path.parent if single else path, *([path.name] if single else []))
     if scene.finger is None:
         raise InputError(
-            "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its layers "
-            "to the other program by hand."
+            "export: the photocurrents of spice follow the touch of a [finger], and a [phantom] has none; export a scene "
+            "with [finger]."
+            if name == "spice"
+            else "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its "
+            "layers to the other program by hand."
         )
     module, function = WRITERS[name]
     write = getattr(import_module(f".{module}", __package__), function)

@@ -115,6 +115,12 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
     return xr.Dataset(data)
 
 
+def reading_gain(worn: xr.Dataset) -> Array:
+    """Factor of LED and amplifier on readings by drift, (led, photodiode, t) or, without any, (1, 1, 1) float."""
+    gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
+    return np.asarray(gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None])
+
+
 def motion_artefact(
     worn: xr.Dataset, in_place: ReadingSeries, moved: Sequence[MovedLight], blood: Array
 ) -> tuple[Array, Variables]:

@@ -162,21 +162,22 @@ def noise_budget(
 ) -> NoiseBudget:
     """The noise of a stage's output at a photocurrent without its dark current [A], cause by cause.
 
-    Current noise density 2q(I + I_d) + 4kT/R_f + 4kT/R_sh + (2 pi f C e_n)^2, integrated from 0 to the bandwidth
-    (the last term grows with f^2, so that its integral is (2 pi C e_n)^2 B^3 / 3) and multiplied by R_f^2; the
-    converter adds LSB^2/12.
+    Current noise density 2q(I + I_d) + 4kT/R_f + 4kT/R_sh + (1/R_f^2 + (2 pi f C)^2) e_n^2, integrated from 0 to the
+    bandwidth B (f^2 gives B^3 / 3) and multiplied by R_f^2; the converter adds LSB^2/12.
 
     feedback_ohm : that of the stage if not given. [ohm]
     """
     bandwidth, ohm = amplifier.bandwidth_hz, stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
     gain2, thermal_j = np.asarray(ohm) ** 2, 4 * BOLTZMANN_J_PER_K * amplifier.temperature_k
     capacitance_f = 1e-12 * (amplifier.capacitance_pf + _of_each(photodiode, lambda p: p.capacitance_pf))
-    charge_noise = 2 * np.pi * capacitance_f * amplifier.noise_nv_per_rt_hz * 1e-9
+    # The amplifier's voltage noise is at the output as it is, and by the current through the capacitance.
+    voltage_v2 = (1e-9 * amplifier.noise_nv_per_rt_hz) ** 2 * bandwidth
+    through_capacitance = (2 * np.pi * bandwidth * capacitance_f) ** 2 / 3
     return NoiseBudget(
         shot_v2=2 * ELEMENTARY_CHARGE_C * (current_a + _dark_a(photodiode, amplifier)) * bandwidth * gain2,
         feedback_v2=np.asarray(thermal_j * bandwidth * ohm),
         shunt_v2=np.asarray(thermal_j / _of_each(photodiode, lambda p: 1e6 * p.shunt_mohm) * bandwidth * gain2),
-        amplifier_v2=np.asarray(charge_noise**2 * bandwidth**3 / 3 * gain2),
+        amplifier_v2=np.asarray(voltage_v2 * (1 + through_capacitance * gain2)),
         adc_v2=np.asarray(lsb_v(amplifier) ** 2 / 12),
     )
 

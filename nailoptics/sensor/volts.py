@@ -9,7 +9,7 @@ from ..light import DetectedLight
 from ..scene import Scene
 from ..variables import Estimate, Variables, described
 from . import electronics
-from .drift_motion import MovedLight, drift_and_motion, motion_artefact
+from .drift_motion import MovedLight, drift_and_motion, motion_artefact, reading_gain
 
 
 def read_volts(
@@ -25,13 +25,11 @@ def read_volts(
     worn = drift_and_motion(scene, course.time.values)
     motion, about_motion = motion_artefact(worn, readings, moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
-    gain = worn.get("reading_drift", xr.DataArray([[[1.0]]])).values
-    gain = gain * worn.get("led_drift", xr.DataArray([[1.0]])).values[:, None]
     fraction, stderr, change_stderr = (
         np.multiply(motion, x, out=x) for x in (readings.fraction, readings.stderr, readings.change_stderr)
     )
     del readings
-    gain = np.broadcast_to(gain, fraction.shape)
+    gain = np.broadcast_to(reading_gain(worn), fraction.shape)
     # Drift and motion scale what is read: of its error they add their own part to the change's.
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))

@@ -48,14 +48,15 @@ def test_shot_noise_exceeds_thermal_noise_from_52_mv_at_any_resistor():
 def test_the_amplifiers_noise_is_the_integral_of_its_density():
     amplifier = Electronics(bandwidth_hz=5e4, capacitance_pf=80, noise_nv_per_rt_hz=12)
     f = np.linspace(0, 5e4, 200_001)
-    expected = np.trapezoid((2 * np.pi * f * 80e-12 * 12e-9) ** 2, f) * 1e6**2
+    expected = np.trapezoid((1 + (2 * np.pi * f * 80e-12 * 1e6) ** 2) * 12e-9**2, f)
     assert noise_budget(0.0, DIODE, amplifier).amplifier_v2 == pytest.approx(expected, rel=1e-8)
 
 
 def test_each_noise_grows_with_bandwidth_as_it_should():
-    narrow = noise_budget(1e-7, DIODE, Electronics(bandwidth_hz=1e3))
-    wide = noise_budget(1e-7, DIODE, Electronics(bandwidth_hz=2e3))
-    assert [b / a for a, b in zip(narrow[:-1], wide[:-1], strict=True)] == pytest.approx([2, 2, 2, 8, 1])
+    narrow, wide, fast, faster = (noise_budget(1e-7, DIODE, Electronics(bandwidth_hz=hz)) for hz in (1, 2, 1e6, 2e6))
+    assert [b / a for a, b in zip(narrow[:-1], wide[:-1], strict=True)] == pytest.approx([2, 2, 2, 2, 1])
+    # From where the capacitance lets more of the amplifier's noise through than the resistor.
+    assert faster.amplifier_v2 / fast.amplifier_v2 == pytest.approx(8, rel=1e-3)
 
 
 def test_simulated_electrons_show_the_same_shot_noise():

@@ -129,12 +129,12 @@ function fittedOhm(largestA) {
 
 /** Noise variance of one reading at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
 function stage(kind, lit, ambient, ohm) {
-  const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { adcV2, perOhm, perOhm2, perOhm2A } = kind.noise;
+  const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { fixedV2, perOhm, perOhm2, perOhm2A } = kind.noise;
   return {
     volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * ohm, rangeV) : 0),
     amplified,
     // What rejection subtracts has the noise of ambient light, too.
-    noiseV2: adcV2 + ohm * (perOhm + ohm * (perOhm2 + perOhm2A * (lit + (rejects ? 2 : 1) * ambient))),
+    noiseV2: fixedV2 + ohm * (perOhm + ohm * (perOhm2 + perOhm2A * (lit + (rejects ? 2 : 1) * ambient))),
     saturated: amplified >= limitV,
   };
 }

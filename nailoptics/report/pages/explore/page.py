@@ -34,6 +34,8 @@ PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback
 MOST_POINTS = 6
 # More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
 MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
+# At which the parts of the noise that grow with the resistance are much larger than the one that does not.
+LARGE_OHM = 1e9
 LIBRARIES = (
     ("uPlot", "uPlot.iife.min.js", "https://github.com/leeoniya/uPlot"),
     ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),
@@ -207,22 +209,25 @@ def _stage(scene: Scene) -> dict[str, Any]:
 
 
 def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
-    """What makes volts and noise of a photodiode's light: the variance is linear in the current, and apart from that of
-    converter and feedback it goes as the square of the feedback resistance."""
+    """What makes volts and noise of a photodiode's light: the variance is linear in the current, and quadratic in the
+    feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
-    # At 1 ohm and by 1 A from outside, of which rejection subtracts as much again with noise of its own.
-    noise = electronics.read(0.0, scene.leds[0], photodiode, stage, ambient_a=1.0, feedback_ohm=1.0).noise
+    # By 1 A from outside, of which rejection subtracts as much again with noise of its own.
+    fixed, noise = (
+        electronics.read(0.0, scene.leds[0], photodiode, stage, ambient_a=1.0, feedback_ohm=ohm).noise
+        for ohm in (0.0, LARGE_OHM)
+    )
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
         "responsivity": electronics.responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "noise": {
-            "adcV2": float(noise.adc_v2),
-            "perOhm": float(noise.feedback_v2),
-            "perOhm2": float(noise.shot_v2 + noise.shunt_v2 + noise.amplifier_v2),
-            "perOhm2A": float(noise.ambient_v2) / (2 if stage.ambient_rejection else 1),
+            "fixedV2": float(fixed.adc_v2 + fixed.amplifier_v2),
+            "perOhm": float(noise.feedback_v2) / LARGE_OHM,
+            "perOhm2": float(noise.shot_v2 + noise.shunt_v2 + noise.amplifier_v2 - fixed.amplifier_v2) / LARGE_OHM**2,
+            "perOhm2A": float(noise.ambient_v2) / (2 if stage.ambient_rejection else 1) / LARGE_OHM**2,
         },
     }
 
