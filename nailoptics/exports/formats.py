@@ -71,8 +71,8 @@ def export(
     check_writable(path.parent if single else path, *([path.name] if single else []))
     if scene.finger is None:
         raise InputError(
-            "export: the photocurrents of spice follow the touch of a [finger], and a [phantom] has none; export a scene "
-            "with [finger]."
+            "export: the photocurrents of spice follow the touch of a [finger], and a [phantom] has none; export a "
+            "scene with [finger]."
             if name == "spice"
             else "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its "
             "layers to the other program by hand."

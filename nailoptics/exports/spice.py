@@ -1,4 +1,4 @@
-"""The circuit of a scene for ngspice: LED currents, photodiodes as current sources over its touch, amplifiers, noise."""
+"""The circuit of a scene for ngspice: LED currents, photodiodes as current sources over its touch, and amplifiers."""
 
 import logging
 from pathlib import Path
@@ -109,15 +109,15 @@ def _run(scene: Scene, result: xr.Dataset, i: int) -> list[str]:
     """Commands that light one LED, and write volts over the touch and print the noise at its start."""
     time_s, stage = result.time.values - result.time.values[0], scene.electronics
     names = [f"out{j + 1}" for j in range(result.sizes["photodiode"])]
+    sweep = f"dec 50 {NOISE_FROM * stage.bandwidth_hz:g} {NOISE_TO * stage.bandwidth_hz:g}"
     lines = [f"alter Iled{i} DC = 0"] if i else []
     lines += [f"alter Iled{i + 1} DC = {_drive_a(scene.leds[i]):g}", f"tran {time_s[1]:.9g} {time_s[-1]:.9g}"]
     lines += [f"wrdata volts_led{i + 1}.txt " + " ".join(f"v({name})" for name in names)]
     for j, name in enumerate(names, start=1):
-        sweep = f"dec 50 {NOISE_FROM * stage.bandwidth_hz:g} {NOISE_TO * stage.bandwidth_hz:g}"
-        whose = f"LED {scene.leds[i].name}, photodiode {result.photodiode.values[j - 1]}"
+        lines += [f"noise v({name}) Itest{j} {sweep}"]
+        lines += [f"let total = sqrt(onoise_total^2 + {electronics.lsb_v(stage) ** 2 / 12:g})"]
         lines += [
-            f"noise v({name}) Itest{j} {sweep}",
-            f"let total = sqrt(onoise_total^2 + {electronics.lsb_v(stage) ** 2 / 12:g})",
+            f'echo "LED {scene.leds[i].name}, photodiode {result.photodiode.values[j - 1]}: noise $&onoise_total V, '
+            'with the converter $&total V"'
         ]
-        lines += [f'echo "{whose}: noise $&onoise_total V, with the converter $&total V"']
     return lines

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from small_scenes import finger
 
 import nailoptics as nail
 from nailoptics.cli import run
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.sensor import electronics
-from small_scenes import finger
 
 TWO_LEDS = [{"name": "red", "part": "led_660"}, {"name": "ir", "position_mm": [1.2, 0.0]}]
 PHOTODIODES = [{"name": "near", "position_mm": [0.0, -2.0]}, {"name": "far", "position_mm": [0.0, 3.0]}]
