@@ -243,7 +243,7 @@ class FingerWalk:
         segment.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
         if self.section is not None:
             weight = photon.weight * remaining(dr.fma(segment.length, medium.mu_a, photon.tau))
-            self.section.add(photon.p + photon.w * (0.5 * step), step, weight, active)
+            self.section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
         segment.length = segment.length + step
         photon.p = mi.Point3f(photon.p + photon.w * step)
 

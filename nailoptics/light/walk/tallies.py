@@ -75,8 +75,8 @@ class PathTally:
         self.values = dr.zeros(mi.Float64, int(np.prod(self.shape)))
         self.grid = CellGrid([e[0] for e in edges_mm], [e[1] - e[0] for e in edges_mm], self.shape)
 
-    def add(self, p: Any, path: Any, weight: Any, active: Any) -> None:
-        """Add a photon's path, of a middle p and a weight there. [mm]"""
+    def add(self, photon: FingerPhoton, p: Any, path: Any, weight: Any, active: Any) -> None:
+        """Add the path of a photon, whose region other tallies read, of a middle p and a weight there. [mm]"""
         cell, inside = self.grid.cell(self.place(p), active)
         dr.scatter_reduce(dr.ReduceOp.Add, self.values, mi.Float64(path * weight), cell, inside)
 
