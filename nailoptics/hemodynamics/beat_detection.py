@@ -104,22 +104,18 @@ def _autocorrelation_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
 
     Parts of the recording count alike, so that motion in one of them does not decide.
     """
+    from scipy import signal
+
     parts = np.array_split(wave, max(1, int(len(wave) / (PART_S * rate_hz))))
     longest = min(int(np.ceil(60 * rate_hz / SLOWEST)), min(len(part) for part in parts) // 2)
     lags = np.arange(int(60 * rate_hz / FASTEST), longest)
     if not len(lags):
         raise InputError(f"{name}: is too short for three beats; record longer.")
     correlation = np.median([_autocorrelation(part, longest) for part in parts], axis=0)
-    inner = [
-        k
-        for k in lags
-        if 0 < k < len(correlation) - 1
-        and correlation[k] >= correlation[k - 1]
-        and correlation[k] >= correlation[k + 1]
-    ]
-    best = max(inner, key=lambda k: correlation[k], default=int(lags[np.argmax(correlation[lags])]))
+    inner = lags[np.isin(lags, signal.find_peaks(correlation)[0])]
+    inner = inner if len(inner) else lags[[np.argmax(correlation[lags])]]
     # Two periods correlate as well as one: the first lag that is nearly as good is one beat.
-    first = next((k for k in inner if correlation[k] > 0.7 * correlation[best]), best)
+    first = int(inner[np.argmax(correlation[inner] > 0.7 * correlation[inner].max())])
     if correlation[first] < LEAST_CORRELATION and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
         raise InputError(f"{name}: no three beats were found in {len(wave) / rate_hz:.3g} s; record longer.")
     if correlation[first] < LEAST_CORRELATION:

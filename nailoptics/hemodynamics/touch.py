@@ -226,9 +226,6 @@ class TouchCourse:
         on either side by pascal [N/Pa], (2,) each.
         """
         touch, areas_m2 = self.touch, 1e-6 * _side_areas_mm2(self.touch)
-        if touch.contact_force_n is None and not touch.distal_onset_n:
-            per_n = np.array(self.sides_pa(1.0))
-            return force_n * per_n, per_n, areas_m2
         low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
         before, here, after = np.transpose(self.sides_pa([low_n, force_n, high_n]))
         # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
@@ -265,8 +262,8 @@ def touch_course(touch: Touch) -> TouchCourse:
         rows = np.array([touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa])
         force_n = 1e-6 * _side_areas_mm2(touch) @ rows if np.isnan(force_n).any() else force_n
     else:
-        rows = [force_n, *beside.values()]
-        time_s, (force_n, *finer) = _with_knots(time_s, rows, _bend_times_s(touch, time_s, force_n))
+        courses, bends_s = [force_n, *beside.values()], _bend_times_s(touch, time_s, force_n)
+        time_s, (force_n, *finer) = _with_knots(time_s, courses, bends_s)
         beside = dict(zip(beside, finer, strict=True))
         rows = np.array(pressures(force_n, **touch.contact() | {name: beside[name] for name in where}))
     most, shear_n, per_n_pa = int(np.argmax(force_n)), beside.get("shear_n"), None

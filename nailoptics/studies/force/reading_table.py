@@ -152,33 +152,33 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     ambient = ambient_in_readings(scene, options)
     ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(len(diodes))
     unlit = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=ambient_a)
-    pairs = [(led, diode) for led in scene.leds for diode in diodes]
-    names, noise_v = reading_names(scene), []
-    is_known = np.isfinite(near.change_stderr).all(-1).ravel()
-    parts = zip(near.fraction[..., 0].ravel(), np.tile(ambient_a, len(scene.leds)), is_known, strict=True)
-    for name, pair, (part, outside_a, known) in zip(names, pairs, parts, strict=True):
-        if not (part > 0 and known):
-            raise InputError(f"{name}: sees too little light for a standard error; trace more photons or leave it out.")
-        read = electronics.read(part, *pair, stage, ambient_a=outside_a)
-        if read.saturated:
-            raise InputError(
-                f"{name}: its converter is at its limit ({stage.adc_range_v:g} V) at rest; lower flux_mw, "
-                "feedback_ohm or the light of [ambient]."
-            )
-        noise_v.append(float(read.volts_noise_rms))
+    names, at_rest = reading_names(scene), near.fraction[..., 0]
+    reads = [
+        electronics.read(part, led, diodes, stage, ambient_a=ambient_a)
+        for part, led in zip(at_rest, scene.leds, strict=True)
+    ]
+    is_known = (at_rest > 0) & np.isfinite(near.change_stderr).all(-1)
+    faults = {
+        "sees too little light for a standard error; trace more photons or leave it out": ~is_known.ravel(),
+        f"its converter is at its limit ({stage.adc_range_v:g} V) at rest; lower flux_mw, feedback_ohm or the light of "
+        "[ambient]": np.concatenate([read.saturated for read in reads]),
+    }
+    for fault, where in faults.items():
+        if where.any():
+            raise InputError(f"{names[int(np.argmax(where))]}: {fault}.")
     nodes = nodes_of(most_blood)
     fraction = light.readings_at(nodes).fraction.reshape(len(names), -1)
-    volts = fraction * np.array([[electronics.volts_per_fraction(*pair, stage)] for pair in pairs])
+    per_fraction_v = np.concatenate([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
+    volts = fraction * per_fraction_v[:, None]
     x = nodes.T / most_blood
     design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)
     coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
-    rest_fraction = near.fraction.reshape(len(names), -1)[:, :1]
     removed_v = unlit.amplified_v.max() if stage.ambient_rejection else 0.0
     return ReadingTable(
         ln_volts=dict(zip(names, coefficients, strict=True)),
         dark_v=np.tile(unlit.volts, len(scene.leds)),
         most_blood_fraction=most_blood,
-        slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / rest_fraction / step,
-        noise_v=np.array(noise_v),
+        slope_stderr=near.change_stderr.reshape(len(names), -1)[:, 1:] / at_rest.reshape(-1, 1) / step,
+        noise_v=np.concatenate([read.volts_noise_rms for read in reads]),
         range_v=stage.adc_range_v - removed_v,
     )
