@@ -25,81 +25,68 @@ KNOTS_OF_CONTACT = 64
 CONTACT_STEP_N = 1e-3
 
 
-def pressures(
-    force_n: ArrayLike,
-    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
-    proximal_share: ArrayLike = 0.5,
-    *,
-    proximal_area_mm2: float | None = None,
-    distal_area_mm2: float | None = None,
-    contact_force_n: float | None = None,
-    distal_onset_n: float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The proximal and the distal pressure, P_F1 and P_F2, that a force on the fingertip gives. [Pa]
-
-    force_n : any shape, float, 0 or more. Normal force. [N]
-    contact_area_mm2, proximal_share : float that broadcasts. As for `side_areas_mm2`.
-    proximal_area_mm2, distal_area_mm2 : As for `side_areas_mm2`.
-    contact_force_n : Force at which all areas are as stated. They grow with force^(2/3), as the contact of a sphere
-        (Hertz 1882) does, so that pressures grow with force^(1/3). None: they do not grow. [N]
-    distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
-        its share, the proximal side carries all else. [N]
-
-    Each side carries its share of the force on its own area, so that both forces add up to the touch's. By default 1 N
-    on one side is 1 N/cm^2 there, and an even touch of 1 N is 1 N/cm^2 on both, which puts the paper's model (level
-    near 1 N/cm^2) and its experiments (level near 1 N) on one axis.
-
-    Raises: InputError if the force is negative or not finite, an area is not positive, or the share is not in 0..1.
-    """
-    force, share = not_negative("force_n", force_n), fraction("proximal_share", proximal_share)
-    if distal_onset_n > 0.0:
-        share = 1.0 - (1.0 - share) * np.maximum(1.0 - distal_onset_n / np.maximum(force, distal_onset_n), 0.0)
-    proximal_mm2, distal_mm2 = side_areas_mm2(
-        contact_area_mm2, share, proximal_area_mm2=proximal_area_mm2, distal_area_mm2=distal_area_mm2
-    )
-    if contact_force_n is not None:
-        force = np.cbrt(force) * contact_force_n ** (2.0 / 3.0)
-    return share * force / (proximal_mm2 * 1e-6), (1.0 - share) * force / (distal_mm2 * 1e-6)
-
-
-def shear_pressure(
-    shear_n: ArrayLike,
-    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
-    *,
-    distal_area_mm2: float | None = None,
-) -> np.ndarray:
-    """The pressure of a longitudinal force of either sign on the distal capillaries. [Pa]
-
-    It bears on the distal half of the contact, or on the stated distal area: a newton of it whitens the tip twice as
-    much as one of normal force. The paper says that shear is more effective, not by how much.
-    """
-    half = 0.5 * positive("contact_area_mm2", contact_area_mm2)
-    area = half if distal_area_mm2 is None else positive("distal_area_mm2", distal_area_mm2)
-    return np.abs(finite("shear_n", shear_n)) / (1e-6 * area)
-
-
-def side_areas_mm2(
-    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2,
-    proximal_share: ArrayLike = 0.5,
-    *,
-    proximal_area_mm2: float | None = None,
-    distal_area_mm2: float | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Areas on which a touch presses the proximal and the distal pulp, of the arguments' broadcast shape. [mm^2]
+@dataclass(frozen=True)
+class Contact:
+    """Where a force presses on the fingertip; numbers, or arrays over time.
 
     contact_area_mm2 : Area of the whole touch. [mm^2]
     proximal_share : Part of the force that the proximal side carries, 0 to 1. [1]
     proximal_area_mm2, distal_area_mm2 : Area of a side. None: the part of the contact that goes with the side's share
         of the force, but no less than half: a touch on one side presses there with all of the contact, an even one
         with half of it on each side. [mm^2]
+    contact_force_n : Force at which all areas are as stated. They grow with force^(2/3), as the contact of a sphere
+        (Hertz 1882) does, so that pressures grow with force^(1/3). None: they do not grow. [N]
+    distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
+        its share, the proximal side carries all else. [N]
 
     Raises: InputError if an area is not positive, or the share is not in 0..1.
     """
-    contact, share = positive("contact_area_mm2", contact_area_mm2), fraction("proximal_share", proximal_share)
-    halves = [contact * np.maximum(part, 0.5) for part in (share, 1.0 - share)]
-    proximal = halves[0] if proximal_area_mm2 is None else positive("proximal_area_mm2", proximal_area_mm2)
-    distal = halves[1] if distal_area_mm2 is None else positive("distal_area_mm2", distal_area_mm2)
-    return proximal, distal
+
+    contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2
+    proximal_share: ArrayLike = 0.5
+    proximal_area_mm2: ArrayLike | None = None
+    distal_area_mm2: ArrayLike | None = None
+    contact_force_n: float | None = None
+    distal_onset_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        fraction("proximal_share", self.proximal_share)
+        for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2"):
+            if getattr(self, name) is not None:
+                positive(name, getattr(self, name))
+
+    def side_areas_mm2(self, proximal_share: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Areas on which the touch presses the proximal and the distal pulp, by another share if given. [mm^2]"""
+        share = np.asarray(self.proximal_share if proximal_share is None else proximal_share, float)
+        halves = [np.asarray(self.contact_area_mm2) * np.maximum(part, 0.5) for part in (share, 1.0 - share)]
+        stated = (self.proximal_area_mm2, self.distal_area_mm2)
+        proximal, distal = (np.asarray(half if own is None else own) for half, own in zip(halves, stated, strict=True))
+        return proximal, distal
+
+    def pressures(self, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """The proximal and the distal pressure, P_F1 and P_F2, that a force gives, of any shape. [Pa]
+
+        Each side carries its share of the force on its own area, so that both forces add up to the touch's. By default
+        1 N on one side is 1 N/cm^2 there, and an even touch of 1 N is 1 N/cm^2 on both, which puts the paper's model
+        (level near 1 N/cm^2) and its experiments (level near 1 N) on one axis.
+
+        Raises: InputError if the force is negative or not finite.
+        """
+        force, share, onset_n = not_negative("force_n", force_n), np.asarray(self.proximal_share), self.distal_onset_n
+        if onset_n > 0.0:
+            share = 1.0 - (1.0 - share) * np.maximum(1.0 - onset_n / np.maximum(force, onset_n), 0.0)
+        proximal_mm2, distal_mm2 = self.side_areas_mm2(share)
+        if self.contact_force_n is not None:
+            force = np.cbrt(force) * self.contact_force_n ** (2.0 / 3.0)
+        return share * force / (proximal_mm2 * 1e-6), (1.0 - share) * force / (distal_mm2 * 1e-6)
+
+    def shear_pressure(self, shear_n: ArrayLike) -> np.ndarray:
+        """The pressure of a longitudinal force of either sign on the distal capillaries. [Pa]
+
+        It bears on the distal half of the contact, or on the stated distal area: a newton of it whitens the tip twice
+        as much as one of normal force. The paper says that shear is more effective, not by how much.
+        """
+        return np.asarray(np.abs(finite("shear_n", shear_n)) / (1e-6 * self.side_areas_mm2(0.5)[1]))
 
 
 def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: ArrayLike) -> np.ndarray:
@@ -196,6 +183,7 @@ def named_pressures(parameters: Parameters, zones: Zones, pressures: Pressures) 
 class TouchCourse:
     """A touch over time, linear between corners; a time comes twice where it jumps.
 
+    touch, contact : the scene's, and where it presses as stated, whatever the force.
     samples_s : (t,) float. At which results are given.
     time_s, force_n : (k,) float. Where pressures alone were recorded the force is theirs, each on the area of its side.
     shear_n : (k,) float. The longitudinal force, positive towards the tip; None of a touch without.
@@ -205,6 +193,7 @@ class TouchCourse:
     """
 
     touch: Touch
+    contact: Contact
     samples_s: np.ndarray
     time_s: np.ndarray
     force_n: np.ndarray
@@ -218,19 +207,19 @@ class TouchCourse:
         Recorded pressures have the ratio that they have where the force is largest.
         """
         if self.per_n_pa is None:
-            return pressures(force_n, **self.touch.contact())
+            return self.contact.pressures(force_n)
         return self.per_n_pa[0] * np.asarray(force_n, float), self.per_n_pa[1] * np.asarray(force_n, float)
 
     def contact_at(self, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the touch presses at a force: both pressures [Pa], their change by newton, and the change of the force
         on either side by pascal [N/Pa], (2,) each.
         """
-        touch, areas_m2 = self.touch, 1e-6 * _side_areas_mm2(self.touch)
         low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
         before, here, after = np.transpose(self.sides_pa([low_n, force_n, high_n]))
         # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
-        growth = 1.0 if touch.contact_force_n is None else 3.0 * (high_n / touch.contact_force_n) ** (2.0 / 3.0)
-        return here, (after - before) / (high_n - low_n), growth * areas_m2
+        grows = self.contact.contact_force_n
+        growth = 1.0 if grows is None else 3.0 * (high_n / grows) ** (2.0 / 3.0)
+        return here, (after - before) / (high_n - low_n), growth * 1e-6 * np.array(self.contact.side_areas_mm2())
 
     def held_pa(self, force_n: ArrayLike) -> np.ndarray:
         """All pressures once each of the forces has been held for long, (M, n) float. [Pa]"""
@@ -253,40 +242,33 @@ class TouchCourse:
 
 def touch_course(touch: Touch) -> TouchCourse:
     """A scene's touch over time."""
-    samples_s, (time_s, force_n) = touch.times_s(), touch.corners()
+    samples_s, (time_s, force_n), where = touch.times_s(), touch.corners(), touch.contact()
     columns = {name: getattr(touch, f"recorded_{name}") for name in BESIDE_FORCE}
     beside = {name: np.array(column) for name, column in columns.items() if column is not None}
-    where = beside.keys() - {"shear_n"}
-    are_recorded = touch.recorded_proximal_pressure_pa is not None
-    if are_recorded:
-        rows = np.array([touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa])
-        force_n = 1e-6 * _side_areas_mm2(touch) @ rows if np.isnan(force_n).any() else force_n
-    else:
-        courses, bends_s = [force_n, *beside.values()], _bend_times_s(touch, time_s, force_n)
+    contact, recorded_pa = Contact(**where), (touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa)
+    if recorded_pa[0] is None:
+        courses, bends_s = [force_n, *beside.values()], _bend_times_s(contact, time_s, force_n)
         time_s, (force_n, *finer) = _with_knots(time_s, courses, bends_s)
         beside = dict(zip(beside, finer, strict=True))
-        rows = np.array(pressures(force_n, **touch.contact() | {name: beside[name] for name in where}))
+        moving = Contact(**where | {name: beside[name] for name in beside.keys() - {"shear_n"}})
+        rows = np.array(moving.pressures(force_n))
+    else:
+        rows = np.array(recorded_pa)
+        force_n = 1e-6 * np.array(contact.side_areas_mm2()) @ rows if np.isnan(force_n).any() else force_n
     most, shear_n, per_n_pa = int(np.argmax(force_n)), beside.get("shear_n"), None
-    if are_recorded or where:
+    if recorded_pa[0] is not None or beside.keys() - {"shear_n"}:
         per_n_pa = rows[:, most] / force_n[most] if force_n[most] > 0 else np.zeros(2)
     if shear_n is None and touch.shear_n is not None:
         shear_n = touch.shear_n * force_n / max(float(force_n[most]), np.finfo(float).tiny)
     if shear_n is not None:
-        area_mm2, distal_mm2 = touch.contact_area_mm2, touch.distal_area_mm2
-        rows = np.vstack([rows, shear_pressure(shear_n, area_mm2, distal_area_mm2=distal_mm2)])
-    return TouchCourse(touch, samples_s, time_s, force_n, shear_n, rows, per_n_pa)
+        rows = np.vstack([rows, contact.shear_pressure(shear_n)])
+    return TouchCourse(touch, contact, samples_s, time_s, force_n, shear_n, rows, per_n_pa)
 
 
-def _side_areas_mm2(touch: Touch) -> np.ndarray:
-    """The areas of both sides as stated, whatever the force, (2,) float. [mm^2]"""
-    sides = {"proximal_area_mm2": touch.proximal_area_mm2, "distal_area_mm2": touch.distal_area_mm2}
-    return np.array(side_areas_mm2(touch.contact_area_mm2, touch.proximal_share, **sides))
-
-
-def _bend_times_s(touch: Touch, time_s: np.ndarray, force_n: np.ndarray) -> np.ndarray:
+def _bend_times_s(contact: Contact, time_s: np.ndarray, force_n: np.ndarray) -> np.ndarray:
     """When a force passes what its pressures bend at between corners."""
     levels_n = force_n.max() * (np.arange(1, KNOTS_OF_CONTACT) / KNOTS_OF_CONTACT) ** 3
-    levels_n = np.append(levels_n if touch.contact_force_n is not None else [], touch.distal_onset_n or 0.0)[:, None]
+    levels_n = np.append([] if contact.contact_force_n is None else levels_n, contact.distal_onset_n)[:, None]
     level, before = np.nonzero(((force_n[:-1] < levels_n) != (force_n[1:] < levels_n)) & (np.diff(time_s) > 0.0))
     part = (levels_n[level, 0] - force_n[before]) / np.diff(force_n)[before]
     return np.asarray(time_s[before] + part * np.diff(time_s)[before])

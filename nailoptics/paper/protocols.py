@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..hemodynamics.touch import creeping_pressure, pressures, shear_pressure
+from ..hemodynamics.touch import Contact, creeping_pressure
 from ..hemodynamics.zones import zones_between
 from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
@@ -73,8 +73,8 @@ def steps(*, distal_part: float) -> Protocol:
 def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
     """A force over time on the proximal pulp, and the same on the distal pulp: two touches (Figs. 15-18)."""
     time = np.asarray(time_s, dtype=float)
-    proximal, none = pressures(force_n, proximal_share=1.0)
-    distal = creeping_pressure(time, pressures(force_n, proximal_share=0.0)[1], relaxation_s=RELAXATION_S)
+    proximal, none = Contact(proximal_share=1.0).pressures(force_n)
+    distal = creeping_pressure(time, Contact(proximal_share=0.0).pressures(force_n)[1], relaxation_s=RELAXATION_S)
     return Protocol(time, np.stack([proximal, none]), np.stack([none, distal]))
 
 
@@ -98,8 +98,8 @@ def even() -> np.ndarray:
 
     The pulp meets what it presses first: only from ONSET_N on its tip does, too.
     """
-    touch = np.array(pressures(EVEN_N, distal_onset_n=ONSET_N, distal_area_mm2=DISTAL_AREA_MM2))
-    sheared = touch[:, SHEARED] + [0.0, shear_pressure(SHEAR_N, distal_area_mm2=DISTAL_AREA_MM2)]
+    touch = np.array(Contact(distal_onset_n=ONSET_N, distal_area_mm2=DISTAL_AREA_MM2).pressures(EVEN_N))
+    sheared = touch[:, SHEARED] + [0.0, Contact(distal_area_mm2=DISTAL_AREA_MM2).shear_pressure(SHEAR_N)]
     return np.column_stack([touch, sheared])
 
 

@@ -24,7 +24,7 @@ Force = Annotated[float, Field(ge=0, le=100)]
 Area = Annotated[float, Field(ge=LEAST_AREA_MM2)]
 # Columns that may stand beside a recorded force.
 BESIDE_FORCE = ("shear_n", "contact_area_mm2", "proximal_share")
-# Fields that say where a force presses, by the names that `hemodynamics.pressures` has for them.
+# Fields that say where a force presses, by the names that `hemodynamics.Contact` has for them.
 CONTACT = (
     "contact_area_mm2",
     "proximal_share",
@@ -201,7 +201,7 @@ class Touch(Table):
         return self
 
     def contact(self) -> dict[str, Any]:
-        """Where a force presses, as `hemodynamics.pressures` takes it."""
+        """Where a force presses, as `hemodynamics.Contact` takes it."""
         return {name: getattr(self, name) for name in CONTACT} | {"distal_onset_n": self.distal_onset_n or 0.0}
 
     def times_s(self) -> np.ndarray:

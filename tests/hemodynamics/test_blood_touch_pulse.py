@@ -7,13 +7,12 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import (
+    Contact,
     blood_fraction,
     breathing_pressure,
     cardiac_pressure,
     creeping_pressure,
     parameters,
-    pressures,
-    side_areas_mm2,
     spreading_pressure,
     steady_state,
     vasomotion_pressure,
@@ -61,14 +60,14 @@ def test_a_touch_empties_the_venules_of_its_bed_alone():
 
 
 def test_an_even_touch_of_1_n_on_1_cm2_is_1_n_per_cm2_on_both():
-    assert pressures(1.0) == (1e4, 1e4)
+    assert Contact().pressures(1.0) == (1e4, 1e4)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 1.0])
 def test_the_two_halves_carry_the_force(share):
     force, area = np.array([0.0, 0.5, 3.0]), 80.0
-    proximal, distal = pressures(force, area, share)
-    areas = side_areas_mm2(area, share)
+    proximal, distal = Contact(area, share).pressures(force)
+    areas = Contact(area, share).side_areas_mm2()
     assert np.allclose(proximal * areas[0] * 1e-6, share * force, rtol=1e-12)
     assert np.allclose(distal * areas[1] * 1e-6, (1.0 - share) * force, rtol=1e-12)
     # The side that carries more feels the force on the whole contact, the other in proportion to its share.
@@ -77,10 +76,10 @@ def test_the_two_halves_carry_the_force(share):
 
 
 def test_1_n_on_one_side_is_1_n_per_cm2_there_unless_its_area_is_stated():
-    assert pressures(1.0, proximal_share=1.0) == (1e4, 0.0)
-    assert pressures(1.0, proximal_share=0.0) == (0.0, 1e4)
-    assert pressures(1.0, proximal_share=1.0, proximal_area_mm2=50.0, distal_area_mm2=40.0) == (2e4, 0.0)
-    assert pressures(1.0, distal_area_mm2=25.0) == (1e4, 2e4)
+    assert Contact(proximal_share=1.0).pressures(1.0) == (1e4, 0.0)
+    assert Contact(proximal_share=0.0).pressures(1.0) == (0.0, 1e4)
+    assert Contact(proximal_share=1.0, proximal_area_mm2=50.0, distal_area_mm2=40.0).pressures(1.0) == (2e4, 0.0)
+    assert Contact(distal_area_mm2=25.0).pressures(1.0) == (1e4, 2e4)
 
 
 @pytest.mark.parametrize(
@@ -94,13 +93,13 @@ def test_1_n_on_one_side_is_1_n_per_cm2_there_unless_its_area_is_stated():
 )
 def test_a_touch_that_cannot_be_is_refused(arguments, name):
     with pytest.raises(InputError, match=name):
-        pressures(*arguments)
+        Contact(*arguments[1:]).pressures(arguments[0])
 
 
 @pytest.mark.parametrize("name", ["proximal_area_mm2", "distal_area_mm2"])
 def test_an_area_of_a_side_must_be_positive(name):
     with pytest.raises(InputError, match=name):
-        pressures(1.0, **{name: 0.0})
+        Contact(**{name: 0.0})
 
 
 def test_the_pulp_yields_at_once_and_recovers_slowly():
