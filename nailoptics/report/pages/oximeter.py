@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ...errors import InputError
-from ...scene import parse_scene
 from ...statistics import Z95
 from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
 from ...studies.oximetry.recording import spo2_csv
-from .. import maps, style
+from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
@@ -28,24 +26,21 @@ def oximeter_page(result: xr.Dataset) -> str:
     best = result.sel(photodiode=result.attrs["best"])
     a, b = best.linear.values.tolist()
     red, infrared = (f"{significant(1e2 * index, 2)} %" for index in best.perfusion_index.values.tolist())
-    cards = [
-        (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
-        (significant(float(best.ratio_at_rest), 3), f"R at a saturation of {100 * result.attrs['so2']:g} %"),
-        (f"{significant(float(best.spo2_stderr), 2)} %", "standard error of SpO2 over 8 s"),
-        (f"{red} and {infrared}", "perfusion index, red and infrared"),
-    ]
     return document(
         kicker="pulse oximeter",
         title="Oxygen from volts",
         lead=f"{result.sizes['photodiode']} photodiodes, a heart that beats {result.attrs['rate_per_min']:g} times a "
         "minute, and every saturation from one trace of each LED.",
         warnings=result.attrs["warnings"],
-        cards=cards,
+        cards=[
+            (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
+            (f"{significant(float(best.spo2_stderr), 2)} %", "standard error of SpO2 over 8 s"),
+            (f"{red} and {infrared}", "perfusion index, red and infrared"),
+        ],
         body=[
-            section("The pulse in volts", figure(_pulse_figure(result), TEXTS["pulse"]), _board(result)),
             section(
                 "Calibration: from R to saturation",
-                figure(_calibration_figure(result), TEXTS["curve"]),
+                figure(overview_figure(result), TEXTS["overview"]),
                 table(_calibrations(result)),
                 small(TEXTS["calibration"]),
             ),
@@ -58,14 +53,6 @@ def oximeter_page(result: xr.Dataset) -> str:
         ],
         attributes=result.attrs,
     )
-
-
-def _board(result: xr.Dataset) -> str:
-    try:
-        scene = parse_scene(str(result.attrs["scene"]))
-    except (InputError, KeyError):
-        return ""
-    return figure(maps.top_view(scene), "The board from above, rolled flat.", narrow=True)
 
 
 def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
@@ -83,13 +70,14 @@ def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _errors(result: xr.Dataset) -> list[dict[str, str]]:
-    heads = [*(f"{cause} [%]" for cause in result.cause.values), "All, 8 s [%]", "All, one beat [%]"]
+    """Level of each LED's reading, and the standard errors of SpO2 by their causes."""
+    heads = [f"{led} [V]" for led in result.led.values] + [f"{cause} [%]" for cause in result.cause.values]
     rows = []
     for name in result.photodiode.values:
-        errors = result.sel(photodiode=name)
-        values = [*errors.spo2_stderr_by_cause.values, errors.spo2_stderr, errors.spo2_stderr_beat]
+        at = result.sel(photodiode=name)
+        values = [*at.volts.values.mean(-1), *at.spo2_stderr_by_cause.values, at.spo2_stderr, at.spo2_stderr_beat]
         cells = (significant(float(value), 2) for value in values)
-        rows.append({"Photodiode": name} | dict(zip(heads, cells, strict=True)))
+        rows.append({"Photodiode": name} | dict(zip([*heads, "All, 8 s [%]", "All, one beat [%]"], cells, strict=True)))
     return rows
 
 
@@ -141,61 +129,37 @@ COLUMNS = 3
 
 
 @style.drawing()
-def _pulse_figure(result: xr.Dataset) -> "Figure":
-    """Both LEDs' readings over a beat, less their means, a panel for each photodiode."""
-    names = [str(name) for name in result.photodiode.values]
-    figure, axes = style.panels(7.2, 2.3, 1, len(names), sharex=True, squeeze=False)
-    for j, (panel, name) in enumerate(zip(axes[0], names, strict=True)):
-        _draw_pulse(panel, result, j)
-        panel.set_title(style.plain(name))
-        level = result.volts.values[:, j].mean(-1)
-        style.remark(panel, f"on {level[0]:.2f} V and {level[1]:.2f} V")
-    axes[0, 0].set_ylabel("change over a beat [mV]")
-    style.legend_above(figure, axes[0, 0], ncols=2)
+def overview_figure(result: xr.Dataset) -> "Figure":
+    """The best photodiode's pulse, saturation over R, and what a touch does to it, side by side."""
+    figure, (beat, curve, force) = style.panels(11.4, 3.8, 1, 3, width_ratios=[1, 1.4, 1])
+    best = result.sel(photodiode=result.attrs["best"])
+    for name, colour in zip(result.led.values, (RED, INFRARED), strict=True):
+        change, error = (1e3 * best[key].sel(led=name) for key in ("volts_pulse", "volts_pulse_stderr"))
+        style.estimate(beat, result.beat_time, change, error, color=colour, label=style.plain(name))
+    beat.set(title="A beat on the best photodiode", xlabel="time [s]", ylabel="change over a beat [mV]")
+    beat.legend()
+    colours = style.place_colours(result.sizes["photodiode"])
+    _calibration(curve, result, colours)
+    _disturbance(force, result, "touch_force_n", colours)
+    force.set(title="Effect of a touch", ylabel="bias of SpO2 [%]")
     return figure
 
 
-def _draw_pulse(panel: "Axes", result: xr.Dataset, photodiode: int) -> None:
-    """Both LEDs' readings of one photodiode over a beat, into axes that are there."""
-    for k, colour in enumerate((RED, INFRARED)):
-        change, error = (1e3 * result[key].values[k, photodiode] for key in ("volts_pulse", "volts_pulse_stderr"))
-        style.estimate(panel, result.beat_time, change, error, color=colour, label=style.plain(result.led.values[k]))
-    panel.set_xlabel("time [s]")
-
-
-@style.drawing()
-def _calibration_figure(result: xr.Dataset, axes: "Axes | None" = None) -> "Figure":
+def _calibration(panel: "Axes", result: xr.Dataset, colours: list[str]) -> None:
     """SpO2 over R of every photodiode with its interval, the textbook's line and that measured on fingers."""
-    axes = axes or style.panels(7.2, 4.2)[1]
-    assert axes is not None
     percent = 100 * result.so2.values
-    for name, colour in zip(result.photodiode.values, style.place_colours(result.sizes["photodiode"]), strict=True):
+    for name, colour in zip(result.photodiode.values, colours, strict=True):
         line = result.sel(photodiode=name)
         low, high = line.ratio - Z95 * line.ratio_stderr, line.ratio + Z95 * line.ratio_stderr
-        axes.fill_betweenx(percent, low, high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(line.ratio, percent, color=colour, label=style.plain(name))
+        panel.fill_betweenx(percent, low, high, color=colour, alpha=0.18, linewidth=0)
+        panel.plot(line.ratio, percent, color=colour, label=style.plain(name))
     ratio = np.linspace(0.2, float(result.ratio.max()), 2)
     for (a, b), label, dashes in ((TEXTBOOK, "textbook", (4, 3)), (MEASURED, "measured on fingers", (1, 2))):
         text = f"{label}: {a:g} − {-b:g} R"
-        axes.plot(ratio, a + b * ratio, color=style.INK, linewidth=1.1, linestyle=(0, dashes), label=text)
-    axes.set(ylim=(48, 102), xlabel="ratio of ratios R [1]", ylabel="arterial saturation [%]")
-    axes.legend(loc="upper right")
-    return axes.figure  # type: ignore[return-value]
-
-
-@style.drawing()
-def overview_figure(result: xr.Dataset) -> "Figure":
-    """The best photodiode's pulse, saturation over R, and what a touch does to it, side by side for a README."""
-    figure, (beat, curve, force) = style.panels(12.0, 4.0, 1, 3, width_ratios=[1, 1.4, 1])
-    best = [str(name) for name in result.photodiode.values].index(result.attrs["best"])
-    _draw_pulse(beat, result, best)
-    beat.set(title="A beat on the best photodiode", ylabel="change over a beat [mV]")
-    beat.legend()
-    _calibration_figure(result, curve)
-    curve.set_title("Saturation from the ratio of ratios")
-    _disturbance(force, result, "touch_force_n", style.place_colours(result.sizes["photodiode"]))
-    force.set(title="Effect of a touch", ylabel="bias of SpO2 [%]")
-    return figure
+        panel.plot(ratio, a + b * ratio, color=style.INK, linewidth=1.1, linestyle=(0, dashes), label=text)
+    panel.set(ylim=(48, 102), xlabel="ratio of ratios R [1]", ylabel="arterial saturation [%]")
+    panel.set_title("Saturation from the ratio of ratios")
+    panel.legend(loc="upper right")
 
 
 @style.drawing()

@@ -71,7 +71,7 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
     assert printed.pop("cut_off") is None and "null" not in to_json(printed)
     write_dataset(found, tmp_path / "oximeter.nc")
     page = oximeter_page(found)
-    assert page.count("<figure") == 4 and "textbook" in page
+    assert page.count("<figure") == 2 and "textbook" in page and "Effect of a touch" in page and "red<br>[V]" in page
 
 
 @pytest.mark.long
