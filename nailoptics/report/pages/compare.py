@@ -37,8 +37,9 @@ def page(result: xr.Dataset) -> str:
 
 def _led_section(result: xr.Dataset, led: int) -> Html:
     """How far the models hold under one LED, and why not further."""
-    limits, note = table(_limits(result, led), kind="dense"), small(TEXTS["limits"].format(result.sweep.values[-1]))
-    parts = [figure(_range_errors_figure(result, led=led), TEXTS["holds"]), limits, note]
+    rows, groups = _limits(result, led)
+    parts = [figure(_range_errors_figure(result, led=led), TEXTS["holds"]), table(rows, groups=groups, kind="dense")]
+    parts.append(small(TEXTS["limits"]))
     for sweep in map(str, result.sweep.values):
         parts.append(subheading(f"What Taylor (9) leaves out, over {sweep}"))
         parts.append(figure(_error_parts_figure(result, led=led, sweep=sweep), TEXTS["split"]))
@@ -47,19 +48,13 @@ def _led_section(result: xr.Dataset, led: int) -> Html:
 
 
 def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
-    claim = paper_claim(result)["bed_alpha_d2"]["at_start"]
-    sweep = str(result.sweep.values[0])
-    words = f"αD² where the {sweep} starts, over all photodiodes; the paper says about 0.01"
-    cards = [(f"{significant(claim['least'], 2)} – {significant(claim['largest'], 2)}", words)]
+    """How many readings each fitted model meets, and what Taylor (9) leaves out first."""
+    cards = []
     for within in (0.01, 0.05):
         taylor, exact = (verdict(result, within, model=model) for model in ("taylor", "beer_lambert"))
         words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {100 * within:g} % of their swing "
         words += f"over the {taylor.sweep}"
         cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
-    if "blood" in result.sweep.values:
-        fitted = result.sel(sweep="blood", way="fitted", model="taylor", within=0.01)
-        low, high = (significant(100 * float(f(fitted.limit)), 2) for f in (np.min, np.max))
-        cards.append((f"{low} – {high} %", "blood fraction up to which Taylor (9) errs by less than 1 %"))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     # A part that no time was left to trace is not known.
     if not (known := parts.dropna("part")).size:
@@ -69,29 +64,24 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
 
 
-def _limits(result: xr.Dataset, led: int) -> list[dict[str, str]]:
-    """Up to what force, blood and alpha D^2 each fitted model stays within 1 % and 5 %."""
-    rows, withins = [], result.within.values
-    for j in _photodiode_order(result):
-        pair = result.isel(led=led, photodiode=j)
-        first, last = pair.isel(sweep=0), pair.isel(sweep=-1).sel(way="fitted", model="taylor")
-        row = {
-            "Photodiode": str(pair.photodiode.values),
-            "Swing [% of reading]": estimated(first, "relative_swing", 100),
-        }
-        row["Mean path in own zone [mm]"] = estimated(first, "path_mm")
-        for sweep, model, within in product(map(str, result.sweep.values), FORMULAS, withins):
-            unit = "N" if sweep == "force" else "%"
-            at = pair.sel(sweep=sweep, way="fitted", model=model, within=within)
-            head = f"{FORMULAS[model]} to {100 * within:g} %, {sweep} [{unit}]"
-            row[head] = _interval(at, "limit", _display_scale(sweep))
-        ends = (significant(float(f(first.bed_alpha_d2)), 2) for f in (np.min, np.max))
-        row[f"αD² over {first.sweep.values}"] = " – ".join(ends)
-        for within in withins:
-            at = last.sel(within=within)
-            row[f"αD² at which Taylor (9) errs by {100 * within:g} %"] = _interval(at, "limit_bed_alpha_d2", 1.0)
+def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[str]]:
+    """Up to what force, blood or saturation, and what alpha D^2, each fitted model stays within 1 % and 5 %; and the
+    sweep that each row is of."""
+    rows, groups = [], []
+    for sweep, (_, j) in product(map(str, result.sweep.values), _photodiodes(result)):
+        pair = result.sel(sweep=sweep).isel(led=led, photodiode=j)
+        row = {"Photodiode": str(pair.photodiode.values), "Swing [%]": estimated(pair, "relative_swing", 100)}
+        row["Mean path [mm]"] = estimated(pair, "path_mm")
+        for model, within in product(FORMULAS, pair.within.values):
+            at = pair.sel(way="fitted", model=model, within=within)
+            row[f"{FORMULAS[model]} to {100 * within:g} %"] = _interval(at, "limit", _display_scale(sweep))
+        row["αD² [1]"] = " – ".join(significant(float(f(pair.bed_alpha_d2)), 2) for f in (np.min, np.max))
+        for within in pair.within.values:
+            at = pair.sel(way="fitted", model="taylor", within=within)
+            row[f"αD² for {100 * within:g} % of Taylor (9)"] = _interval(at, "limit_bed_alpha_d2", 1.0)
         rows.append(row)
-    return rows
+        groups.append(f"Over {sweep}: limits of the {X_LABELS[sweep]}")
+    return rows, groups
 
 
 def _interval(limits: xr.Dataset, name: str, by: float) -> str:
@@ -117,7 +107,8 @@ WAY_TITLES = {
     "predicted_both": "no fit: both zones' mean paths",
 }
 FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
-_FLOOR, _CEILING = 0.01, 150.0
+# Errors that the axes show, and those that are marked. [% of swing]
+SHOWN, MARKED = (0.01, 500.0), (1, 5)
 # Panels side by side.
 COLUMNS = 4
 
@@ -127,15 +118,11 @@ def _display_scale(sweep: str) -> float:
     return 1.0 if sweep == "force" else 100.0
 
 
-def _colours(result: xr.Dataset) -> list[str]:
-    """Colours of the photodiodes in that order."""
-    distal = result.zone_of_photodiode >= result.sizes["zone"] / 2
-    return style.place_colours(distal.size, int(distal.sum()))
-
-
-def _photodiode_order(result: xr.Dataset) -> list[int]:
-    """Photodiodes as the figures list them: proximal ones first, in the scene's order."""
-    return [int(i) for i in np.argsort(result.zone_of_photodiode.values, kind="stable")]
+def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
+    """Colour and index of each photodiode: proximal ones first, in the scene's order."""
+    zones = result.zone_of_photodiode.values
+    colours = style.place_colours(len(zones), int((zones >= result.sizes["zone"] / 2).sum()))
+    return list(zip(colours, np.argsort(zones, kind="stable").tolist(), strict=True))
 
 
 @style.drawing()
@@ -143,65 +130,56 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
     """The error of Taylor (9) and Beer-Lambert (8), fitted over each range from the sweep's start, with 95 % intervals
     and lines at 1 and 5 %.
     """
-    places, sweeps = _photodiode_order(result), [str(s) for s in result.sweep.values]
+    photodiodes, sweeps = _photodiodes(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
     room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}
     figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
+            axes.set(yscale="log", ylim=SHOWN)
             fitted = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
             x = fitted.setting.values * _display_scale(sweep)
-            for colour, j in zip(_colours(result), places, strict=True):
-                error, stderr = 100 * fitted.range_error.values[j], 100 * fitted.range_error_stderr.values[j]
-                low, high = (np.clip(error + k * Z95 * stderr, _FLOOR, _CEILING) for k in (-1, 1))
-                axes.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-                axes.plot(x, np.clip(error, _FLOOR, None), color=colour, label=style.plain(fitted.photodiode.values[j]))
-            left = axes.get_yaxis_transform()
-            for tolerance in (1, 5):
+            for colour, j in photodiodes:
+                # Of as many settings as constants there is no error.
+                error = 100 * fitted.range_error[j].where(fitted.range_error[j] > 0)
+                stderr = 100 * fitted.range_error_stderr[j]
+                style.estimate(axes, x, error, stderr, color=colour, label=style.plain(fitted.photodiode.values[j]))
+            for tolerance in MARKED:
                 axes.axhline(tolerance, color=style.INK, lw=0.9, ls=(0, (4, 2)))
-                axes.text(0.005, tolerance * 1.08, f"{tolerance} %", transform=left, ha="left", fontsize=8)
-            axes.set(yscale="log", ylim=(_FLOOR, _CEILING), xlim=(x[0], x[-1]))
-            axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
-            axes.minorticks_off()
-            axes.set_xlabel(f"range from {x[0]:g} to this {X_LABELS[sweep]}")
             axes.set_title(f"{formula}, fitted, over {sweep}")
+            axes.set(xlim=(x[0], x[-1]), xlabel=f"range from {x[0]:g} to this {X_LABELS[sweep]}")
         row[0].set_ylabel("largest error [% of swing]")
-    style.legend_above(figure, grid[0, 0], ncols=min(len(places), 8), columnspacing=1.2, handlelength=1.4)
+    style.plain_log(grid[0, 0].yaxis)
+    style.legend_above(figure, grid[0, 0], ncols=min(len(photodiodes), 8), columnspacing=1.2, handlelength=1.4)
     return figure
 
 
 @style.drawing()
 def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """What the error of Taylor (9) is made of, photodiode by photodiode, where it is largest."""
-    places, count = _photodiode_order(result), result.sizes["way"]
-    rows, height_in = np.arange(len(places)), 1.3 + 0.42 * len(places)
-    figure, panels = style.panels(9.6, height_in, 1, count, sharey=True, sharex=True, squeeze=False)
+    order = [j for _, j in _photodiodes(result)]
+    rows, height_in = np.arange(len(order)), 1.3 + 0.42 * len(order)
+    figure, panels = style.panels(9.6, height_in, 1, result.sizes["way"], sharey=True, sharex=True, squeeze=False)
     for axes, way in zip(panels[0], result.way.values, strict=True):
-        parts = result.sel(sweep=sweep, way=way).isel(led=led, photodiode=places)
+        parts = result.sel(sweep=sweep, way=way).isel(led=led, photodiode=order)
         error = parts.error.sel(model="taylor", drop=True)
         worst = parts[["part_error", "part_error_stderr"]].isel(point=abs(error).fillna(0.0).argmax("point"))
         for row in rows[1::2]:
             axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5, lw=0)
         for k, part in enumerate(map(str, result.part.values)):
             label, colour, mark = PARTS[part]
-            size, spread = (
-                100 * abs(worst[name].sel(part=part).values) for name in ("part_error", "part_error_stderr")
-            )
-            spread, y = Z95 * spread, rows + 0.17 * (k - 1.5)
+            at, y = worst.sel(part=part), rows + 0.17 * (k - 1.5)
+            size, spread = 100 * abs(at.part_error.values), 100 * Z95 * at.part_error_stderr.values
             axes.hlines(y, np.maximum(size - spread, 1e-3), size + spread, color=colour, lw=1.2)
             faces = np.where(size > spread, colour, style.PAPER)
             axes.scatter(size, y, 30, faces, marker=mark, edgecolors=colour, linewidths=1.0, zorder=3, label=label)
         axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
-        axes.minorticks_off()
-        for tolerance in (1, 5):
+        for tolerance in MARKED:
             axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
     first = panels[0, 0]
-    low, high = first.get_xlim()
-    first.set_xlim(max(low, 0.01), min(high, 2000))
-    ticks = [t for t in (0.01, 0.1, 1, 10, 100, 1000) if max(low, 0.01) <= t <= high]
-    first.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    first.set_yticks(rows, [style.plain(result.photodiode.values[j]) for j in places])
-    first.set_ylim(len(places) - 0.5, -0.5)
+    first.set_xlim(SHOWN)
+    style.plain_log(first.xaxis)
+    style.named_rows(first, result.photodiode.values[order])
     style.legend_above(figure, first, ncols=4)
     return figure
 
@@ -209,7 +187,7 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
 @style.drawing()
 def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
-    places, changes = _photodiode_order(result), result.sel(sweep=sweep).isel(led=led)
+    photodiodes, changes = _photodiodes(result), result.sel(sweep=sweep).isel(led=led)
     x = changes.setting.values * _display_scale(sweep)
     models = (
         ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
@@ -217,18 +195,16 @@ def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
         ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9), fitted"),
     )
     room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
-    figure, panels = style.tiles(len(places), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
-    for k, (axes, j, colour) in enumerate(zip(panels, places, _colours(result), strict=True)):
+    figure, panels = style.tiles(len(photodiodes), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
+    for k, (axes, (colour, j)) in enumerate(zip(panels, photodiodes, strict=True)):
         traced = changes.reading.values[j]
         axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
         for way, model, ink, dashes, label in models:
             values = changes.sel(way=way, model=model).model_reading.values[j]
             axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
         axes.set(title=style.plain(result.photodiode.values[j]), xlim=(x[0], x[-1]))
-        axes.set(
-            xlabel=X_LABELS[sweep] if k + COLUMNS >= len(places) else "", ylabel="" if k % COLUMNS else "change [%]"
-        )
-        style.remark(axes, f"swing {significant(100 * float(changes.swing[j] / traced[0]), 2)} %")
+        axes.set_xlabel(X_LABELS[sweep] if k + COLUMNS >= len(panels) else "")
+        axes.set_ylabel("" if k % COLUMNS else "change [%]")
     style.legend_above(figure, panels[0], ncols=4)
     return figure
 
