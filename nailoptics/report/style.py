@@ -1,7 +1,7 @@
 """The style of all figures: colours with one meaning each, fonts, and SVG that follows the page's light or dark."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO, StringIO
@@ -109,6 +109,39 @@ def tiles(
     for axes in grid.flat[count:]:
         axes.set_axis_off()
     return figure, list(grid.flat[:count])
+
+
+@drawing()
+def beside_models(
+    x: np.ndarray,
+    traced: Sequence[np.ndarray],
+    stderr: Sequence[np.ndarray],
+    models: Mapping[str, tuple[Sequence[np.ndarray], dict[str, Any]]],
+    *,
+    named: Mapping[str, str],
+    xlabel: str,
+    ylabel: str,
+) -> "Figure":
+    """A panel for each photodiode: its traced course, wide and with its 95 % interval, beside those of models.
+
+    traced, stderr : (n,) float of each photodiode.
+    models : the same of each model and its look, by its label.
+    named : name of each photodiode and its colour.
+    """
+    columns, marker = 4, "o" if len(x) == 1 else None
+    room = Room(left=0.65, top=0.6, across=0.45, down=0.3)
+    figure, panels = tiles(len(named), columns, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
+    for k, (axes, (name, colour)) in enumerate(zip(panels, named.items(), strict=True)):
+        estimate(axes, x, traced[k], stderr[k], color=colour, label="traced", alpha=0.3, lw=3, marker=marker)
+        for label, (values, look) in models.items():
+            axes.plot(x, values[k], label=label, lw=1.2, marker=marker, **look)
+        axes.set_title(plain(name))
+        axes.set_xlabel(xlabel if k + columns >= len(panels) else "")
+        axes.set_ylabel("" if k % columns else ylabel)
+        if len(x) > 1:
+            axes.set_xlim(x[0], x[-1])
+    legend_above(figure, panels[0], ncols=4)
+    return figure
 
 
 def legend_above(figure: "Figure", axes: "Axes", *, ncols: int, **look: Any) -> None:

@@ -92,8 +92,9 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     assert_text_alone(html.table(force._factors({"parameters": {name: person}})), name)
     result = xr.Dataset(
         {"spo2_stderr_by_cause": (("photodiode", "cause"), np.ones((1, 1)))}
+        | {"volts": (("led", "photodiode", "beat_time"), np.ones((1, 1, 2)))}
         | {key: ("photodiode", np.ones(1)) for key in ("spo2_stderr", "spo2_stderr_beat")},
-        coords={"photodiode": [name], "cause": [name]},
+        coords={"led": [name], "photodiode": [name], "cause": [name]},
     )
     assert_text_alone(html.table(oximeter._errors(result)), name)
     level = SimpleNamespace(name=name, beforehand=name, lines=(name,), call=name)

@@ -109,8 +109,6 @@ WAY_TITLES = {
 FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
 # Errors that the axes show, and those that are marked. [% of swing]
 SHOWN, MARKED = (0.01, 500.0), (1, 5)
-# Panels side by side.
-COLUMNS = 4
 
 
 def _display_scale(sweep: str) -> float:
@@ -184,29 +182,23 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
     return figure
 
 
-@style.drawing()
 def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
-    photodiodes, changes = _photodiodes(result), result.sel(sweep=sweep).isel(led=led)
-    x = changes.setting.values * _display_scale(sweep)
-    models = (
-        ("predicted", "beer_lambert", style.MUTED, (0, (1, 1.5)), "Beer–Lambert (8), no fit, own zone"),
-        ("predicted_both", "beer_lambert", style.VEIN, (0, (6, 2)), "Beer–Lambert (8), no fit, both zones"),
-        ("fitted", "taylor", style.INK, (0, (4, 2)), "Taylor (9), fitted"),
-    )
-    room = style.Room(left=0.65, top=0.6, across=0.45, down=0.3)
-    figure, panels = style.tiles(len(photodiodes), COLUMNS, 9.6, 2.0, extra_in=0.6, room_in=room, sharex=True)
-    for k, (axes, (colour, j)) in enumerate(zip(panels, photodiodes, strict=True)):
-        traced = changes.reading.values[j]
-        axes.plot(x, 100 * (traced / traced[0] - 1), color=colour, lw=3, alpha=0.8, label="traced")
-        for way, model, ink, dashes, label in models:
-            values = changes.sel(way=way, model=model).model_reading.values[j]
-            axes.plot(x, 100 * (values / traced[0] - 1), color=ink, ls=dashes, lw=1.2, label=label)
-        axes.set(title=style.plain(result.photodiode.values[j]), xlim=(x[0], x[-1]))
-        axes.set_xlabel(X_LABELS[sweep] if k + COLUMNS >= len(panels) else "")
-        axes.set_ylabel("" if k % COLUMNS else "change [%]")
-    style.legend_above(figure, panels[0], ncols=4)
-    return figure
+    colours, order = zip(*_photodiodes(result), strict=True)
+    changes = result.sel(sweep=sweep).isel(led=led, photodiode=list(order))
+    start = changes.reading.isel(point=0)
+    models = {}
+    for label, way, model, ink, dashes in (
+        ("Beer–Lambert (8), no fit, own zone", "predicted", "beer_lambert", style.MUTED, (0, (1, 1.5))),
+        ("Beer–Lambert (8), no fit, both zones", "predicted_both", "beer_lambert", style.VEIN, (0, (6, 2))),
+        ("Taylor (9), fitted", "fitted", "taylor", style.INK, (0, (4, 2))),
+    ):
+        change = changes.model_reading.sel(way=way, model=model) / start - 1
+        models[label] = 100 * change.values, {"color": ink, "ls": dashes}
+    x, traced = changes.setting.values * _display_scale(sweep), 100 * (changes.reading / start - 1).values
+    named = dict(zip(changes.photodiode.values, colours, strict=True))
+    labels = {"xlabel": X_LABELS[sweep], "ylabel": "change [%]"}
+    return style.beside_models(x, traced, np.zeros_like(traced), models, named=named, **labels)
 
 
 _DIMS = ("sweep", "led", "photodiode")

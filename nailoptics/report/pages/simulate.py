@@ -112,7 +112,8 @@ def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataFrame") -> Html:
-    lines, text = [TEXTS["models"]], TEXTS["volts"]
+    lines: list[Html | str] = []
+    text = TEXTS["models"]
     if result.sizes["photodiode"] > figures.PANELS:
         text += f" {figures.PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
     for i in range(result.sizes["led"]):

@@ -10,7 +10,7 @@ from ...scene import Scene
 from ...studies.simulate import hold_end
 from .. import style
 from ..maps import coloured_along_nail, led_name
-from ..numbers import prefix, significant, with_error
+from ..numbers import prefix, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,8 +41,8 @@ LINES = {
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
-    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "lw": 1.1, "linestyle": (0, (5, 2.5))}),
-    "taylor": ("Taylor (9)", {"color": style.INK, "lw": 1.3, "linestyle": (0, (1, 1.6))}),
+    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "ls": (0, (5, 2.5))}),
+    "taylor": ("Taylor (9)", {"color": style.INK, "ls": (0, (1, 1.6))}),
 }
 
 
@@ -97,26 +97,12 @@ def bed(result: xr.Dataset, scene: Scene) -> "Figure":
 
 @style.drawing()
 def overview(result: xr.Dataset, scene: Scene | None) -> "Figure":
-    """Change of every photodiode from rest, one panel per LED, over the force."""
+    """Change of every photodiode from rest, one panel per LED."""
     leds = result.sizes["led"]
-    per_led = 3.6 if leds > 1 else 4.2
-    columns = _legend_columns(result.sizes["photodiode"])
-    letters = max(len(f"{name}  -1.23 mV") for name in result.photodiode.values)
-    # Letters of DejaVu Sans are 0.5 to 0.55 of their size wide on average; those of a legend are 8.5 points.
-    legend_in = columns * (0.5 + letters * 0.6 * 8.5 / 72)
-    room = style.Room(left=0.7, right=min(0.1 + legend_in, 4.5), top=0.1, down=0.4)
-    how: dict[str, Any] = {"sharex": True, "height_ratios": [0.8] + [per_led] * leds}
-    figure, (top, *panels) = style.panels(9.2, 0.9 + per_led * leds, leds + 1, room_in=room, **how)
-    thin = _thin(result)
-    _line(top, thin.force_n, color=style.INK)
-    top.fill_between(thin.time, 0, thin.force_n, color=style.MUTED, alpha=0.15, lw=0)
-    top.set(ylabel="force [N]", ylim=(0, None))
-    for axes in panels[1:]:
-        axes.sharey(panels[0])
-    for i, axes in enumerate(panels):
+    figure, panels = style.panels(9.2, 0.4 + 3.4 * leds, leds, sharex=True, sharey=True, squeeze=False)
+    for i, axes in enumerate(panels[:, 0]):
         draw_change(axes, result, scene, led=i)
-        if i < leds - 1:
-            axes.set_xlabel("")
+        axes.label_outer()
     return figure
 
 
@@ -145,56 +131,21 @@ def _legend_columns(photodiodes: int) -> int:
     return 1 + (photodiodes - 1) // 16
 
 
-@style.drawing()
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
-    """One LED's readings, one panel per photodiode: traced volts with errors, both reduced models and residuals.
-
-    The more proximal photodiodes are on the left. The band is the trace's standard error of the change
-    from rest; its error of the level, which all samples share, is a number in the title.
-    """
+    """One LED's readings, one panel per photodiode, the more proximal ones first: change from rest of traced light and
+    of both reduced models, with the trace's error of the change."""
     order = coloured_along_nail(scene, result.sizes["photodiode"])
     if len(order) > PANELS:
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
-    rows, columns = -(-len(order) // 2), min(len(order), 2)
-    ratios = [2.2, 1] * rows
-    height_in, how = 0.8 + 2.2 * rows, {"sharex": True, "squeeze": False, "height_ratios": ratios}
-    room = style.Room(left=0.85, top=0.55, across=0.85, down=0.25)
-    figure, grid = style.panels(9.2, height_in, 2 * rows, columns, room_in=room, **how)
-    pairs = [(result[f"volts_{name}"][led, j], result.volts[led, j]) for name in MODELS for _, j in order]
-    missed_v = [float(np.abs(model - traced).max()) for model, traced in pairs]
-    missed_scale, missed_letter = prefix(max(*missed_v, _largest(result.volts_noise_rms[led])))
-    thin, rest = _thin(result, SAMPLES // columns).isel(led=led), result.isel(led=led, time=0)
-    for k, (colour, j) in enumerate(order):
-        column, row = divmod(k, rows)
-        main, below = grid[2 * row : 2 * row + 2, column]
-        reading = thin.isel(photodiode=j)
-        scale, letter = prefix(float(np.abs(reading.volts).max()))
-        low, high = ((reading.volts + k * reading.volts_change_stderr) / scale for k in (-1, 1))
-        main.fill_between(reading.time, low, high, color=colour, alpha=0.45, lw=0, label="error of the trace")
-        noise = reading.volts_noise_rms / missed_scale
-        below.axhline(0, color=style.MUTED, lw=0.7)
-        below.fill_between(reading.time, -noise, noise, color=style.MUTED, alpha=0.16, lw=0)
-        _line(main, reading.volts / scale, color=colour, label="traced light")
-        for name, (label, look) in MODELS.items():
-            _line(main, reading[f"volts_{name}"] / scale, label=label, **look)
-            _line(below, (reading[f"volts_{name}"] - reading.volts) / missed_scale, **look)
-        main.set_ylabel(f"volts [{letter}V]", fontsize=8)
-        below.set_ylabel(f"residual\n[{missed_letter}V]", fontsize=8)
-        level = with_error(float(rest.volts[j]) / scale, float(rest.volts_stderr[j]) / scale)
-        main.set_title(style.plain(reading.photodiode.values), color=style.INK)
-        style.remark(main, "saturated" if reading.saturated.any() else f"at rest {level} {letter}V")
-        _not_too_close(main)
-    residuals = grid[1::2].ravel()
-    limit = 1.15 * max(abs(y) for axes in residuals for y in axes.dataLim.intervaly if np.isfinite(y)) or 1.0
-    for axes in residuals:
-        axes.set_ylim(-limit, limit)
-    for axes in grid.ravel()[2 * len(order) :]:
-        axes.set_visible(False)
-    grid[0, 0].locator_params("x", nbins=6)
-    for axes in grid[-1]:
-        _over_time(axes, result)
-    style.legend_above(figure, grid[0, 0], ncols=4, handlelength=2.2, columnspacing=1.4)
-    return figure
+    colours, places = zip(*order, strict=True)
+    thin = _thin(result).isel(led=led, photodiode=list(places)).transpose("photodiode", "time", ...)
+    rest = result.volts.isel(led=led, photodiode=list(places), time=0)
+    scale, letter = prefix(_largest(thin.volts_change))
+    models = {label: ((thin[f"volts_{name}"] - rest).values / scale, look) for name, (label, look) in MODELS.items()}
+    traced, stderr = (thin[name].values / scale for name in ("volts_change", "volts_change_stderr"))
+    named = dict(zip(thin.photodiode.values, colours, strict=True))
+    labels = {"xlabel": "time [s]", "ylabel": f"change [{letter}V]"}
+    return style.beside_models(thin.time.values, traced, stderr, models, named=named, **labels)
 
 
 def _thin(result: xr.Dataset, samples: int = SAMPLES) -> xr.Dataset:
