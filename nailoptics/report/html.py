@@ -118,6 +118,11 @@ def small(text: str) -> Html:
     return paragraph(text, kind="small") if text else Html()
 
 
+def details(summary: str, *content: Html) -> Html:
+    """What is shown once its summary is opened."""
+    return Html("\n".join([f"<details><summary>{escaped(summary)}</summary>", *content, "</details>"]))
+
+
 def figure(drawing: "Figure", caption: str, *, narrow: bool = False) -> Html:
     """A figure with its caption."""
     svg, kind = style.to_svg(drawing, description=caption), ' class="narrow"' if narrow else ""
@@ -164,6 +169,5 @@ def _provenance(attributes: Mapping[str, Any]) -> str:
         lines.append(f"<div><dt>{label}</dt><dd>{escaped(shown)}</dd></div>")
     lines.append("</dl>")
     if "scene" in attributes:
-        scene = escaped(attributes["scene"])
-        lines.append(f"<details><summary>The scene, complete</summary><pre>{scene}</pre></details>")
+        lines.append(details("The scene, complete", Html(f"<pre>{escaped(attributes['scene'])}</pre>")))
     return "\n".join([*lines, small("Terms and symbols: docs/glossary.md in the repository."), "</section>"])

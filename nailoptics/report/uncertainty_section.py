@@ -1,13 +1,12 @@
 """Uncertainty due to unknown parameters of the finger, in words and tables: standard deviations over the priors."""
 
-import math
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from .html import section, small, table, texts
-from .numbers import estimated, plain, range_of
+from .html import details, section, small, table, texts
+from .numbers import cells, estimated, plain, range_of
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
@@ -120,18 +119,15 @@ def spread_section(result: xr.Dataset) -> str:
     """The section of a page on uncertainty over the priors; empty without any."""
     if not result.sizes.get("prior"):
         return ""
-    rows = _rows(result)
-    lines = []
-    for row in rows:
-        line = {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])}
-        for kind in _kinds(result):
-            traced = math.isfinite(row[f"{kind}_spread"])
-            std = estimated(row, f"{kind}_spread", 100) if traced else "not traced"
-            line[f"{KINDS[kind]}, largest std [%]"] = std
-        lines.append(line | {"Method": row["how"]})
-    sources = "; ".join(
-        f"{', '.join(row['name'] for row in rows if row['source'] == source)}: {source}"
-        for source in dict.fromkeys(row["source"] for row in rows)
-    )
-    note = small(f"{texts('uncertainty')['note']} {sources}.")
-    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), note)
+    rows, columns = _rows(result), {}
+    for kind in _kinds(result):
+        columns[f"{KINDS[kind]}, largest std [%]"] = f"{kind}_spread", 100.0, 0
+    lines = [
+        {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])} | cells(row, columns)
+        for row in rows
+        if row["how"] != "not traced"
+    ]
+    sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
+    note = small(texts("uncertainty")["note"])
+    opened = details("Sources of the ranges", sources)
+    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), note, opened)

@@ -26,7 +26,7 @@ from ....studies.exploration.explore import (
     Exploration,
 )
 from ....studies.exploration.pair_table import NEAREST_MM
-from ...html import Html, Script, document, escaped, section, small, subheading
+from ...html import Html, Script, details, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
@@ -79,12 +79,12 @@ def _library(file: str) -> str:
 
 
 def _licences() -> Html:
-    lines = ["<details><summary>Licences of the libraries in this page</summary>"]
+    parts: list[Html] = []
     for name, _, address in LIBRARIES:
         licence = escaped(_text("vendor", f"{name.removesuffix('.js')}.LICENSE"))
-        lines.append(f"{subheading(name)}{small(address)}<pre>{licence}</pre>")
+        parts += [subheading(name), small(address), Html(f"<pre>{licence}</pre>")]
     opening = "uPlot draws, interact.js drags, smol-toml reads and writes scenes."
-    return section("Made with", opening, Html("\n".join([*lines, "</details>"])))
+    return section("Made with", opening, details("Licences of the libraries in this page", *parts))
 
 
 def _half(values: np.ndarray) -> str:
