@@ -71,7 +71,7 @@ def test_a_prior_with_most_effect_on_readings_and_changes_is_named_once(make):
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-@pytest.mark.parametrize("field", ["prior", "prior_how", "prior_source"])
+@pytest.mark.parametrize("field", ["prior", "prior_source"])
 def test_a_prior_with_a_hostile_name_is_text(make, name, field):
     result = with_priors(make(section=False), 0.0)
     result[field] = result[field].dims, np.array([name])

@@ -53,7 +53,7 @@ def test_names_failures_and_titles_are_text_on_the_page():
 
 def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
     names = ["a", "b", "c"]
-    sweep = results(names).assign_coords(base=("base", [0.0, 0.5, 1.0], {"long_name": "touch.force_n"}))
+    sweep = results(names).assign_coords(base=("base", [0.0, 0.5, 1.0], {"long_name": "touch.force_n", "units": "N"}))
     sweep.volts_start.attrs["long_name"] = "voltage at rest"
     drawn: list[Any] = []
     monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
