@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 from benchmarks.parameter_search import SEARCHED
+from inertial import walls_with_mass
 from scipy.integrate._ivp import ivp
 
 from nailoptics.hemodynamics import NAMES, Waveform, bounds, parameters, respond
@@ -49,7 +50,8 @@ def radau_takes(monkeypatch, most, *arguments, **given):
     with monkeypatch.context() as patch:
         patch.setitem(ivp.METHODS, "Radau", Counted)
         try:
-            respond(*arguments, model="inertial", **given)
+            with walls_with_mass():
+                respond(*arguments, **given)
         except Enough:
             pass
     return taken
