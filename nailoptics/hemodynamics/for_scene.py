@@ -17,6 +17,7 @@ from ..statistics import covariance_root
 from ..variables import described, precision
 from .blood import Arterioles, arterioles_of
 from .parameters import posture_pa, vessels, with_posture
+from .respond import Model
 from .touch import TouchCourse, touch_course
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
@@ -279,12 +280,12 @@ class BloodModel:
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
-    def over_touch(self, *, rtol: float = 1e-6) -> xr.Dataset:
+    def over_touch(self, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
         """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
 
         The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
 
-        rtol : as for `hemodynamics.respond`.
+        model, rtol : as for `hemodynamics.respond`.
         """
         course, moving = self.touch, self.body_waveforms()
         time_s, pressures = course.samples_s, course.waveforms()
@@ -297,6 +298,7 @@ class BloodModel:
             **moving,
             zones=self.zones,
             start="steady",
+            model=model,
             rtol=rtol,
             only_diameters=not self.blood.oxygen_balance,
         ).isel(time=slice(len(before_s), None))
@@ -344,9 +346,9 @@ def blood_model(scene: Scene) -> BloodModel:
     )
 
 
-def blood_over_touch(scene: Scene, *, rtol: float = 1e-6) -> xr.Dataset:
+def blood_over_touch(scene: Scene, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
     """What a scene's touch makes of its blood, as `BloodModel.over_touch`."""
-    return blood_model(scene).over_touch(rtol=rtol)
+    return blood_model(scene).over_touch(model=model, rtol=rtol)
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:

@@ -149,5 +149,20 @@ class MasslessNetwork:
         return np.concatenate([diagonal, -give[-1:]]), np.concatenate(left), np.concatenate(right) / self.node_total
 
 
+def inertial_pressures(walls: Walls, width: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
+    """The pressures in the network at given wall speeds, as of walls with mass, (N+1, ...) float. [Pa]
+
+    width : (N+1, ...) float. D + x. [m] speed : the same shape. [m/s]
+    high, low : P_H and P_L. [Pa]
+    """
+    walls = walls.with_axes(width.ndim)
+    conductance, displaced = walls.flow_factor * (width * width * (width * width)), walls.area * speed
+    total = conductance[:-1] + walls.venule
+    ratio, inflow = walls.venule / total, conductance[:-1] * high - displaced[:-1]
+    below = _sum(ratio * conductance[:-1]) + conductance[-1:]
+    node = (_sum(ratio * inflow) - displaced[-1:] + conductance[-1:] * low) / below
+    return np.concatenate([inflow / total + ratio * node, node])
+
+
 def _sum(units: np.ndarray) -> np.ndarray:
     return np.add.reduce(units, axis=0, keepdims=True)

@@ -36,9 +36,9 @@ class Tuning(Table):
     vein_stiffness_n_per_m: Positive | None = None
     """Stiffness k_V of the vein's wall. [N/m]"""
     capillary_mass_kg: PerBed | None = None
-    """Mass m_C of a capillary wall, which the paper lists: of a gram it moves nothing, and it is left out. [kg]"""
+    """Mass m_C of a capillary wall; used by the inertial model only. [kg]"""
     vein_mass_kg: Positive | None = None
-    """Mass m_V of the vein's wall; left out, too. [kg]"""
+    """Mass m_V of the vein's wall; used by the inertial model only. [kg]"""
     capillary_damping_n_s_per_m: PerBed | None = None
     """Damping b_C of a capillary wall. [N s/m]"""
     vein_damping_n_s_per_m: Positive | None = None

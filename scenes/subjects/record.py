@@ -21,13 +21,12 @@ massless walls, one wavelength, neither epidermis nor Kapton, a million photons 
 import argparse
 import itertools
 import zlib
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from inertial import walls_with_mass
 from numpy.typing import NDArray
 
 from nailoptics.assets import data_dir
@@ -145,12 +144,11 @@ def record_touch(
     """What a worn sensor records of one more touch by a person whose light is traced.
 
     light : what `open_light` returned for the scene, whatever its touch. seed : of pulse, drift and noise.
-    model : the equations of the vessels; the inertial ones are those of `walls_with_mass`.
+    model : the equations of the vessels, as for `hemodynamics.respond`.
     """
     body = scene.body.model_copy(update={"seed": seed}) if scene.body else None
     touched = scene.model_copy(update={"touch": touch, "body": body})
-    with walls_with_mass() if model == "inertial" else nullcontext():
-        course = blood_over_touch(touched, rtol=RTOL)
+    course = blood_over_touch(touched, model=model, rtol=RTOL)
     return record(touched, simulate_from(touched, light, course=course, options=TraceOptions(seed=seed)), seed=seed)
 
 

@@ -1,12 +1,10 @@
 """Hemodynamics at every extreme: pressures, closure, reversed flow, masses, dampers, springs, impulses, long ramps."""
 
 import itertools
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from equal_zones import equal_zones
-from inertial import walls_with_mass
 
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics import NAMES, massless, parameters, respond, steady_state
@@ -86,8 +84,7 @@ def test_the_printed_model_without_contact_does_open_again():
     p = parameters("listed")
     time = np.linspace(0.0, 20.0, 201)
     touch = np.interp(time, [0.0, 10.0], [0.0, 1.4e4])
-    with walls_with_mass(contact=False):
-        printed = respond(p, time, proximal_pressure_pa=touch, rtol=1e-6)
+    printed = respond(p, time, proximal_pressure_pa=touch, model="printed", rtol=1e-6)
     ours = respond(p, time, proximal_pressure_pa=touch)
     assert printed["vein_diameter_m"].values[-1] < -1e-5
     rise = ours["capillary_diameter_m"].values[0]
@@ -103,9 +100,7 @@ def test_contact_agrees_with_the_six_states(name):
     time = np.linspace(0.0, 3.0, 301)
     touch = np.interp(time, [0.1, 0.5, 1.5, 2.0], [0.0, 2.5e4, 2.5e4, 0.0])
     inputs = {"proximal_pressure_pa": touch, "distal_pressure_pa": touch}
-    quick = respond(p, time, **inputs)
-    with walls_with_mass():
-        check = respond(p, time, rtol=1e-7, **inputs)
+    quick, check = respond(p, time, **inputs), respond(p, time, model="inertial", rtol=1e-7, **inputs)
     assert quick["vein_closed"].values.any()
     rest = widths(quick)[:, :1]
     assert np.abs((widths(quick) - widths(check)) / rest).max() < 1e-3
@@ -128,8 +123,7 @@ def test_small_masses_do_not_matter(mass):
     p = parameters("listed").replace(capillary_mass_kg=mass, vein_mass_kg=mass)
     time = np.linspace(0.0, 2.0, 101)
     touch = np.interp(time, [0.2, 0.4, 1.0, 1.2], [0.0, 8e3, 8e3, 0.0])
-    with walls_with_mass():
-        full = respond(p, time, proximal_pressure_pa=touch)
+    full = respond(p, time, proximal_pressure_pa=touch, model="inertial")
     quick = respond(p, time, proximal_pressure_pa=touch)
     assert np.abs(widths(full) / widths(quick) - 1).max() < 1e-4
 
@@ -138,8 +132,7 @@ def test_a_mass_of_a_kilogram_is_seen_and_harmless():
     p = parameters("listed").replace(capillary_mass_kg=1.0, vein_mass_kg=1.0)
     time = np.linspace(0.0, 2.0, 101)
     touch = np.interp(time, [0.2, 0.25], [0.0, 8e3])
-    with walls_with_mass():
-        full = respond(p, time, proximal_pressure_pa=touch)
+    full = respond(p, time, proximal_pressure_pa=touch, model="inertial")
     quick = respond(p, time, proximal_pressure_pa=touch)
     assert_sound(full)
     gap = np.abs(widths(full) / widths(quick) - 1)
@@ -165,13 +158,12 @@ def test_stiffness_damping_and_flow_a_thousand_times_off(field, factor):
         assert_sound(respond(p, TIME, proximal_pressure_pa=held(touch), distal_pressure_pa=held(touch)))
 
 
-@pytest.mark.parametrize("walls", [nullcontext, walls_with_mass])
-def test_an_impulse_of_a_millisecond_is_felt_and_forgotten(walls):
+@pytest.mark.parametrize("model", ["massless", "inertial"])
+def test_an_impulse_of_a_millisecond_is_felt_and_forgotten(model):
     p = parameters("figures")
     time = np.arange(0.0, 2.0, 1e-3)
     touch = np.where(np.arange(time.size) == 1000, 1e5, 0.0)
-    with walls():
-        run = respond(p, time, proximal_pressure_pa=touch, distal_pressure_pa=touch)
+    run = respond(p, time, proximal_pressure_pa=touch, distal_pressure_pa=touch, model=model)
     assert_sound(run)
     width = widths(run) / widths(run)[:, :1]
     assert np.abs(width[:, :999] - 1).max() < 1e-5

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from equal_zones import equal_zones
-from inertial import inertial_pressures
 from printed_equations import coefficients, resistances, state_matrices
 
 from nailoptics.hemodynamics import PAPER_ZONES, parameters, steady_state
-from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls
+from nailoptics.hemodynamics.walls import MasslessNetwork, build_walls, inertial_pressures
 
 
 def kirchhoff(arteriole, venule, vein, injected, high, low):

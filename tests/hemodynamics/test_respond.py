@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from equal_zones import equal_zones
-from inertial import walls_with_mass
 from printed_equations import state_matrices
 from scipy.integrate import simpson, solve_ivp
 
@@ -40,8 +39,7 @@ def test_massless_model_agrees_with_the_six_states(name):
     touch = np.interp(time, [0.2, 0.6, 1.6, 2.0], [0.0, 9e3, 9e3, 0.0])
     inputs = {"proximal_pressure_pa": touch, "distal_pressure_pa": 0.7 * touch}
     quick = respond(p, time, rtol=1e-8, **inputs)
-    with walls_with_mass():
-        check = respond(p, time, rtol=1e-8, **inputs)
+    check = respond(p, time, rtol=1e-8, model="inertial", **inputs)
     gap = np.abs(quick["capillary_diameter_m"] - check["capillary_diameter_m"]).max().item()
     # With masses of a gram the walls follow within 1e-5 um.
     assert gap < 2e-11
@@ -63,8 +61,7 @@ def test_six_states_agree_with_the_printed_matrices():
 
     time = np.linspace(0.0, 1.0, 21)
     exact = solve_ivp(printed, (0.0, 1.0), begin, "Radau", t_eval=time, rtol=1e-9, atol=1e-9 * np.tile(rest, 2))
-    with walls_with_mass():
-        run = respond(p, time, proximal_pressure_pa=6e3, distal_pressure_pa=4e3, rtol=1e-9)
+    run = respond(p, time, proximal_pressure_pa=6e3, distal_pressure_pa=4e3, model="inertial", rtol=1e-9)
     width = np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values])
     assert np.abs(width / (exact.y[:3] + rest[:, None]) - 1).max() < 1e-6
 
@@ -300,6 +297,7 @@ def test_dataset_is_labelled_and_carries_its_inputs():
         ([0.0, 1.0], {"distal_pressure_pa": np.inf}, "distal_pressure_pa must be finite"),
         ([0.0, 1.0], {"arterial_pressure_pa": [1.0, np.nan]}, r"arterial_pressure_pa\[1\]"),
         ([0.0, 1.0], {"rtol": 0.0}, "rtol"),
+        ([0.0, 1.0], {"model": "quick"}, "'inertial' or 'printed'"),
         ([0.0, 1.0], {"start": "now"}, "'untouched' or 'steady'"),
     ],
 )

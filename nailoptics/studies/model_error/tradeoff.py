@@ -48,7 +48,7 @@ CHEAPER: dict[str, Changes] = {
 }
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
 # Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
-COURSES: dict[str, dict[str, Any]] = {"vessels to 1e-3": {"rtol": 1e-3}}
+COURSES: dict[str, dict[str, Any]] = {"walls with mass": {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
 FEWER_SAMPLES = 10
 LITERATURE_CALL = "nailoptics.studies.model_error.tradeoff.literature_changes(scene, name, blood)"
 # Mean path of detected light over the distance from source to detector: adult forearm, 807 nm, distances of

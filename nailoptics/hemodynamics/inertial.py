@@ -1,22 +1,12 @@
-"""Walls with mass over time, the paper's six-state model: the check on the massless one, in whose place they move.
+"""Walls with mass over time, the paper's six-state model: the check on the massless one."""
 
-with walls_with_mass():
-    run = respond(...)
-"""
-
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
-from nailoptics.errors import NotReachedError
-from nailoptics.hemodynamics import massless
-from nailoptics.hemodynamics.drive import Drive
-from nailoptics.hemodynamics.walls import Walls
+from ..errors import NotReachedError
+from .drive import Drive
+from .walls import Walls, inertial_pressures
 
 # Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]
 _CONTACT_OVER_WALL = 1e6
@@ -24,22 +14,12 @@ _CONTACT_OVER_WALL = 1e6
 _WIDTH_STEP, _SPEED_STEP = 1e-7, 1.0
 
 
-@contextmanager
-def walls_with_mass(*, contact: bool = True) -> Iterator[None]:
-    """Within it vessels are followed by the six-state model, of 2 N + 2 states for N units, through all of nailoptics.
-
-    contact : as for `integrate`.
-    """
-    with patch.object(massless, "integrate", partial(integrate, contact=contact)):
-        yield
-
-
 def integrate(
     walls: Walls,
     drive: Drive,
     time_s: np.ndarray,
     start_m: np.ndarray,
-    inputs: np.ndarray | None,
+    inputs: np.ndarray,
     *,
     rtol: float,
     contact: bool,
@@ -47,13 +27,14 @@ def integrate(
     """Diameters D + x [m], pressures [Pa] and contact (bool) of walls at given times, (N+1, T) each, by scipy's Radau.
 
     start_m : (N+1,) float. D + x at time_s[0], at rest. [m]
-    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall; None where no
-        pressures are needed. [Pa]
+    inputs : (N+3, T) float. What `drive` gives at time_s: P_H, P_L and the touch pressure on each wall. [Pa]
     contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
         they pass through each other, as printed in the paper.
 
     Raises: NotReachedError if the integrator gives up.
     """
+    from scipy.integrate import solve_ivp
+
     rest, closed, n = walls.diameter, walls.closed, walls.diameter.size
 
     def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
@@ -91,24 +72,4 @@ def integrate(
     touching = contact & (width <= closed[:, None])
     if contact:
         width = np.maximum(width, closed[:, None])
-    pressure = np.empty((n, 0)) if inputs is None else inertial_pressures(walls, width, speed, *inputs[:2])
-    return width, pressure, touching
-
-
-def inertial_pressures(walls: Walls, width: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
-    """The pressures in the network at given wall speeds, as of walls with mass, (N+1, ...) float. [Pa]
-
-    width : (N+1, ...) float. D + x. [m] speed : the same shape. [m/s]
-    high, low : P_H and P_L. [Pa]
-    """
-    walls = walls.with_axes(width.ndim)
-    conductance, displaced = walls.flow_factor * (width * width * (width * width)), walls.area * speed
-    total = conductance[:-1] + walls.venule
-    ratio, inflow = walls.venule / total, conductance[:-1] * high - displaced[:-1]
-    below = _total(ratio * conductance[:-1]) + conductance[-1:]
-    node = (_total(ratio * inflow) - displaced[-1:] + conductance[-1:] * low) / below
-    return np.concatenate([inflow / total + ratio * node, node])
-
-
-def _total(units: np.ndarray) -> np.ndarray:
-    return np.add.reduce(units, axis=0, keepdims=True)
+    return width, inertial_pressures(walls, width, speed, *inputs[:2]), touching
