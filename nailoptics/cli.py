@@ -46,6 +46,7 @@ app = App(
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
     help_epilogue="Terms and symbols: docs/glossary.md in the repository.",
 )
+app.register_install_completion_command(help="Complete commands and options by tab in bash, zsh or fish from now on.")
 
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
 _Output = Parameter(name=["--output", "-o"])
@@ -733,7 +734,7 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     from .scene import load_scene
 
     scene, chosen = load_scene(name), backends.choose(options.backend)
-    if chosen.name == "scalar" and chosen.advice and options.backend == "auto":
+    if chosen.advice:
         say(chosen.advice)
     for line in far_from_list(scene):
         say(line)

@@ -10,7 +10,7 @@ from .errors import InputError
 # More than any machine traces in a year; a slip of the keyboard should not start it.
 MAX_PHOTONS = 10_000_000_000
 
-BackendName = Literal["auto", "cuda", "llvm", "scalar"]
+BackendName = Literal["auto", "cuda", "llvm", "metal", "scalar"]
 
 
 class Requested(TypedDict, total=False):

@@ -437,7 +437,7 @@ def test_schema_and_doctor_print_json(folder, capfd):
     assert only_json(capfd)["$schema"].startswith("https://json-schema.org/")
     assert run(["doctor", "--json"]) == 0
     found = only_json(capfd)
-    assert {row["backend"] for row in found["findings"]} == {"cuda", "llvm", "scalar"}
+    assert {row["backend"] for row in found["findings"]} == {"cuda", "llvm", "metal", "scalar"}
     assert all(set(row["engines"]) <= {"photons", "volpath"} for row in found["findings"])
     assert all(row["usable"] == bool(row["engines"]) for row in found["findings"])
     for engine, name in found["engines"].items():
@@ -648,3 +648,15 @@ def test_photographs_are_made_unless_there_is_a_time_limit(options, made, monkey
     monkeypatch.setattr("nailoptics.report.files.Report.write", ended)
     assert run(["colour", "nail_colour", "--backend", "scalar", *options]) == 2
     assert len(calls) == made
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="bash completes")
+def test_the_tab_key_completes_commands_and_formats(folder):
+    environment = {"HOME": str(folder)}
+    done = spawn("--install-completion", "--shell", "bash", env=environment)
+    assert done.returncode == 0, done.stderr
+    script = next(path for path in folder.rglob("nailoptics") if "completion" in str(path))
+    ask = """. "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _nailoptics; echo "${COMPREPLY[*]}" """
+    for words, found in ((["ex"], {"explain", "explore", "export"}), (["export", "s", "--format", "sp"], {"spice"})):
+        done = subprocess.run(["bash", "-c", ask, script, "nailoptics", *words], capture_output=True, text=True)
+        assert set(done.stdout.split()) == found, done.stderr

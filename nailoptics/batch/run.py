@@ -91,7 +91,7 @@ class BatchOptions(TraceOptions):
         """Who does the jobs on a backend."""
         if self.scheduler is not None:
             return ClusterSlots(self.scheduler)
-        workers = self.workers or (1 if backend == "cuda" else cores())
+        workers = self.workers or (1 if backend in ("cuda", "metal") else cores())
         return LocalSlots(workers, self.threads or max(1, cores() // workers))
 
 

@@ -28,10 +28,16 @@ from ..io import cache_folder, make_folder, write_bytes
 
 log = logging.getLogger(__name__)
 
-Name = Literal["cuda", "llvm", "scalar"]
-NAMES: tuple[Name, ...] = ("cuda", "llvm", "scalar")
+Name = Literal["cuda", "llvm", "metal", "scalar"]
+# Metal comes after libLLVM because nailoptics was never run on it.
+NAMES: tuple[Name, ...] = ("cuda", "llvm", "metal", "scalar")
 ENGINES = ("photons", "volpath")
-VARIANTS: dict[Name, str] = {"cuda": "cuda_ad_mono", "llvm": "llvm_ad_mono", "scalar": "scalar_rgb"}
+VARIANTS: dict[Name, str] = {
+    "cuda": "cuda_ad_mono",
+    "llvm": "llvm_ad_mono",
+    "metal": "metal_ad_mono",
+    "scalar": "scalar_rgb",
+}
 ADVICE = (
     "the scalar backend is slow; to trace much faster install libLLVM 15 or newer "
     "(Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
@@ -40,6 +46,12 @@ VOLPATH_ADVICE = (
     "volpath traces with the slow scalar backend, because this libLLVM compiles the photons engine only; to trace much "
     "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
 )
+METAL_ADVICE = (
+    "metal is untried: nailoptics never ran on an Apple GPU, which sums in single precision; compare it once with "
+    "--backend llvm (brew install llvm)"
+)
+# Where macOS has Metal.
+METAL = "/System/Library/Frameworks/Metal.framework"
 PROBE_TIMEOUT_S = 120.0
 NOT_INSTALLED = 75  # exit code of a probe without Mitsuba
 CACHE = "backends.json"
@@ -100,7 +112,7 @@ class Backend:
 
 
 def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
-    """The backend to trace with: the one requested, or the first that works of cuda, llvm, scalar.
+    """The backend to trace with: the one requested, or the first that works of cuda, llvm, metal, scalar.
 
     Does not import mitsuba. A library seen for the first time costs a subprocess of about a second.
 
@@ -118,7 +130,8 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
                 if volpath and "volpath" not in candidate.engines:
                     return replace(choose("scalar"), why=f"{name} {candidate.why}", advice=VOLPATH_ADVICE)
                 why = "requested" if requested == name else "; ".join(failures) or "the fastest that there is"
-                return replace(candidate, why=why, advice=ADVICE if requested == "auto" and not candidate.jit else None)
+                advice = {"metal": METAL_ADVICE, "scalar": ADVICE}.get(name) if requested == "auto" else None
+                return replace(candidate, why=why, advice=advice)
             failed.append(f"{candidate.library}: {candidate.why}" if candidate.library else candidate.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
     raise InputError(f"backend {failures[0]}; use backend auto, or see nailoptics doctor.")
@@ -193,9 +206,13 @@ def _look(name: Name) -> Iterator[Backend]:
     if name == "scalar":
         yield Backend("scalar", None, ("volpath",), "works everywhere")
         return
-    libraries = list(_cuda_libraries() if name == "cuda" else _llvm_libraries())
+    search, missing = {
+        "cuda": (_cuda_libraries, "NVIDIA driver and device"),
+        "llvm": (_llvm_libraries, "libLLVM"),
+        "metal": (_metal_libraries, "Apple GPU"),
+    }[name]
+    libraries = search()
     if not libraries:
-        missing = "NVIDIA driver and device" if name == "cuda" else "libLLVM"
         yield Backend(name, None, (), f"no {missing} found")
     for library in libraries:
         yield Backend(name, library, *_works(name, library))
@@ -207,6 +224,11 @@ def _cuda_libraries() -> list[str]:
         return []
     files = (Path(folder) / "libcuda.so.1" for folder in [*_system_folders(), "/usr/lib/wsl/lib"])
     return [str(file.resolve()) for file in files if file.is_file()][:1]
+
+
+def _metal_libraries() -> list[str]:
+    """The framework of Apple's GPUs, on Apple silicon."""
+    return [METAL] if sys.platform == "darwin" and platform.machine() == "arm64" else []
 
 
 def _system_folders() -> list[str]:

@@ -155,15 +155,42 @@ def test_findings_name_one_backend_as_taken(fresh, monkeypatch):
         ("llvm", "a", False),
         ("llvm", "b", True),
         ("llvm", "c", True),
+        ("metal", None, False),
         ("scalar", None, True),
     ]
-    assert [f.why.endswith("selected") for f in findings] == [False, False, True, False, False]
+    assert [f.why.endswith("selected") for f in findings] == [False, False, True, False, False, False]
     assert backend.choose().library == "b"
+
+
+@pytest.mark.parametrize("libraries", [["b"], []])
+def test_an_apple_gpu_is_chosen_where_there_is_no_libllvm_and_said_to_be_untried(fresh, monkeypatch, libraries):
+    """Rationale: no Apple GPU was at hand; that one computes is for the probe to say, whose answer is put in here."""
+    monkeypatch.setattr(backend, "_llvm_libraries", lambda: libraries)
+    monkeypatch.setattr(backend, "_cuda_libraries", lambda: [])
+    with monkeypatch.context() as apple:
+        apple.setattr(sys, "platform", "darwin")
+        apple.setattr(backend.platform, "machine", lambda: "arm64")
+        on_apple = backend._metal_libraries()
+    monkeypatch.setattr(backend, "_metal_libraries", lambda: on_apple)
+    probed = {}
+
+    def probe(name, path):
+        probed[name] = path
+        return backend.ENGINES, "works", True
+
+    monkeypatch.setattr(backend, "_probe", probe)
+    chosen = backend.choose()
+    assert (chosen.name, chosen.jit) == (("llvm", True) if libraries else ("metal", True))
+    assert (chosen.advice is None) == bool(libraries)
+    if not libraries:
+        assert "untried" in chosen.advice and "\n" not in chosen.advice and set(probed) == {"metal"}
+    assert backend.choose("metal").name == "metal"
+    assert backend.VARIANTS["metal"] == "metal_ad_mono"
 
 
 def test_scalar_needs_no_library_and_an_unknown_backend_is_one_line():
     assert backend.choose("scalar").library is None
-    with pytest.raises(InputError, match="auto, cuda, llvm, scalar"):
+    with pytest.raises(InputError, match="auto, cuda, llvm, metal, scalar"):
         backend.choose("opencl")
 
 

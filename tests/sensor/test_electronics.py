@@ -189,5 +189,5 @@ def test_impossible_power_is_refused(power_w):
 
 
 def test_impossible_quantum_efficiency_is_refused():
-    with pytest.raises(ValueError, match=r"quantum_efficiency\n.*less than or equal to 1 .*1\.2"):
+    with pytest.raises(InputError, match=r"quantum_efficiency = 1\.2: must be less than or equal to 1"):
         efficient(1.2)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...geometry import Geometry
 from ...scene import Scene
-from ..backend import Backend, Name, activate
+from ..backend import NAMES, Backend, Name, activate
 from ..optics import Media
 from .mitsuba_scene import FILM, BedAbsorption, Window, channel_count, finger_scene, phantom_scene, spectral
 
 # The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
-RGB: dict[Name, str] = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
-SPECTRAL: dict[Name, str] = {"cuda": "cuda_ad_spectral", "llvm": "llvm_ad_spectral", "scalar": "scalar_rgb"}
+RGB: dict[Name, str] = {name: f"{name}_ad_rgb" for name in NAMES} | {"scalar": "scalar_rgb"}
+SPECTRAL: dict[Name, str] = {name: f"{name}_ad_spectral" for name in NAMES} | {"scalar": "scalar_rgb"}
 MAX_SPP, PIXELS = 10_000, FILM * FILM
 # Mitsuba's seeds have 32 bits.
 SEEDS = 1 << 32
