@@ -32,12 +32,7 @@ Name = Literal["cuda", "llvm", "metal", "scalar"]
 # Metal comes after libLLVM because nailoptics was never run on it.
 NAMES: tuple[Name, ...] = ("cuda", "llvm", "metal", "scalar")
 ENGINES = ("photons", "volpath")
-VARIANTS: dict[Name, str] = {
-    "cuda": "cuda_ad_mono",
-    "llvm": "llvm_ad_mono",
-    "metal": "metal_ad_mono",
-    "scalar": "scalar_rgb",
-}
+VARIANTS: dict[Name, str] = {name: f"{name}_ad_mono" for name in NAMES} | {"scalar": "scalar_rgb"}
 ADVICE = (
     "the scalar backend is slow; to trace much faster install libLLVM 15 or newer "
     "(Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
@@ -91,7 +86,7 @@ _answers: dict[str, tuple[tuple[str, ...], str]] = {}
 class Backend:
     """One of Mitsuba's backends with one library, the engines that it can run here, and why it is selected or not.
 
-    advice : What would be faster.
+    advice : What would be faster, or is untried.
     """
 
     name: Name

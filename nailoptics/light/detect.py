@@ -160,8 +160,8 @@ def engine_for(scene: Scene, chosen: backends.Backend) -> str:
     """
     if scene.light.engine == "photons" and not chosen.jit:
         raise InputError(
-            f'light.engine = "photons" needs a backend that compiles kernels (llvm, cuda or metal), which {chosen.name} does '
-            'not; take another one (nailoptics doctor shows which work), or engine = "volpath".'
+            f'light.engine = "photons" needs a backend that compiles kernels (llvm, cuda or metal), and {chosen.name} '
+            'compiles none; take another one (nailoptics doctor shows which work), or engine = "volpath".'
         )
     return "volpath" if scene.light.engine == "volpath" or not chosen.jit else "photons"
 
