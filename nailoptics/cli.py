@@ -586,7 +586,6 @@ def predict(
     output: File = None,
     press: float = 0.5,
     release: float = 0.3,
-    smooth: bool = False,
     json_: Json = False,
 ) -> None:
     """Estimate force over time, with its 95 % interval, from a calibrated person's readings.
@@ -599,7 +598,6 @@ def predict(
         output: Folder for the results; results/READINGS if not given.
         press: Force at which the virtual switch closes. [N]
         release: Force below which it opens. [N]
-        smooth: Also use later samples (smoothing).
     """
     from .report.pages.force import PREDICTION
     from .studies.force.predict import live
@@ -610,16 +608,14 @@ def predict(
         raise InputError(f"Unknown option: {readings} (nailoptics predict --help lists the options)")
     calibrated = read_subject(subject)
     if readings == "-":
-        if json_ or smooth or output is not None:
-            raise InputError(
-                "predict -: answers line by line on stdout; leave out --json and -o, and --smooth, or give a recording."
-            )
+        if json_ or output is not None:
+            raise InputError("predict -: answers line by line on stdout; leave out --json and -o, or give a recording.")
         with suppress(KeyboardInterrupt):
             for line in live(calibrated, terminal.text_lines(sys.stdin)):
                 print(line, flush=True)
         return
     folder = _results(output, readings, PREDICTION)
-    result = study(calibrated, readings, press_n=press, release_n=release, smooth=smooth)
+    result = study(calibrated, readings, press_n=press, release_n=release)
     _show(PREDICTION, result, PREDICTION.write(result, folder), json_)
 
 

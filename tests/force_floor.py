@@ -82,14 +82,14 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     return replace(touch, volts=volts + subject.readings.noise_v[:, None] * noise)
 
 
-def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, seed: int = 3) -> list[float]:
-    """Rms error of some touches told from the samples before each, and from all, with everything known. [N]"""
+def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, seed: int = 3) -> float:
+    """Rms error of some touches with everything known. [N]"""
     touch = person.recording(kind, site, seed=1)
     played = touch_of(person.scene, TOUCHES[kind], site, person.rate_hz)
     recording = modelled(subject, person.scene.model_copy(update={"touch": played}), touch, seed=seed)
     known, asked = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
-    found = [predict(known, recording, smooth=smooth) for smooth in (False, True)]
-    return [float(np.sqrt(np.mean((one.force_n - one.known_force_n).values[asked] ** 2))) for one in found]
+    found = predict(known, recording)
+    return float(np.sqrt(np.mean((found.force_n - found.known_force_n).values[asked] ** 2)))
 
 
 def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:

@@ -75,22 +75,22 @@ GOALS = (
     "covered 0.90 to 0.98, each at least 0.85, half width at most twice the rms",
 )
 HEADER = (
-    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'filter':>7} {'cubic':>7} {'components':>10} {'sigmoid':>8} "
+    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'filter':>7} {'cubic':>7} {'components':>10} "
     f"{'covered':>8} {'+-':>6} {'open':>6}"
 )
 
 
 def row(one: Score) -> tuple[float, ...]:
     """The numbers of one line of the table."""
-    errors_n = one.rms_n, one.filter_n, one.cubic_n, one.components_n, one.sigmoid_n
+    errors_n = one.rms_n, one.filter_n, one.cubic_n, one.components_n
     return *errors_n, one.covered, one.half_width_n, one.open_above
 
 
 def line(who: str, site: str, kind: str, numbers: Iterable[float]) -> str:
     """One line of the table."""
-    rms, by_filter, cubic, components, sigmoid, covered, half_width, is_open = numbers
+    rms, by_filter, cubic, components, covered, half_width, is_open = numbers
     return (
-        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {by_filter:7.3f} {cubic:7.3f} {components:10.3f} {sigmoid:8.3f} "
+        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {by_filter:7.3f} {cubic:7.3f} {components:10.3f} "
         f"{covered:8.3f} {half_width:6.3f} {is_open:6.2f}"
     ).replace("nan", "  -")
 
@@ -189,16 +189,15 @@ class Bench:
 
     def floor(self) -> Iterator[str]:
         """How well each person's touches could be told were everything known, and medians over people."""
-        yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7} {'smooth':>7}  [N]"
+        yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7}  [N]"
         for site in record.SIDES:
             for kind in KINDS:
                 rows = []
                 for name, person in self.people.items():
                     subject, path = self.subject(name)[0], f"{person.name}_floor_{site}_{kind}.json"
                     rows.append(kept(self.found / path, partial(floor_n, subject, person, kind, site)))
-                    yield f"{name:<10} {site:<9} {kind:<6} {rows[-1][0]:7.3f} {rows[-1][1]:7.3f}"
-                causal_n, smooth_n = np.median(rows, axis=0)
-                yield f"{'median':<10} {site:<9} {kind:<6} {causal_n:7.3f} {smooth_n:7.3f}"
+                    yield f"{name:<10} {site:<9} {kind:<6} {rows[-1]:7.3f}"
+                yield f"{'median':<10} {site:<9} {kind:<6} {np.median(rows):7.3f}"
 
     def pairs(self) -> Iterator[str]:
         """Every person read with every other's calibration."""
@@ -258,7 +257,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
     finally:
         print("\n".join(bench.table()), flush=True)
         if given.json:
-            names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
+            names = ("rms_n", "filter_n", "cubic_n", "components_n", "covered", "half_width_n")
             rows = [
                 {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
                 for (name, site, kind), one in bench.scores.items()

@@ -1,4 +1,4 @@
-"""Interacting-multiple-model (IMM) extended Kalman filter of the touch, and its Rauch-Tung-Striebel smoother.
+"""Interacting-multiple-model (IMM) extended Kalman filter of the touch.
 
 Modes are touches that move slowly and touches that step; they differ in the process noise of the touch pressures alone,
 and share one state, to which all are merged after each sample. In symbols of the textbook: x `state`, P `covariance`,
@@ -8,20 +8,17 @@ mu `mode_probability`, Pi `mode_transition`.
 References: Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications to Tracking and Navigation: sec. 5.2.3
 (Kalman filter, Joseph form), 5.4.2 (normalized innovation squared), 10.3 (extended), 10.5.2 (iterated), 11.6 (multiple
 models; merged once per sample as the first-order generalized pseudo-Bayesian estimator, with the mode transitions of
-the IMM, Blom and Bar-Shalom 1988). Smoother: Rauch, Tung, Striebel 1965, AIAA J. 3:1445; modes as in Kim 1994,
-J. Econometrics 60:1.
+the IMM, Blom and Bar-Shalom 1988).
 """
 
 import math
 from collections.abc import Iterable
-from copy import copy
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.linalg import cho_factor, cho_solve
 
 from .person import LONGEST_GAP_S, LONGEST_STEP_S, Array
 from .state_space import (
@@ -54,8 +51,6 @@ OUTLIER_GATE = 0.999
 # The filter restarts, at rest, after gaps, and where a width over rest has a larger standard error than this: a soft
 # vein past closure is known to no more than 2, and must not be taken for diverged.
 DIVERGED = 5.0
-# What rounding adds to a predicted variance in the smoother, in parts of it.
-ROUNDING = 1e-12
 
 
 class PressureEstimate(NamedTuple):
@@ -126,28 +121,26 @@ class KalmanFilter:
             self.predict(since_s)
         return self.update(volts, since_s)
 
-    def predict(self, since_s: float) -> Array | None:
-        """Predict the next sample; returns the transition F from the one before, or None where the filter restarted."""
+    def predict(self, since_s: float) -> None:
+        """Predict the next sample, or restart."""
         if since_s > LONGEST_GAP_S:
             self.restart()
-            return None
+            return
         self.model.resolve_harmonics(since_s)
         self.mode_probability = self.mode_probability @ mode_transition(since_s)
         self._moved_v = self._moved_v * np.exp(-since_s / READING_CORRELATION_S)
         self.mode_covariance = np.repeat(self.covariance[None], len(MODE_RATE), axis=0)
-        transition, steps = np.eye(self.model.size), max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))
+        steps = max(1, math.ceil(since_s / LONGEST_STEP_S - 1e-9))
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(steps):
-                transition = self._predict_step(since_s / steps) @ transition
+                self._predict_step(since_s / steps)
         # Readings of another person can make a filter diverge.
         variance = np.einsum("mii->mi", self.mode_covariance)
         if not (np.isfinite(variance).all() and (variance[:, WIDTHS] < DIVERGED**2).all()):
             self.restart()
-            return None
-        return transition
 
-    def _predict_step(self, step_s: float) -> Array:
-        """Predict state and covariance of each mode by one step of the network; returns its transition F."""
+    def _predict_step(self, step_s: float) -> None:
+        """Predict state and covariance of each mode by one step of the network."""
         variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:WALL_STATES]
         after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.relaxed_n_per_cm2, step_s)
         pressure_n_per_cm2 = touch_pressure(self.state[TOUCH])
@@ -159,7 +152,6 @@ class KalmanFilter:
         before[:, touch, touch] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
-        return transition
 
     def update(self, volts: Array, since_s: float | None) -> PressureEstimate:
         """Update the prediction by a sample (R,) [V], so long after the one before it."""
@@ -228,61 +220,10 @@ class KalmanFilter:
         self.covariance = self.covariance - gain @ self.covariance[TOUCH]
 
 
-class FilterStep(NamedTuple):
-    """A sample of the forward pass: the filter as predicted, and as updated by its readings.
-
-    transition : F from the sample before; None where the filter restarted. since_s : time from it. [s]
-    """
-
-    predicted: KalmanFilter
-    updated: KalmanFilter
-    transition: Array | None
-    since_s: float | None
-
-
-def estimate_pressures(subject: Subject, time_s: Array, volts: Array, *, smooth: bool = False) -> PressureEstimate:
-    """Estimates of samples (T,) from volts (R, T); smooth : each from all of them, not only from those before."""
-    kalman, estimates, steps = KalmanFilter(subject), list[PressureEstimate](), list[FilterStep]()
-    for sample_v, since_s in zip(volts.T, [None, *np.diff(time_s)], strict=True):
-        transition = None if since_s is None else kalman.predict(since_s)
-        predicted = copy(kalman)
-        estimates.append(kalman.update(sample_v, since_s))
-        if smooth:
-            steps.append(FilterStep(predicted, copy(kalman), transition, since_s))
-    return _smoothed(stacked(estimates), steps) if smooth else stacked(estimates)
-
-
-def _smoothed(estimates: PressureEstimate, steps: list[FilterStep]) -> PressureEstimate:
-    """Fixed-interval smoothing: a backward pass over the linearised steps.
-
-    The predicted covariance is no less than the propagated one of the sample before, so that the pass is stable.
-    """
-    for k in reversed(range(len(steps))):
-        updated, later = steps[k].updated, steps[k + 1] if k + 1 < len(steps) else None
-        if later is None or later.transition is None:
-            state, covariance, probability = updated.state, updated.covariance, updated.mode_probability
-        else:
-            state, covariance, probability = _rts_step(updated, later, state, covariance, probability)
-        estimates.touch_n_per_cm2[k] += state[TOUCH] - updated.state[TOUCH]
-        estimates.covariance[k], estimates.arterial_pa[k] = covariance[TOUCH, TOUCH], updated.model.arterial_pa(state)
-    return estimates
-
-
-def _rts_step(
-    updated: KalmanFilter, later: FilterStep, later_state: Array, later_covariance: Array, later_probability: Array
-) -> tuple[Array, Array, Array]:
-    """Smoothed state, covariance and mode probabilities of a sample from those of the sample after it."""
-    assert later.transition is not None and later.since_s is not None
-    predicted_covariance = np.einsum("m,mij->ij", later_probability, later.predicted.mode_covariance)
-    # In standard deviations: pascals and widths differ by orders of magnitude.
-    scale = np.sqrt(np.diag(predicted_covariance))
-    correlation = predicted_covariance / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
-    gain = cho_solve(cho_factor(correlation), (later.transition @ updated.covariance) / scale[:, None]).T / scale
-    state = updated.state + gain @ (later_state - later.predicted.state)
-    covariance = updated.covariance + gain @ (later_covariance - predicted_covariance) @ gain.T
-    ratio = later_probability / np.maximum(later.predicted.mode_probability, 1e-300)
-    probability = updated.mode_probability * (mode_transition(later.since_s) @ ratio)
-    return updated.model.bound_touch(state, covariance), covariance, probability / probability.sum()
+def estimate_pressures(subject: Subject, time_s: Array, volts: Array) -> PressureEstimate:
+    """Estimates of samples (T,) from volts (R, T)."""
+    kalman, since_s = KalmanFilter(subject), [None, *np.diff(time_s)]
+    return stacked(kalman.update_sample(*sample) for sample in zip(volts.T, since_s, strict=True))
 
 
 def _likelihood(innovation: Array, innovation_covariance: Array) -> tuple[Array, Array]:

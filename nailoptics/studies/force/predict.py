@@ -44,14 +44,12 @@ def predict(
     *,
     press_n: float = 0.5,
     release_n: float = 0.3,
-    smooth: bool = False,
 ) -> xr.Dataset:
     """Force over time from readings.
 
     subject : what `calibrate` returned, parsed, or its file.
     readings : a recording, or its file; its force, where known, is what the result is judged by.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
-    smooth : use the samples after each as well, not only those before it.
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
     proximal share and pressures with theirs, arterial pressure, normalized innovation squared (NIS) and outlier
@@ -64,7 +62,7 @@ def predict(
     subject = subject if isinstance(subject, Subject) else read_subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
-    estimates = estimate_pressures(subject, recording.time_s, recording.volts, smooth=smooth)
+    estimates = estimate_pressures(subject, recording.time_s, recording.volts)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
     estimated = estimator.of(estimates, recording.volts, since_s)
     force_n = estimated[0].force_n
