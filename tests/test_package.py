@@ -250,6 +250,8 @@ for name in ("fcntl", "grp", "pwd", "resource", "termios"):
 for name in ("O_DIRECTORY", "O_NOFOLLOW", "fork", "getuid", "geteuid", "killpg", "setsid", "sched_getaffinity"):
     if hasattr(os, name):
         delattr(os, name)
+if hasattr(os, "process_cpu_count"):  # which asks sched_getaffinity where there is one
+    os.process_cpu_count = os.cpu_count
 for name in ("SIGALRM", "SIGHUP", "SIGKILL", "SIGUSR1"):
     delattr(signal, name)
 # What a file is read or written with must not depend on the system.
