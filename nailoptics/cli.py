@@ -313,18 +313,14 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     Args:
         output: Page to write.
     """
-    from .report.pages.explore.page import write_exploration
+    from .report.pages.explore.page import EXPLORATION, page
     from .studies.exploration.explore import explore as study
 
     _check_file(output, ".html", "a page")
     loaded, _ = _load(scene, options)
     result, unmet = _traced(study, loaded, options=options)
-    make_folder(output.parent)
-    write_exploration(result, output)
-    summary = {name: result.attributes[name] for name in ("photons", "cpu_seconds", "wall_seconds")}
-    summary["bytes"] = size = output.stat().st_size
-    line = f"{summary['photons']} photons at {len(result.colours)} wavelengths, {size / 1e6:.1f} MB"
-    _finish(summary, [line], {"page": output}, options.json, unmet, output)
+    size = _write(output, page(result)).stat().st_size
+    _show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=size)
 
 
 @Parameter(name="*")
@@ -439,12 +435,12 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
     """
     from .report.scene_description import blood_words, body_words, check_lines, touch_words
     from .scene import load_scene
-    from .studies.scene_check import check_scene
+    from .studies.scene_check import check as study
 
     with terminal.collected_warnings() as warnings:
         loaded = load_scene(scene)
     try:
-        report: dict[str, Any] = {"scene": scene, "valid": True, **check_scene(loaded)}
+        report: dict[str, Any] = {"scene": scene, "valid": True, **study(loaded)}
         report["warnings"] = warnings + report["warnings"]
         if loaded.finger is not None:
             from .geometry import build
@@ -527,9 +523,10 @@ def figures(
             their light is traced, a minute of processor time.
     """
     from .paper.claims import as_rows
-    from .report.pages.paper import lines, write_figures
+    from .report.pages.paper import figures as study
+    from .report.pages.paper import lines
 
-    claims_by_set, pictures = write_figures(output, sets, colour=colour, people=people)
+    claims_by_set, pictures = study(output, sets, colour=colour, people=people)
     claims = {"claims": as_rows(claims_by_set), "pictures": list(map(str, pictures))}
     _finish(claims, [*lines(claims_by_set), *pictures], {}, json_)
 
@@ -602,11 +599,11 @@ def predict(
     from .report.pages.force import PREDICTION
     from .studies.force.predict import live
     from .studies.force.predict import predict as study
-    from .studies.force.subject import read_subject
+    from .studies.force.subject import load_subject
 
     if readings.startswith("-") and readings != "-":
         raise InputError(f"Unknown option: {readings} (nailoptics predict --help lists the options)")
-    calibrated = read_subject(subject)
+    calibrated = load_subject(subject)
     if readings == "-":
         if json_ or output is not None:
             raise InputError("predict -: answers line by line on stdout; leave out --json and -o, or give a recording.")

@@ -1,8 +1,10 @@
 """What can be requested of every command and function that traces light, beside the scene: one object, passed whole."""
 
+import inspect
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypedDict, cast, get_args
+from typing import Any, Literal, TypedDict, cast, get_args, get_type_hints
 
 from . import checks
 from .errors import InputError
@@ -65,3 +67,14 @@ class TraceOptions:
     def fields(self) -> Requested:
         """The options as keyword arguments."""
         return cast(Requested, {name: getattr(self, name) for name in Requested.__annotations__})
+
+
+def spell_out(study: Callable[..., Any]) -> None:
+    """Show in a function's signature, for help and completion, the options that its `**requested` takes."""
+    signature = inspect.signature(study)
+    *own, last = signature.parameters.values()
+    if last.name == "requested":
+        (table,) = get_args(last.annotation)
+        kind, taken = inspect.Parameter.KEYWORD_ONLY, get_type_hints(table).items()
+        options = [inspect.Parameter(n, kind, default=getattr(TraceOptions, n, None), annotation=a) for n, a in taken]
+        vars(study)["__signature__"] = signature.replace(parameters=[*own, *options])

@@ -15,7 +15,7 @@ from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.placement import verification
-from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate
 
 SCENES = {path.stem: load_scene(path) for path in sorted(data_dir("scenes").glob("*.toml"))}
@@ -27,7 +27,7 @@ IN_A_ROW = Candidate(name="row", leds_mm=((-2.0, 0.0),), photodiodes_mm=tuple((1
 
 
 def is_read(scene: Scene) -> None:
-    check_scene(scene)
+    check(scene)
     scene = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
     assert simulate(scene, photons=2000, seed=1).detected_fraction.notnull().all()
 
@@ -72,7 +72,7 @@ def test_every_file_of_place_is_read(jit_backend, monkeypatch, tmp_path: Path, n
             ["schema_version = 1", "[finger]", digit, "[board]", f'{key} = "{file}"', "barrier = false", *uses]
         )
         again = parse_scene(text, folder=tmp_path)
-        check_scene(again)
+        check(again)
         assert len(again.layout.photodiodes) == len(best.layout.photodiodes)
 
 

@@ -33,7 +33,7 @@ def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
             force = float(colours.force_n[0 if name == "rest" else -1])
             panel.set_title("At rest" if name == "rest" else f"Pressed by {force:g} N", loc="center")
         panels = below.subplots(1, colours.sizes["state"])
-        colour_page.draw_strip(panels, colours, width_mm=finger.nail_width_mm)
+        colour_page.draw_strip(panels, colours)
         below.supxlabel(f"Traced; {colour_page.seen_by(colours)}", fontsize=7, color=style.MUTED)
         axes = right.subplots()
         draw_change(axes, readings, parse_scene(str(readings.attrs["scene"])), led=0)

@@ -1,7 +1,7 @@
 """How a kind of result is given out: the files in its folder, its summary as JSON, and lines for the terminal."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,23 +24,27 @@ RUN = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", 
 class Report:
     """A kind of result.
 
-    files : names of its files.
-    contents : of the files of a result, in their order, as `write_files` takes them.
+    files : names of its files: the result itself (.nc), its page (.html), its first figure (.png), and others.
+    page : of a result, as a whole page.
     summary : of a result, as plain numbers and texts.
     lines : of a result and its summary, for the terminal.
     figures : of a result, by their names, the most telling first.
+    others : of a result, contents of its other files by their names, as `write_files` takes them.
     """
 
     files: tuple[str, ...]
-    contents: Callable[..., Sequence[Any]]
+    page: Callable[[Any], str]
     summary: Callable[[Any], dict[str, Any]]
     lines: Callable[[Any, dict[str, Any]], Iterable[object]]
-    figures: Mapping[str, Callable[[Any], "Figure"]] = field(default_factory=dict)
+    figures: Mapping[str, Callable[..., "Figure"]]
+    others: Callable[..., Mapping[str, Any]] | None = None
 
     def write(self, result: Any, folder: Path, **options: Any) -> dict[str, Path]:
         """Write a result into a folder; returns the main paths by their role. Raises WriteError."""
-        contents = self.contents(result, **options)
-        return write_files(folder, dict(zip(self.files, contents, strict=True)))
+        draw, others = next(iter(self.figures.values())), self.others(result, **options) if self.others else {}
+        usual = {".nc": result, ".html": lambda _: self.page(result), ".png": lambda _: draw(result)}
+        names = ((name, Path(name).suffix) for name in self.files)
+        return write_files(folder, {name: others[name] if name in others else usual[end] for name, end in names})
 
 
 def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:

@@ -132,7 +132,7 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
 
 def check_lines(report: dict[str, Any]) -> list[str]:
     """The report of `check` on a scene."""
-    lines = [f"{report['scene']}: the scene is valid", *map(_led_line, report.get("leds", ()))]
+    lines = [f"{report.get('scene', 'scene')}: the scene is valid", *map(_led_line, report.get("leds", ()))]
     lines += _board_lines(report) if "photodiodes" in report else []
     if assumed := report.get("assumed"):
         words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())

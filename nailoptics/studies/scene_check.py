@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..display import Displayed
 from ..errors import InputError
 from ..hemodynamics.for_scene import BloodModel, blood_model
 from ..hemodynamics.parameters import far_from_list
@@ -33,7 +34,15 @@ BUILD = ("kapton_um", "clear_epoxy_um", "adhesive_um", "barrier", "cover_um")
 POSTURE_FORCES_N = (0.1, 0.5)
 
 
-def check_scene(scene: Scene) -> dict[str, Any]:
+class SceneCheck(Displayed, dict[str, Any]):
+    """What a check of a scene found, by name."""
+
+    def __init__(self, scene: Scene, report: dict[str, Any]) -> None:
+        super().__init__(report)
+        self.scene = scene
+
+
+def check(scene: Scene) -> SceneCheck:
     """What a scene reads, lights and ignores, and what may not be as its author wants it.
 
     Returns: leds, photodiodes, pairs (distances between them, readings by a short trace, their noise by cause; none
@@ -43,7 +52,7 @@ def check_scene(scene: Scene) -> dict[str, Any]:
     """
     for led in range(len(scene.leds)):
         optics.check_line(scene, led)
-    report: dict[str, Any] = {"leds": [_led(led) for led in scene.leds], "warnings": _beyond_current(scene)}
+    report = SceneCheck(scene, {"leds": [_led(led) for led in scene.leds], "warnings": _beyond_current(scene)})
     if scene.finger is None:
         return report
     layout = scene.layout

@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ..assets import asset_path, data_dir
 from ..checks import Array
+from ..display import Displayed
 from ..errors import InputError
 from ..hemodynamics.for_scene import blood_model, heart_rate_per_min, rest_beat
 from ..hemodynamics.waves import HEARTBEAT, waves_of, waves_pressure
@@ -113,7 +114,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Validation:
+class Validation(Displayed):
     """Every quantity beside the model, by name; attributes say how it was made.
 
     no_data : quantities of which the tables have nothing.

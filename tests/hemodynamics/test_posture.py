@@ -12,7 +12,7 @@ from nailoptics.sensor.information import (
     operating_point,
     physiological_noise_force_n,
 )
-from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.scene_check import check
 
 FORCES_N = [0.0, 0.5, 1.0]
 
@@ -141,7 +141,7 @@ def test_the_false_force_of_a_recording_is_its_largest_shift_from_the_start() ->
 
 
 def test_check_states_the_false_force(shared_light: None) -> None:
-    (line,) = [x for x in check_scene(scene_with("[body]\nhand_height_m = -0.1\n"))["warnings"] if "hand_height" in x]
+    (line,) = [x for x in check(scene_with("[body]\nhand_height_m = -0.1\n"))["warnings"] if "hand_height" in x]
     assert "false force of +0." in line and "N at 0.5 N" in line
 
 

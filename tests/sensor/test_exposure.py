@@ -6,7 +6,7 @@ import pytest
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene, load_scene
 from nailoptics.sensor.exposure import SKIN_M, SKIN_W_PER_M2, exposures
-from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.scene_check import check
 
 
 def scene(name: str = "prototype", **led_fields: object) -> Scene:
@@ -47,5 +47,5 @@ def test_leds_that_are_lit_in_turn_share_the_time():
 
 
 def test_check_warns_of_a_led_too_bright_for_skin(jit_backend, shared_light):
-    dim, bright = (check_scene(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (30.0, 50.0))
+    dim, bright = (check(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (30.0, 50.0))
     assert not any("exposure" in line for line in dim) and any("exposure" in line for line in bright)

@@ -12,7 +12,7 @@ from nailoptics.sensor import electronics
 from nailoptics.sensor.ambient import LAMP, ambient_bound_a
 from nailoptics.sensor.front_end import rough_readings, with_fitted_resistors
 from nailoptics.studies.prior_uncertainty import readings_over_priors
-from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate
 
 AUTO = Electronics(feedback_ohm="auto")
@@ -68,7 +68,7 @@ def test_a_phantom_has_no_finger_to_fit_to():
 
 def test_resistors_are_the_same_in_check_and_simulate_whatever_is_traced(jit_backend, shared_light):
     scene = quiet(prototype())
-    checked = check_scene(scene)
+    checked = check(scene)
     ohm = [pair["feedback_ohm"] for pair in checked["pairs"]]
     for seed in (1, 2):
         touch = simulate(scene, photons=20_000, seed=seed)

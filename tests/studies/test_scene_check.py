@@ -11,7 +11,7 @@ from nailoptics.report.scene_description import check_lines
 from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene, to_toml
 from nailoptics.scene.catalogue import load_part
 from nailoptics.sensor.front_end import with_fitted_resistors
-from nailoptics.studies.scene_check import check_scene
+from nailoptics.studies.scene_check import check
 
 # Of the light of a scene, which is traced once.
 pytestmark = pytest.mark.usefixtures("shared_light")
@@ -36,7 +36,7 @@ def scene(tmp_path, *, positions=POSITIONS, text=SCENE):
 
 
 def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
-    found = check_scene(load_scene(scene(tmp_path)))
+    found = check(load_scene(scene(tmp_path)))
     assert [(p["led"], p["distance_mm"]) for p in found["pairs"]] == [("ir", 4.0), ("red", pytest.approx(17**0.5))]
     assert found["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
     assert found["ignored"] == {"pos.csv": ["C1"]} and found["warnings"] == []
@@ -49,7 +49,7 @@ def test_it_warns_of_readings_that_may_be_saturated():
 
     def lit(factor: float) -> dict:
         leds = tuple(led.model_copy(update={"flux_mw": factor * led.flux_mw}) for led in prototype.leds)
-        return check_scene(prototype.model_copy(update={"leds": leds}))
+        return check(prototype.model_copy(update={"leds": leds}))
 
     assert lit(0.5)["warnings"] == []
     line, exposure = lit(20)["warnings"]
@@ -69,7 +69,7 @@ def test_it_warns_of_an_led_that_its_part_does_not_bear(tmp_path):
             folder=tmp_path,
         )
         assert parse_scene(to_toml(scene)) == scene
-        return check_scene(scene)["warnings"]
+        return check(scene)["warnings"]
 
     limit = "max_current_ma = 50.0\n"
     assert warned(limit, "") == warned(limit, "flux_mw = 12.5") == warned("", "flux_mw = 50.0") == []
@@ -84,9 +84,7 @@ def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend):
     leds = tuple(led.model_copy(update={"flux_mw": 0.5 * led.flux_mw}) for led in prototype.leds)
 
     def lit(lux: float) -> dict:
-        return check_scene(
-            prototype.model_copy(update={"leds": leds, "ambient": Ambient(kind="sun", illuminance_lux=lux)})
-        )
+        return check(prototype.model_copy(update={"leds": leds, "ambient": Ambient(kind="sun", illuminance_lux=lux)}))
 
     (line,) = lit(1e5)["warnings"]
     assert line.startswith("may be saturated") and line.endswith("or the light of [ambient]") and " and 4 more" in line
@@ -98,7 +96,7 @@ def test_a_scene_in_ambient_light_is_checked_without_a_compiling_backend(monkeyp
     scalar = backend.choose("scalar")
     monkeypatch.setattr(backend, "choose", lambda *_, **__: scalar)
     usual = load_scene(data_dir("scenes") / "prototype.toml")
-    report = check_scene(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)}))
+    report = check(usual.model_copy(update={"ambient": Ambient(illuminance_lux=1e5)}))
     assert report["pairs"] == [] and report["noise"] == "" and len(report["photodiodes"]) == 8
     assert any("readings need a backend that compiles kernels" in line for line in report["warnings"])
     assert "  distal.9" in "\n".join(check_lines(report | {"scene": "prototype"}))
@@ -110,7 +108,7 @@ def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capf
     text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
     tuned = text.replace("so2 = 0.97", "so2 = 0.97\ntuning = { capillary_stiffness_n_per_m = 1e-9 }")
     (tmp_path / "far.toml").write_text(tuned.replace("[light]", '[light]\nengine = "photons"'), encoding="utf-8")
-    (line,) = (w for w in check_scene(parse_scene(tuned))["warnings"] if w.startswith("blood.tuning"))
+    (line,) = (w for w in check(parse_scene(tuned))["warnings"] if w.startswith("blood.tuning"))
     assert "capillary_stiffness_n_per_m = 1e-09 (listed" in line
     # Ends before it traces: an engine that the backend cannot run.
     assert run(["simulate", str(tmp_path / "far.toml"), "-o", str(tmp_path), "--backend", "scalar"]) == 2
@@ -118,7 +116,7 @@ def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capf
 
 
 def test_a_phantom_is_checked_without_a_finger():
-    found = check_scene(load_scene(data_dir("scenes") / "phantom.toml"))
+    found = check(load_scene(data_dir("scenes") / "phantom.toml"))
     assert found["leds"] and "pairs" not in found
 
 
@@ -138,7 +136,7 @@ def test_a_phantom_is_checked_without_a_finger():
 def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text, words):
     path = scene(tmp_path, positions=positions, text=text)
     with pytest.raises(InputError, match=words):
-        check_scene(load_scene(path))
+        check(load_scene(path))
     assert run(["check", str(path)]) == 2
     out, err = capfd.readouterr()
     assert out == "" and len(err.splitlines()) == 1 and str(path) in err
@@ -155,5 +153,5 @@ def test_it_refuses_what_a_later_command_would(tmp_path, capfd, positions, text,
 )
 def test_it_says_where_the_models_board_is_not_that_of_the_file(outline, words):
     text = SCENE.split("[placement]")[0].replace("barrier = false", f"barrier = false\noutline_mm = [{outline}]")
-    said = [line for line in check_scene(parse_scene(text))["warnings"] if line.startswith("board: ")]
+    said = [line for line in check(parse_scene(text))["warnings"] if line.startswith("board: ")]
     assert len(said) == len(words) and all(word in line for word, line in zip(words, said, strict=True))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ... import checks, io
 from ...commit import code_attributes, code_versions
+from ...display import Displayed
 from ...errors import InputError
 from ...scene import Scene, digest, parse_scene, to_toml
 from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
@@ -54,7 +55,7 @@ def rest_state(scene: Scene, led: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Transfer:
+class Transfer(Displayed):
     """Light from every LED to every photodiode, traced once, readable at any absorption.
 
     Scattering decides where light goes and blood only dims it, so a photon of weight w and paths L_k counts
@@ -74,6 +75,10 @@ class Transfer:
     setup_seconds: float = 0.0
     # Photons that were taken from the store, of all.
     reused_photons: int = 0
+
+    def __repr__(self) -> str:
+        """What was traced, in a line."""
+        return f"<Transfer: {self.photons} photons by {self.engine} on {self.backend}; {self.scene!r}>"
 
     @cached_property
     def photodiodes(self) -> tuple[str, ...]:
@@ -149,7 +154,7 @@ class Transfer:
         data |= variable("derivative_mm", paths, slope[:, 0], text, units="mm", stderr=slope[:, 1])
         wavelength = [led.wavelength_nm for led in self.scene.leds]
         data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
-        return xr.Dataset(data, names, self.attributes())
+        return xr.Dataset(data, names, self.attributes() | {"title": "nailoptics: readings of a trace"})
 
     def moments_at(
         self,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 TEXTS = texts("colour")
 
 
-def page(result: xr.Dataset, photographs: list[bytes]) -> str:
+def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
     """The page of a nail's colours.
 
     photographs : the finger at rest and pressed, as PNG.
@@ -34,7 +34,7 @@ def page(result: xr.Dataset, photographs: list[bytes]) -> str:
         (significant(float(result.colour_stderr.max()), 2), "largest standard error of a place's colour, CIEDE2000"),
         (f"{estimated(last, 'white_band_mm')} mm", f"white band at {float(last.force_n):g} N"),
     ]
-    strip = strip_figure(result, width_mm=_nail_width_mm(result))
+    strip = strip_figure(result)
     photos = [_image(data, words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
     body = [
         section("The nail under force", figure(strip, "The nail under each force, each held.")),
@@ -142,9 +142,9 @@ def seen_by(result: xr.Dataset) -> str:
     return f"{lamp} {lit}, {result.attrs['observer']}° observer at 0°, gloss {gloss}; shown as sRGB"
 
 
-def draw_strip(panels: Any, result: xr.Dataset, *, width_mm: float) -> None:
+def draw_strip(panels: Any, result: xr.Dataset) -> None:
     """Draw the nail under each force into as many panels, all to one scale."""
-    forces, nail = result.force_n.values, _nail(result)
+    forces, nail, width_mm = result.force_n.values, _nail(result), _nail_width_mm(result)
     for s, panel in enumerate(panels):
         colours, skin = result.srgb.values[nail, s], result.srgb.values[[0, -1], s]
         _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
@@ -159,11 +159,11 @@ def draw_strip(panels: Any, result: xr.Dataset, *, width_mm: float) -> None:
 
 
 @style.drawing()
-def strip_figure(result: xr.Dataset, *, width_mm: float) -> "Figure":
+def strip_figure(result: xr.Dataset) -> "Figure":
     """The nail under each force, in its colours, to scale."""
     count = result.sizes["state"]
     figure, axes = style.panels(max(1.35 * count, 5.6), 2.1, 1, count, squeeze=False)
-    draw_strip(axes[0], result, width_mm=width_mm)
+    draw_strip(axes[0], result)
     figure.supxlabel(f"Traced; {seen_by(result)}", fontsize=7, color=style.MUTED)
     return figure
 
@@ -182,8 +182,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     }
     quick = scene.model_copy(update=update)
     path = directory / f"hemodynamics_{name}_fig2.png"
-    drawn = strip_figure(colour(quick, photons=FIG2_PHOTONS), width_mm=scene.finger.nail_width_mm)
-    style.write_figure(drawn, path)
+    style.write_figure(strip_figure(colour(quick, photons=FIG2_PHOTONS)), path)
     return path
 
 
@@ -283,16 +282,18 @@ def png(picture: np.ndarray) -> bytes:
     return data.getvalue()
 
 
-def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> tuple[Any, ...]:
+def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> dict[str, Any]:
     """Contents of the files; photographs : at rest and pressed, (height, width, 3) uint8 each."""
-    pictures, width_mm = [png(photograph) for photograph in photographs], _nail_width_mm(result)
-    html, strip = lambda _: page(result, pictures), lambda _: strip_figure(result, width_mm=width_mm)
-    return result, html, strip, *[*pictures, None, None][:2]
+    pictures = [png(photograph) for photograph in photographs]
+    named = dict(zip(("rest.png", "pressed.png"), [*pictures, None, None], strict=False))
+    return named | {"colour.html": lambda _: page(result, pictures)}
 
 
 COLOUR = Report(
     ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png"),
-    _files,
+    page,
     summary,
     lambda result, summary: lines(summary),
+    {"strip": strip_figure, "along": _along_figure, "force": _over_force_figure},
+    _files,
 )

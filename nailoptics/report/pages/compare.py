@@ -124,7 +124,7 @@ def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
 
 
 @style.drawing()
-def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
+def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "Figure":
     """The error of Taylor (9) and Beer-Lambert (8), fitted over each range from the sweep's start, with 95 % intervals
     and lines at 1 and 5 %.
     """
@@ -153,7 +153,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int) -> "Figure":
 
 
 @style.drawing()
-def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _error_parts_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "Figure":
     """What the error of Taylor (9) is made of, photodiode by photodiode, where it is largest."""
     order = [j for _, j in _photodiodes(result)]
     rows, height_in = np.arange(len(order)), 1.3 + 0.42 * len(order)
@@ -182,7 +182,7 @@ def _error_parts_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure"
     return figure
 
 
-def _changes_figure(result: xr.Dataset, *, led: int, sweep: str) -> "Figure":
+def _changes_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
     colours, order = zip(*_photodiodes(result), strict=True)
     changes = result.sel(sweep=sweep).isel(led=led, photodiode=list(order))
@@ -266,7 +266,8 @@ def verdict_line(decision: Verdict) -> str:
 
 COMPARISON = Report(
     ("compare.nc", "compare.html"),
-    lambda result: (result, lambda _: page(result)),
+    page,
     summary,
-    lambda result, summary: [],
+    lambda result, _: [verdict_line(verdict(result, 0.05))],
+    {"range": _range_errors_figure, "errors": _error_parts_figure, "changes": _changes_figure},
 )

@@ -27,13 +27,10 @@ KINDS = {
 }
 
 
-def _files(result: Explanation) -> tuple[Any, ...]:
-    return scene_text(result.required, result.attributes), lambda _: page(result)
-
-
 def write_explanation(result: Explanation, path: Path) -> dict[str, Path]:
     """Write the scene with only what it requires, and the page beside it; returns their paths. Raises WriteError."""
-    return write_files(path.parent, dict(zip((path.name, path.with_suffix(".html").name), _files(result), strict=True)))
+    scene = scene_text(result.required, result.attributes)
+    return write_files(path.parent, {path.name: scene, path.with_suffix(".html").name: lambda _: page(result)})
 
 
 def page(result: Explanation) -> str:
@@ -171,4 +168,11 @@ def lines(result: Explanation) -> list[str]:
     return out
 
 
-EXPLANATION = Report(("required.toml", "required.html"), _files, summary, lambda result, _: lines(result))
+EXPLANATION = Report(
+    ("required.toml", "required.html"),
+    page,
+    summary,
+    lambda result, _: lines(result),
+    {"effects": draw},
+    lambda result: {"required.toml": scene_text(result.required, result.attributes)},
+)

@@ -8,13 +8,14 @@ import numpy as np
 import xarray as xr
 
 from ...scene import parse_scene
+from ...statistics import Z95
 from ...studies.force.baselines import BASELINES
 from ...studies.force.predict import csv_rows
 from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
-from ...studies.force.subject import parse_subject
+from ...studies.force.subject import Subject, parse_subject, subject_toml
 from .. import style
 from ..files import Report, write_files
-from ..html import document, figure, section, small, table, texts
+from ..html import Html, document, figure, section, small, table, texts
 from ..numbers import estimated, significant, with_error
 
 if TYPE_CHECKING:
@@ -42,11 +43,25 @@ def calibration_page(result: xr.Dataset) -> str:
         body=[
             section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
             section("Recorded and fitted", figure(_fit_figure(result), TEXTS["fit"])),
-            section("The person", table(_factors(summary)), small(TEXTS["known"])),
+            _person_section(parse_subject(result.attrs["subject"]), summary),
             section("The readings", table(_readings(result, summary)), small(TEXTS["gains"])),
         ],
         attributes=result.attrs,
     )
+
+
+def _person_section(subject: Subject, summary: dict[str, Any]) -> Html:
+    drawn = figure(_factor_figure(subject), "The factors, with their 95 % intervals.", narrow=True)
+    return section("The person", drawn, table(_factors(summary)), small(TEXTS["known"]))
+
+
+def _subject_page(subject: Subject) -> str:
+    """The page of a subject without the recordings that it was calibrated with."""
+    summary = _subject_summary(subject)
+    body = [section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS))]
+    body.append(_person_section(subject, summary))
+    lead = f"{len(subject.light.names)} readings."
+    return document(kicker="subject", title="A person's sensor", lead=lead, body=body, attributes={})
 
 
 def _judged_on(summary: dict[str, Any]) -> str:
@@ -178,6 +193,24 @@ def _fit_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
+def _factor_figure(subject: Subject) -> "Figure":
+    """What the recordings say of the person: factors on the scene's constants, with their 95 % intervals."""
+    factors = subject.factor_table()
+    drawing, axes = style.panels(6.4, 0.6 + 0.28 * len(factors))
+    for row, factor in enumerate(factors.values()):
+        ends = factor["value"] * np.exp(np.array([-Z95, Z95]) * factor["stderr"] / factor["value"])
+        colour = style.ZONES[0] if factor["informed"] else style.MUTED
+        axes.plot(ends, [row, row], color=colour)
+        axes.plot(factor["value"], row, "o", color=colour)
+    axes.axvline(1.0, color=style.MUTED, linewidth=0.8)
+    axes.set(xscale="log", xlabel="factor on the scene's [1]; grey: known by the prior alone")
+    style.plain_log(axes.xaxis)
+    axes.set_yticks(range(len(factors)), [name.replace("_", " ") for name in factors])
+    axes.invert_yaxis()
+    return drawing
+
+
+@style.drawing()
 def force_figure(result: xr.Dataset) -> "Figure":
     """Force over time with its interval, beside the known force and the regressions' where they are known."""
     part = _thinned(result, "time")
@@ -230,7 +263,10 @@ def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
 
 def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     """Readings, factors, fit and warnings of a calibration."""
-    subject = parse_subject(result.attrs["subject"])
+    return _subject_summary(parse_subject(result.attrs["subject"])) | {"warnings": list(result.attrs["warnings"])}
+
+
+def _subject_summary(subject: Subject) -> dict[str, Any]:
     return {
         "readings": subject.reading_table(),
         "parameters": subject.factor_table(),
@@ -240,7 +276,6 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
         "is_held_out": subject.quality.is_held_out,
         "quality": subject.quality.touches,
         "weights": subject.ensemble.weights if subject.ensemble else {"filter": 1.0},
-        "warnings": list(result.attrs["warnings"]),
     }
 
 
@@ -292,15 +327,27 @@ def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _prediction_files(result: xr.Dataset) -> tuple[Any, ...]:
-    table = "".join(f"{row}\n" for row in csv_rows(result))
-    return result, table, lambda _: prediction_page(result), lambda _: force_figure(result)
-
-
-CALIBRATION = Report((), lambda result: (), calibration_summary, _calibration_lines)
+CALIBRATION = Report(
+    ("subject.toml", "subject.html"),
+    calibration_page,
+    calibration_summary,
+    _calibration_lines,
+    {"fit": _fit_figure},
+    lambda result: {"subject.toml": result.attrs["subject"]},
+)
+SUBJECT = Report(
+    ("subject.toml", "subject.html"),
+    _subject_page,
+    _subject_summary,
+    lambda subject, summary: [repr(subject)],
+    {"factors": _factor_figure},
+    lambda subject: {"subject.toml": subject_toml(subject)},
+)
 PREDICTION = Report(
     ("predict.nc", "predict.csv", "predict.html", "predict.png"),
-    _prediction_files,
+    prediction_page,
     prediction_summary,
     _prediction_lines,
+    {"force": force_figure, "share": _share_figure},
+    lambda result: {"predict.csv": "".join(f"{row}\n" for row in csv_rows(result))},
 )

@@ -273,13 +273,21 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
 
 OXIMETER = Report(
     ("oximeter.nc", "oximeter.html", "oximeter.png"),
-    lambda result: (result, lambda _: oximeter_page(result), lambda _: overview_figure(result)),
+    oximeter_page,
     oximeter_summary,
     oximeter_lines,
+    {
+        "overview": overview_figure,
+        "pulse": _pulse_figure,
+        "calibration": _calibration_figure,
+        "disturbances": _disturbances_figure,
+    },
 )
 OXYGEN = Report(
     ("oxygen.nc", "oxygen.csv", "oxygen.html"),
-    lambda result: (result, spo2_csv(result), lambda _: recording_page(result)),
+    recording_page,
     recording_summary,
     lambda result, summary: [*aligned(_recorded(summary)), f"best photodiode: {summary['best']}"],
+    {"oxygen": _over_time_figure},
+    lambda result: {"oxygen.csv": spo2_csv(result)},
 )

@@ -36,7 +36,7 @@ _SIDES = ("proximal", "distal")
 _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
 
 
-def write_figures(
+def figures(
     folder: Path, sets: Sequence[str] = (), *, colour: bool = True, people: bool = False
 ) -> tuple[dict[str, list[Claim]], list[Path]]:
     """Draw the paper's figures into a folder and evaluate its claims; returns the claims by set, and the pictures.

@@ -12,7 +12,7 @@ from typing import Any
 import xarray as xr
 
 from ...errors import InputError
-from ...io import plain_cell, write_text
+from ...io import plain_cell
 from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
@@ -49,8 +49,8 @@ RANKING = {
 PAGE_ALONE = tuple(RANKING)[-3:]
 
 
-def write_placement(result: xr.Dataset, path: Path) -> None:
-    """Write the page of what `place` returns, whole or not at all; raises WriteError."""
+def page(result: xr.Dataset) -> str:
+    """The page of what `place` returns."""
     best, ranking = chosen(result), rows(result)
     groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
     layout = [figure(maps.top_view(best), TEXTS["board"], narrow=True), table(_photodiodes(result), groups=groups)]
@@ -58,7 +58,7 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
     if "checked_fraction" in result:
         layout += [subheading("Ambient light"), table(_ambient(result)), small(TEXTS["ambient"])]
         checked = _check(result)
-    text = document(
+    return document(
         kicker="layout optimisation",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
@@ -81,7 +81,6 @@ def write_placement(result: xr.Dataset, path: Path) -> None:
         ],
         attributes=result.attrs,
     )
-    write_text(Path(path), text)
 
 
 def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
@@ -243,7 +242,7 @@ def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
     return rows
 
 
-def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder: Path = Path()) -> tuple[Any, ...]:
+def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder: Path = Path()) -> dict[str, Any]:
     """Contents of the files.
 
     negate_x_on_bottom : whether X is, in the position file, for parts on the bottom side.
@@ -266,16 +265,14 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder
     writer = csv.DictWriter(text, list(ranking[0]))
     writer.writeheader()
     writer.writerows({name: plain_cell(cell) for name, cell in row.items()} for row in ranking)
-    return (
-        result,
-        text.getvalue(),
-        scene_text(best, result.attrs),
-        lambda path: write_positions(path, kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom),
-        lambda path: write_outline(path, edges),
-        board,
-        lambda path: write_mesh(best, path),
-        lambda path: write_placement(result, path),
-    )
+    return {
+        "ranking.csv": text.getvalue(),
+        "best.toml": scene_text(best, result.attrs),
+        "best.csv": lambda path: write_positions(path, kicad_parts(best), negate_x_on_bottom=negate_x_on_bottom),
+        "outline.dxf": lambda path: write_outline(path, edges),
+        "best.kicad_pcb": board,
+        "best.glb": lambda path: write_mesh(best, path),
+    }
 
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
@@ -309,7 +306,13 @@ def lines(summary: dict[str, Any]) -> list[str]:
 
 PLACEMENT = Report(
     ("place.nc", "ranking.csv", "best.toml", "best.csv", "outline.dxf", "best.kicad_pcb", "best.glb", "place.html"),
-    _files,
+    page,
     summary,
     lambda result, summary: lines(summary),
+    {
+        "best": lambda result: maps.top_view(chosen(result)),
+        "ranking": figures.ranking_figure,
+        "maps": lambda result, led=0: figures.map_figure(chosen(result), result, led=led),
+    },
+    _files,
 )

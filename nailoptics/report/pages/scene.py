@@ -1,13 +1,14 @@
-"""A scene as a notebook shows it: its board on the nail, and the finger cut lengthwise below it."""
+"""A scene as a notebook shows it, its board on the nail and the section below it, and the page of its check."""
 
 from typing import TYPE_CHECKING
 
 from ...errors import InputError
-from ...light import section
-from ...scene import Scene, to_toml
-from ...studies.scene_check import check_scene
+from ...light import section as cut
+from ...scene import Scene
+from ...studies.scene_check import SceneCheck, check
 from .. import maps, style
 from ..files import Report
+from ..html import Html, document, escaped, figure, section
 from ..scene_description import check_lines
 
 if TYPE_CHECKING:
@@ -19,16 +20,38 @@ def draw(scene: Scene) -> "Figure":
     """The board on the nail from above, and the section below it; raises InputError for a phantom."""
     if scene.finger is None:
         raise InputError("a phantom has no board to draw; give a scene with [finger].")
-    figure, (top, cut) = style.panels(9.6, 4.2, 1, 2, width_ratios=(4, 5))
+    figure, (top, below) = style.panels(9.6, 4.2, 1, 2, width_ratios=(4, 5))
     maps.draw_top_view(top, scene)
-    maps.draw_section(cut, scene, section(scene), led=0)
+    maps.draw_section(below, scene, cut(scene), led=0)
     return figure
 
 
+def page(checked: SceneCheck) -> str:
+    """The page of a check."""
+    caption = "The board on the nail, and the section below it."
+    drawn = figure(draw(checked.scene), caption) if checked.scene.finger else ""
+    lines = Html(f"<pre>{escaped(chr(10).join(check_lines(checked)))}</pre>")
+    return document(
+        kicker="check",
+        title=repr(checked.scene)[1:-1],
+        lead="Readings are those of a short trace.",
+        warnings=checked["warnings"],
+        body=[section("The scene", drawn, lines)],
+        attributes={},
+    )
+
+
+CHECK = Report(
+    ("check.html",),
+    page,
+    dict,
+    lambda checked, _: check_lines(checked),
+    {"board": lambda checked: draw(checked.scene)},
+)
 SCENE = Report(
-    ("scene.toml",),
-    lambda scene: (to_toml(scene),),
-    check_scene,
-    lambda _, summary: check_lines(summary),
+    ("check.html",),
+    lambda scene: page(check(scene)),
+    lambda scene: scene.model_dump(mode="json", exclude_none=True),
+    lambda scene, _: [repr(scene)],
     {"board": draw},
 )

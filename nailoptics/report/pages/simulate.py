@@ -300,5 +300,14 @@ def _pair_table(rows: Sequence[dict[str, str]], readings: "pd.DataFrame", scene:
 
 
 SIMULATION = Report(
-    ("result.nc", "report.html"), lambda result: (result, lambda _: page(result)), simulation_summary, simulation_lines
+    ("result.nc", "report.html"),
+    page,
+    simulation_summary,
+    simulation_lines,
+    {
+        "readings": lambda result: figures.overview(result, _scene(result)),
+        "touch": figures.courses,
+        "volts": lambda result, led=0: figures.volts(result, _scene(result), led=led),
+        "section": lambda result: maps.section(_scene(result), result),
+    },
 )

@@ -3,16 +3,19 @@
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from ...batch import write_table
+from ...errors import InputError
 from ...io import write_text
 from .. import style
+from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
-from ..numbers import prefix, significant
+from ..numbers import aligned, prefix, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +36,7 @@ def write_sweep(results: xr.Dataset, folder: Path, *, failures: Mapping[str, str
     return paths
 
 
-def page(results: xr.Dataset, *, failures: Mapping[str, str]) -> str:
+def page(results: xr.Dataset, *, failures: Mapping[str, str] = MappingProxyType({})) -> str:
     """The page of what `batch.open_results` returns.
 
     failures : why scenes failed, by digest.
@@ -73,16 +76,33 @@ def _axes(results: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _figures(results: xr.Dataset) -> str:
-    quantity = next((q for q in _QUANTITIES if q in results), None)
+    quantity = _quantity(results)
     if quantity is None:
         return ""
     text = str(results[quantity].attrs["long_name"])
     lines = [small(texts("sweep")["note"])]
-    for name in [n for n in axes_of(results) if len(np.unique(results[n])) > 1][:FIGURES]:
+    for name in _varied(results)[:FIGURES]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
         lines.append(figure(_along(results, quantity, name), caption, narrow=True))
     return section(text[0].upper() + text[1:], *lines)
+
+
+def _quantity(results: xr.Dataset) -> str | None:
+    """What is plotted over the axes."""
+    return next((q for q in _QUANTITIES if q in results), None)
+
+
+def _varied(results: xr.Dataset) -> list[str]:
+    return [n for n in axes_of(results) if len(np.unique(results[n])) > 1]
+
+
+def _along_axis(results: xr.Dataset, axis: str = "") -> "Figure":
+    """Readings over one axis, the first if none is named; raises InputError where there is nothing to plot."""
+    axes, quantity = [axis] if axis else _varied(results), _quantity(results)
+    if not axes or quantity is None or axes[0] not in axes_of(results):
+        raise InputError(f'axis = "{axis}": nothing to plot; choose an axis from {", ".join(axes_of(results))}.')
+    return _along(results, quantity, axes[0])
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -158,3 +178,17 @@ def _words(scene: xr.Dataset, results: xr.Dataset) -> str:
     values = {name: scene[name].item() for name in axes_of(results) if np.unique(results[name]).size > 1}
     words = [f"{name} = {f'{x:.4g}' if isinstance(x, float) else str(x)[:28]}" for name, x in values.items()]
     return "\n".join(words + ([] if scene.state.item() == "done" else [scene.state.item()]))
+
+
+def _summary(results: xr.Dataset) -> dict[str, Any]:
+    states, counts = np.unique(results.state.values, return_counts=True)
+    return {"scenes": dict(zip(states.tolist(), counts.tolist(), strict=True))} | run_summary(results.attrs)
+
+
+SWEEP = Report(
+    ("sweep.nc", "sweep.html"),
+    page,
+    _summary,
+    lambda results, _: aligned(_axes(results)),
+    {"along": _along_axis, "photographs": contact_sheet},
+)

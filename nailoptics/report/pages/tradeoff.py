@@ -31,13 +31,13 @@ ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 
-def page(result: Tradeoff, drawing: "Figure") -> str:
+def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
     """The page around what `draw` drew."""
     choice = result.chosen
     selected = "; ".join(filter(None, (*result.lines, choice.level.call))) or "none is needed"
     body = section(
         "Error against time",
-        figure(drawing, TEXTS["caption"]),
+        figure(drawing or draw(result), TEXTS["caption"]),
         table(_rows(result)),
         small(TEXTS["note"].format(meaning(result))),
         f"{chosen_line(result)} What selects it: {selected}",
@@ -210,18 +210,20 @@ def lines(result: Tradeoff) -> list[str]:
     return out if result.lines else [*out, "The scene is that already: no line needs to change."]
 
 
-def _files(result: Tradeoff) -> tuple[Any, ...]:
+def _files(result: Tradeoff) -> dict[str, Any]:
     drawing = draw(result)
-    text = page(result, drawing)
+    files: dict[str, Any] = {"tradeoff.json": to_json(summary(result)) + "\n", "tradeoff.nc": result.dataset()}
+    files |= {"tradeoff.html": page(result, drawing), "tradeoff.png": drawing}
     # Once is enough to find room for the labels.
     drawing.set_layout_engine("none")
-    data = to_json(summary(result)) + "\n", result.dataset()
-    return *data, text, drawing, scene_text(result.scene, result.attributes)
+    return files | {"scene.toml": scene_text(result.scene, result.attributes)}
 
 
 TRADEOFF = Report(
     ("tradeoff.json", "tradeoff.nc", "tradeoff.html", "tradeoff.png", "scene.toml"),
-    _files,
+    page,
     summary,
     lambda result, _: lines(result),
+    {"error": draw},
+    _files,
 )

@@ -134,6 +134,10 @@ def summary(result: Validation) -> dict[str, Any]:
     return made | dict(result.attributes)
 
 
-VALIDATION = Report(
-    ("validation.html",), lambda result: (lambda _: page(result),), summary, lambda result, summary: lines(summary)
-)
+def _figure(result: Validation, quantity: str = "") -> "Figure":
+    """One quantity, the first that disagrees if none is named."""
+    tables = sorted(summary(result)["tables"].items(), key=lambda item: (item[0] != quantity, item[1]["agrees"]))
+    return draw(tables[0][1])
+
+
+VALIDATION = Report(("validation.html",), page, summary, lambda result, summary: lines(summary), {"quantity": _figure})

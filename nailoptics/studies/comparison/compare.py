@@ -147,7 +147,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     coords = {name: list(labels) for name, labels in coords.items()}
     seconds = {"cpu_seconds": transfer.cpu_seconds, "wall_seconds": transfer.wall_seconds}
     attributes = transfer.attributes() | seconds | {"reused": int(transfer.reused)}
-    return xr.Dataset(data, coords=coords, attrs=attributes)
+    title = "nailoptics: reduced optics against traced light"
+    return xr.Dataset(data, coords=coords, attrs=attributes | {"title": title})
 
 
 def _led_errors(

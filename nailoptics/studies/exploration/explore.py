@@ -22,6 +22,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from ...display import Displayed
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...geometry import underside
 from ...hemodynamics.touch import touch_course
@@ -86,7 +87,7 @@ class ColourTable:
 
 
 @dataclass
-class Exploration:
+class Exploration(Displayed):
     """Everything that the page knows.
 
     scene : the scene with outline, wall and origin spelled out; parts lie where they lay.

@@ -1,14 +1,14 @@
 """Force over time from a calibrated person's readings: of a recording, or of lines that come one by one."""
 
 import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...commit import code_attributes
 from ...errors import InputError
@@ -26,7 +26,7 @@ from ...variables import Estimate, Variables, described
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
-from .subject import Subject, read_subject
+from .subject import Subject, load_subject, parse_subject
 from .uncertainty import ForceEstimate, ForceEstimator
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
@@ -39,7 +39,7 @@ STDIN = "stdin"
 
 
 def predict(
-    subject: Subject | str | Path,
+    subject: Subject | xr.Dataset | str | Path,
     readings: Recording | str | Path,
     *,
     press_n: float = 0.5,
@@ -47,7 +47,7 @@ def predict(
 ) -> xr.Dataset:
     """Force over time from readings.
 
-    subject : what `calibrate` returned, parsed, or its file.
+    subject : what `calibrate` returned, or its file.
     readings : a recording, or its file; its force, where known, is what the result is judged by.
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
@@ -59,7 +59,7 @@ def predict(
     """
     if not 0 < release_n < press_n < np.inf:
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
-    subject = subject if isinstance(subject, Subject) else read_subject(subject)
+    subject = _subject(subject)
     recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
     estimates = estimate_pressures(subject, recording.time_s, recording.volts)
@@ -105,23 +105,85 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     check_known(reading_columns(header), subject.light.names, STDIN)
     columns = {name: header.index(name) for name in ("time_s", *subject.light.names)}
     yield ",".join(CSV_COLUMNS)
-    kalman, estimator, last_s = KalmanFilter(subject), ForceEstimator(subject), None
+    for force in _estimates(subject, _samples(rows, columns), STDIN):
+        yield _csv_row(*force)
+
+
+def _samples(rows: Iterable[tuple[int, str]], columns: dict[str, int]) -> Iterator[tuple[float, Array]]:
+    """Times and volts of numbered lines, until one that ends in its midst."""
     for number, line in rows:
         cells = _cells(line)
         if len(cells) <= max(columns.values()) and not line.endswith("\n"):
             return
         _, sample = number_columns(iter([(number, cells)]), columns, STDIN)
-        (time_s,), volts = sample.pop("time_s").tolist(), np.concatenate(list(sample.values()))
+        (time_s,) = sample.pop("time_s").tolist()
+        yield time_s, np.concatenate(list(sample.values()))
+
+
+class LiveForce(NamedTuple):
+    """Force at one time, with its 95 % interval; force_high_n is infinite where the vessels may be closed. [s, N]"""
+
+    time_s: float
+    force_n: float
+    force_low_n: float
+    force_high_n: float
+    proximal_share: float
+    proximal_share_low: float
+    proximal_share_high: float
+    outlier: bool
+
+
+def predict_live(
+    subject: Subject | xr.Dataset | str | Path, samples: Iterable[tuple[float, Mapping[str, float] | ArrayLike]]
+) -> Iterator[LiveForce]:
+    """Force of samples that come one by one: each is answered before the next is taken.
+
+    subject : as for `predict`.
+    samples : time [s] and volts of each reading, by its name, or all in the order of the subject's file; NaN is a gap.
+        Times rise, the finger is untouched at first, and again after a gap of 5 s.
+
+    Raises: InputError for volts of other readings, or times out of order.
+    """
+    subject = _subject(subject)
+    names = subject.light.names
+
+    def ordered() -> Iterator[tuple[float, Array]]:
+        for time_s, volts in samples:
+            if isinstance(volts, Mapping):
+                check_known([*volts], names, "samples")
+                volts = [volts[name] for name in names]
+            try:
+                row = np.array(volts, dtype=float)
+            except (TypeError, ValueError):
+                row = np.empty(0)
+            if row.shape != (len(names),):
+                raise InputError(f"samples: {volts!r} are no volts of this subject's readings, {', '.join(names)}.")
+            yield float(time_s), row
+
+    return _estimates(subject, ordered(), "samples")
+
+
+def _subject(given: Subject | xr.Dataset | str | Path) -> Subject:
+    if isinstance(given, xr.Dataset):
+        return parse_subject(given.attrs["subject"])
+    return given if isinstance(given, Subject) else load_subject(given)
+
+
+def _estimates(subject: Subject, samples: Iterable[tuple[float, Array]], name: str) -> Iterator[LiveForce]:
+    """The force of each sample; name : what messages call them."""
+    kalman, estimator, last_s = KalmanFilter(subject), ForceEstimator(subject), None
+    for time_s, volts in samples:
         if last_s is not None and time_s <= last_s:
-            raise InputError(f"{STDIN}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
+            raise InputError(f"{name}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
         if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
-            raise InputError(f"{STDIN} line {number}: looks like a converter's counts; convert it to volts.")
+            raise InputError(f"{name}: time_s = {time_s:.15g} has a converter's counts; convert them to volts.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
         last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
-        yield _csv_row(time_s, *(float(column[0]) for column in force[: len(FORCE_COLUMNS)]), estimate.outlier)
+        columns = (float(column[0]) for column in force[: len(FORCE_COLUMNS)])
+        yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
 
 
 def _cells(line: str) -> list[str]:

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, F
 from pydantic.dataclasses import dataclass
 
 from ...checks import explain
+from ...display import Displayed
 from ...errors import InputError
 from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.base import Fraction
@@ -147,7 +148,7 @@ def _covariance(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, config=TABLE)
-class Subject:
+class Subject(Displayed):
     """A person's calibrated sensor, P factors and R readings.
 
     scene_digest : of the scene whose board and finger it was calibrated for.
@@ -182,6 +183,11 @@ class Subject:
         for name, size in shapes.items():
             if size != count:
                 raise ValueError(f"{name} is not that of {count} readings")
+
+    def __repr__(self) -> str:
+        """What was calibrated, in a line."""
+        rms = f"{1e3 * self.quality.rms_n:.0f} mN"
+        return f"<Subject: {len(self.light.names)} readings; rms error of the calibration's force {rms}>"
 
     @cached_property
     def factors_ln(self) -> Array:
@@ -260,7 +266,7 @@ def subject_toml(subject: Subject) -> str:
     return tomli_w.dumps(tables | {"factors": subject.factor_table(), "readings": subject.reading_table()})
 
 
-def read_subject(path: str | Path) -> Subject:
+def load_subject(path: str | Path) -> Subject:
     """Read a subject file; raises InputError where it is none, or not complete."""
     return parse_subject(read_text(Path(path), "a subject file that nailoptics calibrate wrote"), name=str(path))
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeAlias, Unpack
 import numpy as np
 
 from ... import tissue
+from ...display import Displayed
 from ...errors import NotReachedError
 from ...light import ProgressCallback, optics
 from ...light.identity import light_digest
@@ -77,7 +78,7 @@ class Effect(Change):
 
 
 @dataclass(frozen=True)
-class Explanation:
+class Explanation(Displayed):
     """All effects and priors of a scene, those that change readings most first; what it requires; its cost.
 
     together : what leaving out all that is not needed does to the readings; None where all is needed.

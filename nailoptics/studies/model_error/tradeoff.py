@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ... import tissue
+from ...display import Displayed
 from ...errors import NotReachedError
 from ...hemodynamics.for_scene import blood_over_touch
 from ...light import ProgressCallback, optics
@@ -155,7 +156,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Tradeoff:
+class Tradeoff(Displayed):
     """All levels of model, and the fastest within a tolerance, as a scene.
 
     An error is that of the worst photodiode: of its reading at rest, relative, or of its change by touch, as a part of

@@ -12,7 +12,7 @@ from nailoptics.hemodynamics.for_scene import blood_model
 from nailoptics.hemodynamics.touch import touch_course
 from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.report.pages import placement
-from nailoptics.report.pages.placement import write_placement
+from nailoptics.report.pages.placement import page
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import electronics, information
 from nailoptics.sensor.information import PhysiologicalNoise, physiological_noise
@@ -327,7 +327,7 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
 
 @pytest.mark.long
 def test_the_page_tells_the_bodys_part(found, tmp_path):
-    write_placement(found, tmp_path / "place.html")
+    (tmp_path / "place.html").write_text(page(found), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
     assert text.count("<svg") == 4

@@ -17,7 +17,7 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.placement import PLACEMENT, write_placement
+from nailoptics.report.pages.placement import PLACEMENT, page
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -409,7 +409,7 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 
 @pytest.mark.long
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
-    write_placement(found, tmp_path / "place.html")
+    (tmp_path / "place.html").write_text(page(found), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert text.count("<svg") == 4 and "http:" not in text and "https:" not in text and "paper" in text
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):

@@ -4,12 +4,11 @@ import base64
 import json
 import math
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ....io import FORMULA, write_text
+from ....io import FORMULA
 from ....scene import Led, Photodiode, Scene
 from ....scene.base import MOST_PHOTODIODES
 from ....scene.rectangles import Rectangle
@@ -26,6 +25,8 @@ from ....studies.exploration.explore import (
     Exploration,
 )
 from ....studies.exploration.pair_table import NEAREST_MM
+from ... import maps
+from ...files import Report, run_summary
 from ...html import Html, Script, details, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
@@ -41,11 +42,6 @@ LIBRARIES = (
     ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),
     ("smol-toml", "smol-toml.cjs", "https://github.com/squirrelchat/smol-toml"),
 )
-
-
-def write_exploration(exploration: Exploration, path: Path) -> None:
-    """Write the page of what `explore` returns, whole or not at all; raises WriteError."""
-    write_text(Path(path), page(exploration))
 
 
 def page(exploration: Exploration) -> str:
@@ -276,3 +272,12 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
         "so2": scene.blood.so2,
         "ambient": None,
     }
+
+
+EXPLORATION = Report(
+    ("explore.html",),
+    page,
+    lambda exploration: run_summary(exploration.attributes),
+    lambda exploration, summary: [f"{summary['photons']} photons at {len(exploration.colours)} wavelengths"],
+    {"board": lambda exploration: maps.top_view(exploration.scene)},
+)

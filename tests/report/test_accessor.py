@@ -1,0 +1,133 @@
+"""Results that show themselves: the figures, pages, summaries and files of the command line, from Python."""
+
+import ast
+import html
+import json
+from pathlib import Path
+
+import made_sensor
+import pytest
+import xarray as xr
+from made_exploration import made_exploration
+from matplotlib.figure import Figure
+
+import nailoptics as nail
+from nailoptics.cli import run
+from nailoptics.report.accessor import KINDS, Nail
+from nailoptics.report.pages.simulate import SIMULATION, page
+from nailoptics.studies.force.subject import parse_subject
+
+PACKAGE = Path(nail.__file__).parent
+TITLE = {"title": "nailoptics: touch to volts"}
+
+
+def all_shown(result):
+    """The figures of a result, each drawn, after its page, summary and files have been made, too."""
+    shown, again = result.nail, json.dumps(result.nail.summary(), default=str)
+    assert shown.report().startswith("<!doctype html>") and shown.html().startswith("<pre>") and len(again) > 2
+    drawn = {name: shown.plot(name) for name in shown.figures}
+    assert all(isinstance(one, Figure) and one.axes for one in drawn.values())
+    return drawn
+
+
+def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
+    result = make(leds=2).assign_attrs(TITLE)
+    figures = all_shown(result)
+    assert list(figures) == list(result.nail.figures) == ["readings", "touch", "volts", "section"]
+    assert result.nail.summary() == SIMULATION.summary(result) and result.nail.report() == page(result)
+    titles = [[axes.get_title("left") for axes in result.nail.plot("volts", led=k).axes] for k in (0, 1)]
+    assert titles[0] and titles == [titles[0]] * 2
+    assert result.nail.scene == nail.parse_scene(result.attrs["scene"])
+    inline = result.nail.report()._repr_html_()
+    assert inline.startswith("<iframe srcdoc=") and html.escape(page(result)[:500]) in inline
+    assert figures["readings"]._repr_png_().startswith(b"\x89PNG")
+    written = result.nail.report(tmp_path / "here" / "page.html")
+    assert written == {"report": tmp_path / "here/page.html"} and written["report"].read_text("utf-8") == page(result)
+
+
+def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make, tmp_path):
+    made = make(leds=1).assign_attrs(TITLE)
+    written = made.nail.report(tmp_path / "results")
+    assert {path.name for path in (tmp_path / "results").iterdir()} == {"result.nc", "report.html"}
+    with xr.open_dataset(written["result"]) as result:
+        assert result.nail.report() == written["report"].read_text("utf-8")
+
+
+def test_what_a_result_does_not_hold_is_said(make):
+    result = make(section=False).assign_attrs(TITLE)
+    with pytest.raises(nail.InputError, match='figure = "spectrum" is unknown; choose from readings, touch'):
+        result.nail.plot("spectrum")
+    with pytest.raises(nail.InputError, match='figure = "section" shows what this result does not hold'):
+        result.nail.plot("section")
+    for other in (xr.Dataset(), xr.Dataset(attrs={"title": "mine"})):
+        with pytest.raises(nail.InputError, match="no result that nailoptics can show"):
+            _ = Nail(other)
+
+
+def test_a_persons_sensor_and_its_force_show_themselves(tmp_path):
+    subject = parse_subject(made_sensor.subject())
+    assert list(all_shown(subject)) == ["factors"] and len(repr(subject)) < 120
+    assert "&lt;Subject: 8 readings" in subject._repr_html_()
+    recording = made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=3)
+    assert list(all_shown(nail.predict(subject, recording))) == ["force", "share"]
+    assert nail.predict(nail.load_subject(subject.nail.report(tmp_path)["scene"]), recording).attrs["rms_n"] > 0
+
+
+def test_an_exploration_shows_itself():
+    explored = made_exploration(nail.load_scene("prototype"))
+    explored.attributes.update(photons=1000, cpu_seconds=1.0, wall_seconds=1.0)
+    assert list(all_shown(explored)) == ["board"]
+
+
+def test_every_title_of_a_study_has_its_report():
+    """Expected: a Dataset of a public study is shown, and KINDS names no report that does not exist."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found |= {node.value} & KINDS.keys()
+    assert found >= {kind for kind in KINDS if kind.startswith("nailoptics") and "batch" not in kind}
+    for kind in KINDS:
+        assert Nail(xr.Dataset(attrs={"title": kind})).figures
+
+
+@pytest.mark.jit
+def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
+    transfer = nail.trace(nail.load_scene("prototype"), photons=20_000, backend=jit_backend.name)
+    assert list(all_shown(transfer)) == list(all_shown(transfer.at(so2=[0.9, 0.95]))) == ["readings"]
+    assert transfer.at(so2=[0.9, 0.95]).sizes["state"] == 2 and len(repr(transfer)) < 150
+    detected = transfer.at().detected_fraction
+    (row,) = [row for row in transfer.nail.summary()["readings"] if row["photodiode"] == "distal.3"]
+    assert row["detected_fraction"] == float(detected.sel(led="ir", photodiode="distal.3"))
+    assert transfer.nail.report(tmp_path)["result"].name == "trace.nc"
+
+
+@pytest.mark.jit
+def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
+    check = nail.check("prototype")
+    assert list(all_shown(check)) == ["board"]
+    assert run(["check", "prototype", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads(json.dumps(check["leds"])) == printed["leds"] and len(check["pairs"]) == len(printed["pairs"])
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")
+def test_every_study_shows_itself(chosen_jit):
+    def quiet(name):
+        return nail.load_scene(name).with_(**{"priors.spread": False})
+
+    how = {"photons": 20_000, "backend": chosen_jit.name}
+    prototype = quiet("prototype")
+    for result in (
+        nail.simulate(prototype, picture=True, **how),
+        nail.compare(prototype, **how),
+        nail.explain(prototype, **how),
+        nail.tradeoff(prototype, **how),
+        nail.oximeter(quiet("pulse_oximeter"), **how),
+        nail.colour(quiet("nail_colour"), **how),
+        nail.place(quiet("placement"), **how),
+        nail.explore(prototype, **how),
+        nail.sweep(prototype, {"blood.so2": [0.9, 0.97]}, workers=1, **how),
+    ):
+        all_shown(result)
