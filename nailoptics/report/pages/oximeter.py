@@ -276,12 +276,7 @@ OXIMETER = Report(
     oximeter_page,
     oximeter_summary,
     oximeter_lines,
-    {
-        "overview": overview_figure,
-        "pulse": _pulse_figure,
-        "calibration": _calibration_figure,
-        "disturbances": _disturbances_figure,
-    },
+    {"overview": overview_figure, "disturbances": _disturbances_figure},
 )
 OXYGEN = Report(
     ("oxygen.nc", "oxygen.csv", "oxygen.html"),
