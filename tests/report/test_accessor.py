@@ -104,7 +104,7 @@ def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
 
 @pytest.mark.jit
 def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
-    check = nail.check("prototype")
+    check = nail.check(nail.load_scene("prototype"))
     assert list(all_shown(check)) == ["board"]
     assert run(["check", "prototype", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)

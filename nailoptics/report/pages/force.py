@@ -43,15 +43,15 @@ def calibration_page(result: xr.Dataset) -> str:
         body=[
             section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
             section("Recorded and fitted", figure(_fit_figure(result), TEXTS["fit"])),
-            _person_section(parse_subject(result.attrs["subject"]), summary),
+            _person_section(summary),
             section("The readings", table(_readings(result, summary)), small(TEXTS["gains"])),
         ],
         attributes=result.attrs,
     )
 
 
-def _person_section(subject: Subject, summary: dict[str, Any]) -> Html:
-    drawn = figure(_factor_figure(subject), "The factors, with their 95 % intervals.", narrow=True)
+def _person_section(summary: dict[str, Any]) -> Html:
+    drawn = figure(_factor_figure(summary["parameters"]), "The factors, with their 95 % intervals.", narrow=True)
     return section("The person", drawn, table(_factors(summary)), small(TEXTS["known"]))
 
 
@@ -59,8 +59,8 @@ def _subject_page(subject: Subject) -> str:
     """The page of a subject without the recordings that it was calibrated with."""
     summary = _subject_summary(subject)
     body = [section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS))]
-    body.append(_person_section(subject, summary))
     lead = f"{len(subject.light.names)} readings."
+    body.append(_person_section(summary))
     return document(kicker="subject", title="A person's sensor", lead=lead, body=body, attributes={})
 
 
@@ -193,9 +193,8 @@ def _fit_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def _factor_figure(subject: Subject) -> "Figure":
+def _factor_figure(factors: dict[str, dict[str, Any]]) -> "Figure":
     """What the recordings say of the person: factors on the scene's constants, with their 95 % intervals."""
-    factors = subject.factor_table()
     drawing, axes = style.panels(6.4, 0.6 + 0.28 * len(factors))
     for row, factor in enumerate(factors.values()):
         ends = factor["value"] * np.exp(np.array([-Z95, Z95]) * factor["stderr"] / factor["value"])
@@ -205,7 +204,7 @@ def _factor_figure(subject: Subject) -> "Figure":
     axes.axvline(1.0, color=style.MUTED, linewidth=0.8)
     axes.set(xscale="log", xlabel="factor on the scene's [1]; grey: known by the prior alone")
     style.plain_log(axes.xaxis)
-    axes.set_yticks(range(len(factors)), [name.replace("_", " ") for name in factors])
+    axes.set_yticks(range(len(factors)), [style.plain(name.replace("_", " ")[:28]) for name in factors])
     axes.invert_yaxis()
     return drawing
 
@@ -340,7 +339,7 @@ SUBJECT = Report(
     _subject_page,
     _subject_summary,
     lambda subject, summary: [repr(subject)],
-    {"factors": _factor_figure},
+    {"factors": lambda subject: _factor_figure(subject.factor_table())},
     lambda subject: {"subject.toml": subject_toml(subject)},
 )
 PREDICTION = Report(

@@ -176,7 +176,7 @@ def _estimates(subject: Subject, samples: Iterable[tuple[float, Array]], name: s
         if last_s is not None and time_s <= last_s:
             raise InputError(f"{name}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
         if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
-            raise InputError(f"{name}: time_s = {time_s:.15g} has a converter's counts; convert them to volts.")
+            raise InputError(f"{name}: time_s = {time_s:.15g} looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
