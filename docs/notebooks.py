@@ -4,6 +4,7 @@ A page is run in a folder of its own by myst-nb. With NAILOPTICS_DOCS=quick in t
 commands and functions that trace light take few photons, and pages that say `quick: false` on top are not run.
 """
 
+import hashlib
 import json
 import os
 import re
@@ -14,6 +15,8 @@ from typing import Any
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
+import nailoptics
+from nailoptics.assets import data_dir
 from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
@@ -58,6 +61,13 @@ def prepare_kernels(app: Any) -> None:
         "MATPLOTLIBRC": str(Path(style.__file__).with_name("figures.mplstyle")),
         "PATH": path,
     }
+
+
+def package_digest() -> str:
+    """A digest of all that decides what a notebook shows."""
+    folders = Path(nailoptics.__file__).parent, data_dir("assets"), data_dir("scenes")
+    files = sorted(path for folder in folders for path in folder.rglob("*") if path.suffix in (".py", ".toml", ".csv"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 # Downloads
@@ -128,13 +138,15 @@ def card(app: Any, page: str, target: str) -> nodes.Node:
     link += nodes.strong(text=app.env.titles[target].astext())
     card = nodes.container(classes=["card"])
     first = next(iter(shown.findall(nodes.paragraph))).astext()
-    card += [nodes.paragraph("", "", link), nodes.paragraph(text=re.match(r".*?[.:?](?=\s|$)|.*", first, re.S)[0])]
+    card += [nodes.paragraph("", "", link), nodes.paragraph(text=re.match(r".*?[.?](?=\s|$)|.*", first, re.S)[0])]
     return card
 
 
 def setup(app: Any) -> None:
     """Register the directive, and what is done as pages are read, written and finished."""
     prepare_kernels(app)
+    # Pages are run anew where the package is another one.
+    app.add_config_value("package_digest", package_digest(), "env")
     app.add_directive("thumbnails", Thumbnails)
     app.add_node(thumbnails)
     app.connect("source-read", with_few_photons)
