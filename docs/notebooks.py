@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from docutils.parsers.rst import directives
 from sphinx.util.docutils import SphinxDirective
 
 import nailoptics
@@ -109,16 +110,21 @@ class thumbnails(nodes.General, nodes.Element):
 
 
 class Thumbnails(SphinxDirective):
-    """Each page that it names, one a line, by the last picture in it, its heading and its first sentence."""
+    """Each page that it names, one a line, by the last picture in it, its heading and its first sentence.
+
+    With `:toctree:` the pages are in the table of contents below the present one, too.
+    """
 
     has_content = True
+    option_spec = {"toctree": directives.flag}
 
     def run(self) -> list[nodes.Node]:
         folder = Path(self.env.docname).parent
         pages = [(folder / line).as_posix() for line in self.content]
         for page in pages:
             self.env.note_dependency(self.env.doc2path(page))
-        return [thumbnails(pages=pages)]
+        listed = "\n".join(["```{toctree}", ":hidden:", "", *self.content, "```"]) if "toctree" in self.options else ""
+        return [thumbnails(pages=pages), *self.parse_text_to_nodes(listed)]
 
 
 def fill_thumbnails(app: Any, doctree: nodes.document, page: str) -> None:

@@ -14,7 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 @pytest.mark.long
 @pytest.mark.jit
 def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, shared_light):
-    """With warnings as errors, of which an exception in a cell is one; each page of the gallery draws a picture."""
+    """With warnings as errors, of which an exception in a cell is one; each page of the gallery that is run draws."""
     command = [
         sys.executable,
         "-m",
@@ -30,7 +30,7 @@ def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, shared_li
     environment = os.environ | {"NAILOPTICS_DOCS": "quick"}
     built = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert built.returncode == 0, built.stdout + built.stderr
-    for page in (DOCS / "gallery").glob("*.md"):
+    for page in (page for page in (DOCS / "gallery").glob("*.md") if "quick: false" not in page.read_text()):
         downloaded = tmp_path / "html/_downloads/gallery" / f"{page.stem}.ipynb"
         cells = json.loads(downloaded.read_text(encoding="utf-8"))["cells"]
         drawn = [one for cell in cells for one in cell.get("outputs", []) if "image/png" in one.get("data", {})]
