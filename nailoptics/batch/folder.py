@@ -5,14 +5,16 @@ import json
 import logging
 import math
 import os
+import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from ..checks import explain
 from ..errors import InputError
@@ -45,11 +47,16 @@ class Made(Table):
     backend: str
     versions: dict[str, str | None]
 
+    def unlike(self, other: "Made") -> str:
+        """What of another is not as here, in words; empty where all is the same."""
+        then, now = ({"seed": made.seed, "backend": made.backend, **made.versions} for made in (self, other))
+        moved = (name for name in now if then.get(name) != now[name])
+        return ", ".join(f"{name} {then.get(name)} and is {now[name]} here" for name in moved)
+
     @property
     def other_versions(self) -> str:
         """Which versions are others than here, in words; empty where they are the same."""
-        moved = [(name, self.versions.get(name), now) for name, now in current_versions().items()]
-        return ", ".join(f"{name} {then} and is {now} here" for name, then, now in moved if then != now)
+        return self.unlike(self.model_copy(update={"versions": dict(current_versions())}))
 
 
 class Plan(Table):
@@ -58,14 +65,14 @@ class Plan(Table):
     required : accuracy of each scene.
     """
 
+    model_config = ConfigDict(extra="ignore")  # earlier ones have more
+
     format: int
     sweep: str
     study: StudyName
     dims: dict[str, Annotated[int, Field(gt=0)]]
     axes: tuple[Axis, ...]
     made: Made
-    photons: int | None
-    relative_error: float | None
     scenes: tuple[Annotated[str, Field(pattern="^[0-9a-f]+$")], ...]
     required: tuple[Accuracy, ...]
     lights: int
@@ -78,14 +85,6 @@ class Plan(Table):
             if len(axis.values) not in self.dims.values():
                 raise ValueError(f"its axis {axis.name} fits no dimension")
         return self
-
-
-@dataclass(frozen=True)
-class Result:
-    """A scene's result: what its header says of it, and its dataset."""
-
-    header: dict[str, Any]
-    dataset: xr.Dataset
 
 
 @dataclass(frozen=True)
@@ -139,36 +138,34 @@ class Folder:
         """Write the plan, whole or not at all."""
         write_bytes(self.root / "plan.json", plan.model_dump_json(exclude_none=False).encode(), flush=True)
 
-    def read(self, digest: str, made: Made) -> tuple[str, Result | None]:
-        """State of a scene, and its result where that is done.
+    def read(self, digest: str, made: Made) -> tuple[str, dict[str, Any], xr.Dataset]:
+        """State of a scene, and header and dataset of its result, which are empty unless that is done.
 
         The state is done, failed, missing, corrupt (not what a run writes), or foreign: made with another seed, backend
         or version. Raises OSError where the disk is at fault.
         """
-        result, state = None, "missing"
+        state = "missing"
         try:
             header, arrays = unpack(self.result(digest).read_bytes())
             if header["digest"] != digest:
                 raise CorruptError("it belongs to another scene")
             if header["made"] != made.model_dump():
-                return "foreign", None
-            result = Result(header, from_record(header, arrays))
-            _check(result)
-            return "done", result
+                return "foreign", {}, xr.Dataset()
+            dataset = from_record(header, arrays)
+            _check(header, dataset)
+            return "done", header, dataset
         except FileNotFoundError:
             pass
-        except OSError as error:
-            if error.errno in STORAGE:
+        except Exception as error:  # what is no result of ours fails in many ways
+            if isinstance(error, OSError) and error.errno in STORAGE:
                 raise
             state = "corrupt"
-        except Exception:  # what is no result of ours fails in many ways
-            state = "corrupt"
-        return ("failed" if os.path.exists(self.failure(digest)) else state), None
+        return "failed" if os.path.exists(self.failure(digest)) else state, {}, xr.Dataset()
 
     def state(self, digest: str, required: Accuracy, made: Made) -> str:
         """State of a scene as `read` says, or below: done, but less accurate than required."""
-        state, result = self.read(digest, made)
-        if result is None or meets(result.header, required):
+        state, header, _ = self.read(digest, made)
+        if state != "done" or meets(header, required):
             return state
         return "failed" if os.path.exists(self.failure(digest)) else "below"
 
@@ -179,14 +176,14 @@ class Folder:
         except (OSError, ValueError, KeyError, TypeError):
             return "unknown"
 
-    def write_failure(self, digest: str, failure: dict[str, Any]) -> None:
-        """Record why a scene failed."""
-        write_bytes(self.failure(digest), json.dumps(failure).encode(), flush=True)
+    def write_failure(self, digest: str, why: str, details: Sequence[str] = ()) -> None:
+        """Record why a scene failed, and the lines of its traceback."""
+        record = {"error": why, "traceback": details, "time": time.time()}
+        write_bytes(self.failure(digest), json.dumps(record).encode(), flush=True)
 
 
-def _check(result: Result) -> None:
+def _check(header: dict[str, Any], data: xr.Dataset) -> None:
     """Raise ValueError, TypeError or KeyError where a file that is whole holds what no run writes."""
-    header, data = result.header, result.dataset
     error = header["relative_error"]
     if not math.isfinite(header["photons_per_led"]) or not (error is None or math.isfinite(error)):
         raise ValueError("its photons or their error are not finite")
@@ -273,13 +270,17 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     plan = place.read_plan()
     axes, dims = {axis.name for axis in plan.axes}, dict(plan.dims)
     results = [place.read(digest, plan.made) for digest in plan.scenes]
-    states = [state for state, _ in results]
+    states = [state for state, *_ in results]
     for state, why in DAMAGE.items():
         if count := states.count(state):
             log.warning("%s: %d results are %s and left out; run the batch again", place.root, count, why)
     if moved := plan.made.other_versions:
         log.warning("%s: was made with %s", place.root, moved)
-    scenes = {i: _of_scene(result, axes, course) for i, (_, result) in enumerate(results) if result is not None}
+    scenes = {
+        i: _of_scene(header, dataset, axes, course)
+        for i, (state, header, dataset) in enumerate(results)
+        if state == "done"
+    }
     joined = _joined(scenes, len(results)) if scenes else xr.Dataset()
     for label, texts, text in (
         ("state", states, "done, missing, failed, corrupt or foreign"),
@@ -295,18 +296,18 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     return dataset.assign_attrs(attributes, seed=plan.made.seed, backend=plan.made.backend, study=plan.study)
 
 
-def _of_scene(result: Result, axes: set[str], course: bool) -> xr.Dataset:
+def _of_scene(header: dict[str, Any], dataset: xr.Dataset, axes: set[str], course: bool) -> xr.Dataset:
     """A scene's dataset with what its header says of it, without what runs over time unless that is requested.
 
     axes : names of the sweep's axes; a variable that is called as one of them is renamed, as of leds.ir.wavelength_nm.
     """
-    dataset = result.dataset if course else result.dataset.drop_dims("time", errors="ignore")
+    dataset = dataset if course else dataset.drop_dims("time", errors="ignore")
     for name, key, text in (
         ("relative_error", "relative_error", "largest relative error"),
         ("photons", "photons_per_led", "photons per LED"),
         ("reached", "reached", "as accurate as requested"),
     ):
-        value = result.header[key]
+        value = header[key]
         value = value if key == "reached" else float(np.nan if value is None else value)
         dataset[name] = (), value, {"units": "1", "long_name": text}
     return dataset.rename({name: f"{name}_result" for name in axes & {str(name) for name in dataset.data_vars}})

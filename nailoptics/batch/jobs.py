@@ -1,6 +1,7 @@
-"""Which scenes of a batch belong together, what all jobs share, and what a worker does with a job."""
+"""The jobs of a batch, one for each scene: what they share, what was there before, and what a worker does with one."""
 
 import hashlib
+import logging
 import math
 import os
 import re
@@ -8,8 +9,9 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, cast
 
@@ -30,8 +32,8 @@ from ..variables import to_record
 from .folder import FORMAT, STORAGE, Folder, Made, Plan, PlanError
 from .studies import STUDIES, relative_error
 
-# Scenes of one light that one job studies.
-CHUNK = 16
+log = logging.getLogger(__name__)
+
 # Mitsuba's variant is one per process: a worker with several threads still does one job at a time.
 _one_job = threading.Lock()
 
@@ -42,12 +44,14 @@ class Settings:
 
     options : of every scene; the time that a run may take is in deadline, in seconds since the epoch.
     study : what is done with every scene.
+    sharers : workers among which a machine's cores are to be divided, if that has not been done.
     """
 
     folder: Path
     options: TraceOptions
     deadline: float | None = None
     study: StudyName = "simulate"
+    sharers: int = 0
 
     @classmethod
     def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
@@ -76,17 +80,13 @@ class Settings:
         """What decides a scene's result beside the scene and how accurate it is to be."""
         return Made(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
 
-    def stores(self, on_damage: Callable[[Path, Exception], None] | None = None) -> list[LightStore]:
-        """Where light is stored, first that of the batch; what single commands traced is read, too."""
-        return [LightStore(self.folder / "light", on_damage=on_damage), *LightStore.of_command(self.options)]
-
     def is_late(self) -> bool:
         """Whether the run's time is over."""
         return self.deadline is not None and time.time() >= self.deadline
 
 
 @dataclass(frozen=True)
-class Planned:
+class Job:
     """One scene of a batch: its digest, the key of its light, and what is traced in its place."""
 
     digest: str
@@ -95,43 +95,40 @@ class Planned:
     traced: Scene | None = None
 
 
-# Scenes of the same light.
-Job = tuple[Planned, ...]
-
-
-def plan(sweep: Sweep, settings: Settings) -> list[Planned]:
-    """Digest and light of every scene, in the sweep's order."""
-    planned, study = [], settings.study
+def jobs_of(sweep: Sweep, settings: Settings) -> list[Job]:
+    """A job for every scene, in the sweep's order."""
+    jobs, study = [], settings.study
     for scene, traced in zip(sweep.scenes, traced_absorption(sweep.scenes), strict=True):
         # Another study of the same scene is another result.
         scene_id = digest(scene)
         scene_id = scene_id if study == "simulate" else hashlib.sha256(f"{study} {scene_id}".encode()).hexdigest()
         key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
-        planned.append(Planned(scene_id, key, scene, traced))
-    return planned
+        jobs.append(Job(scene_id, key, scene, traced))
+    return jobs
 
 
-def of_shard(planned: list[Planned], shard: str | None) -> list[Planned]:
-    """The scenes of a shard I/N, of all without one: whole groups, so that no light is traced by two shards."""
+def of_shard(jobs: list[Job], shard: str | None) -> list[Job]:
+    """The jobs of a shard I/N, all without one; those of one light go together, so that no two shards trace it."""
     if shard is None:
-        return planned
+        return jobs
     match = re.fullmatch(r"(\d+)/(\d+)", shard)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise InputError(f"shard {shard}: must be I/N with I of 1 to N, such as 1/8 (job arrays that count from 1).")
-    keys = {key: i for i, key in enumerate(dict.fromkeys(p.key for p in planned))}
-    return [p for p in planned if keys[p.key] % int(match[2]) == int(match[1]) - 1]
+    keys = {key: i for i, key in enumerate(dict.fromkeys(job.key for job in jobs))}
+    return [job for job in jobs if keys[job.key] % int(match[2]) == int(match[1]) - 1]
 
 
-def jobs_of(planned: Iterable[Planned]) -> list[Job]:
-    """Jobs of at most 16 scenes of the same light; the first of every light come before any second."""
-    groups: dict[str, list[Planned]] = {}
-    for p in planned:
-        groups.setdefault(p.key, []).append(p)
-    parts = [(i, tuple(group[i : i + CHUNK])) for group in groups.values() for i in range(0, len(group), CHUNK)]
-    return [job for _, job in sorted(parts, key=lambda part: part[0])]
+def in_order(jobs: Iterable[Job]) -> list[Job]:
+    """Jobs in the order in which they begin: the first of every light before any second."""
+    earlier: Counter[str] = Counter()
+    ranked = []
+    for job in jobs:
+        ranked.append((earlier[job.key], job))
+        earlier[job.key] += 1
+    return [job for _, job in sorted(ranked, key=lambda pair: pair[0])]
 
 
-def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
+def plan_of(sweep: Sweep, jobs: Sequence[Job], settings: Settings) -> Plan:
     """The plan for the folder."""
     return Plan(
         format=FORMAT,
@@ -140,59 +137,36 @@ def plan_of(sweep: Sweep, planned: list[Planned], settings: Settings) -> Plan:
         dims=dict(sweep.dims),
         axes=sweep.axes,
         made=settings.made(),
-        photons=settings.options.photons,
-        relative_error=settings.options.relative_error,
-        scenes=tuple(p.digest for p in planned),
-        required=tuple(settings.required(p.scene) for p in planned),
-        lights=len({p.key for p in planned}),
+        scenes=tuple(job.digest for job in jobs),
+        required=tuple(settings.required(job.scene) for job in jobs),
+        lights=len({job.key for job in jobs}),
     )
 
 
-def check_same(folder: Folder, planned: list[Planned], settings: Settings) -> str:
+def check_same(folder: Folder, jobs: Sequence[Job], settings: Settings) -> None:
     """Raise InputError where the folder was begun with another sweep, seed, backend or version.
 
     A sweep may grow: one that holds all scenes that were planned before resumes in their folder.
-
-    Returns: what is wrong with the plan that lies there, and so will be written anew; empty if nothing is.
     """
     try:
         old = folder.read_plan()
     except PlanError as error:
-        return str(error) if (folder.root / "plan.json").exists() else ""
-    made = settings.made()
-    for name in ("seed", "backend"):
-        if (then := getattr(old.made, name)) != (now := getattr(made, name)):
-            raise InputError(
-                f"{folder.root}: was begun with {name} {then}, and {now} is requested; "
-                f"give {name} {then}, or another folder."
-            )
-    if old.made != made:
-        raise InputError(
-            f"{folder.root}: was begun with {old.made.other_versions}; use that version, or another folder."
-        )
-    others = len(set(old.scenes) - {p.digest for p in planned})
-    if others:
+        if (folder.root / "plan.json").exists():
+            log.warning("plan.json was damaged and is written anew: %s", error)
+        return
+    if unlike := old.made.unlike(settings.made()):
+        raise InputError(f"{folder.root}: was begun with {unlike}; use the same, or another folder.")
+    if others := len(set(old.scenes) - {job.digest for job in jobs}):
         raise InputError(
             f'{folder.root}: holds the sweep "{old.sweep}", and {others} of its {len(old.scenes)} scenes are not '
             "in this one; use another folder."
         )
-    return ""
 
 
 def count(sweep: Sweep, **requested: Unpack[Requested]) -> dict[str, int]:
     """How many scenes a sweep has, and how many traces: scenes that differ only in absorption share one."""
-    planned = plan(sweep, Settings.of(Path(), TraceOptions(**requested), sweep.study))
-    return {"scenes": len({p.digest for p in planned}), "lights": len({p.key for p in planned})}
-
-
-@dataclass
-class JobReport:
-    """What became of a job: digests of its scenes, and of light that was damaged, by what happened to them."""
-
-    done: list[str] = field(default_factory=list)
-    unmet: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)
-    corrupt: list[str] = field(default_factory=list)
+    jobs = jobs_of(sweep, Settings.of(Path(), TraceOptions(**requested), sweep.study))
+    return {"scenes": len({job.digest for job in jobs}), "lights": len({job.key for job in jobs})}
 
 
 def cores() -> int:
@@ -200,71 +174,64 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def work(job: Job, settings: Settings, sharers: int = 0) -> JobReport:
-    """Do a job; what goes wrong with a scene is in the report. The first scene traces what is missing of the light.
+def work(job: Job, settings: Settings) -> tuple[str, str]:
+    """Study a scene, unless that is done, and write its result or why it failed.
 
-    sharers : workers among which this machine's cores are to be divided, if that has not been done.
+    Returns: done, unmet, failed, or unfinished, where the run's time ended before; and why it failed.
 
     Raises: WriteError where the folder takes no more.
     """
-    report = JobReport()
     with _one_job:
-        if sharers:
-            backends.set_threads(max(1, cores() // sharers))
-        for p in job:
-            _study(p, settings, report)
-    return report
-
-
-def _study(p: Planned, settings: Settings, report: JobReport) -> None:
-    """Study one scene, unless that is done, and write its result or why it failed; raises if the disk is at fault."""
-    folder, made = Folder(settings.folder), settings.made()
-    try:
-        if folder.state(p.digest, settings.required(p.scene), made) == "done":
-            report.done.append(p.digest)
-            return
-        header, arrays = _result(p, settings, report)
-        if not header:
-            return
-        path = folder.result(p.digest)
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder where a result is to be written; remove it")
-        write_bytes(path, pack({"digest": p.digest, "made": made.model_dump()} | header, arrays), flush=True)
-        folder.failure(p.digest).unlink(missing_ok=True)
-        (report.done if header["reached"] else report.unmet).append(p.digest)
-    except Exception as error:
-        # A disk at fault is nobody's among the scenes: it ends the batch.
-        if isinstance(error, WriteError):
+        if settings.sharers:
+            backends.set_threads(max(1, cores() // settings.sharers))
+        try:
+            return _study(job, settings), ""
+        except WriteError:  # a disk at fault is no scene's: it ends the batch
             raise
-        if isinstance(error, OSError) and error.errno in STORAGE:
-            raise WriteError(f"{error}; correct that and run again") from None
-        why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
-        if isinstance(error, MemoryError):
-            why = f"not enough memory for it ({error})"
-        report.failed[p.digest] = why = " ".join(why.splitlines())
-        record = {"error": why, "traceback": traceback.format_exception(error), "time": time.time()}
-        folder.write_failure(p.digest, record)
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in STORAGE:
+                raise WriteError(f"{error}; correct that and run again") from None
+            why = str(error) if isinstance(error, NailopticsError) else f"{type(error).__name__}: {error}"
+            if isinstance(error, MemoryError):
+                why = f"not enough memory for it ({error})"
+            why = " ".join(why.splitlines())
+            Folder(settings.folder).write_failure(job.digest, why, traceback.format_exception(error))
+            return "failed", why
 
 
-def _result(p: Planned, settings: Settings, report: JobReport) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a scene's result; both empty where the batch's time ended before its light was traced."""
-    scene = p.scene
-    required, options = settings.required(scene), settings.options_of(scene)
+def _study(job: Job, settings: Settings) -> str:
+    """Study a scene and write its result: done, or unmet; or unfinished, with nothing written."""
+    folder, made = Folder(settings.folder), settings.made()
+    if folder.state(job.digest, settings.required(job.scene), made) == "done":
+        return "done"
     if settings.is_late():
-        return {}, {}
-    stores = settings.stores(lambda path, why: report.corrupt.append(path.parent.name))
+        return "unfinished"
+    header, arrays = _result(job, settings)
+    timed = not {"photons", "relative_error"} & header["required"].keys()
+    if settings.is_late() and (timed or not header["reached"]):
+        return "unfinished"
+    path = folder.result(job.digest)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder where a result is to be written; remove it")
+    write_bytes(path, pack({"digest": job.digest, "made": made.model_dump()} | header, arrays), flush=True)
+    folder.failure(job.digest).unlink(missing_ok=True)
+    return "done" if header["reached"] else "unmet"
+
+
+def _result(job: Job, settings: Settings) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a scene's result."""
+    # What single commands traced is read, too.
+    stores = [LightStore(settings.folder / "light"), *LightStore.of_command(settings.options)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ReweightWarning)
-        dataset, photons, reached = STUDIES[settings.study].run(scene, options, stores, p.traced)
-    timed = required.photons is None and required.relative_error is None
-    if options.max_seconds != required.max_seconds and settings.is_late() and (timed or not reached):
-        return {}, {}
+        options = settings.options_of(job.scene)
+        dataset, photons, reached = STUDIES[settings.study].run(job.scene, options, stores, job.traced)
     worst = relative_error(dataset)
     header, arrays = to_record(dataset)
     return {
         **header,
-        "required": required.model_dump(exclude_none=True),
-        "scene": to_toml(scene),
+        "required": settings.required(job.scene).model_dump(exclude_none=True),
+        "scene": to_toml(job.scene),
         "seed": settings.options.seed,
         "backend": settings.options.backend,
         "photons_per_led": photons,

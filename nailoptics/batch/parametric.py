@@ -9,10 +9,11 @@ from typing import Any, Literal, Unpack
 import xarray as xr
 
 from ..errors import as_far_as_reached, unless_cut_off
+from ..options import Requested
 from ..scene import Scene
 from ..scene.sweep import StudyName, sweep_over
 from .folder import open_results
-from .run import BatchProgress, BatchRequested, run_batch
+from .run import BatchProgress, run_batch
 
 
 def sweep(
@@ -23,8 +24,9 @@ def sweep(
     combine: Literal["product", "zip"] = "product",
     folder: str | Path | None = None,
     course: bool = False,
+    workers: int | None = None,
     progress: Callable[[BatchProgress], None] | None = None,
-    **requested: Unpack[BatchRequested],
+    **requested: Unpack[Requested],
 ) -> xr.Dataset:
     """Run a study of a scene over values of its fields, in several processes, as one dataset.
 
@@ -38,9 +40,9 @@ def sweep(
         the dimension sample.
     folder : where results stay, and a sweep that was ended goes on; a temporary folder if not given.
     course : also what runs over time (volts, blood, force), for which the scenes must share their times.
+    workers : processes; one per core, and no more than scenes, if not given.
     progress : called with a `BatchProgress` several times a second.
-    requested : seed, backend, relative_error, max_seconds, photons, store; and workers, threads, scheduler of
-        `nailoptics batch`.
+    requested : seed, backend, relative_error, max_seconds, photons, store.
 
     Raises: InputError; NotReachedError, whose result is the dataset, where scenes failed, missed their tolerance or
         were not reached.
@@ -48,6 +50,7 @@ def sweep(
     planned = sweep_over(scene, over, study=study, combine=combine)
     with ExitStack() as stack:
         place = folder or stack.enter_context(tempfile.TemporaryDirectory(prefix="nailoptics_"))
-        _, unmet = as_far_as_reached(run_batch, planned, place, retry_failed=True, progress=progress, **requested)
+        how = {"workers": workers, "retry_failed": True, "progress": progress}
+        _, unmet = as_far_as_reached(run_batch, planned, place, **how, **requested)
         results = open_results(place, course=course)
     return unless_cut_off(results, unmet)

@@ -67,10 +67,10 @@ class Calm:
 
 @pytest.fixture(scope="session")
 def calm(chosen_jit, tmp_path_factory) -> Calm:
-    """Thirty slabs, done once, by one worker of two threads, for all tests that disturb a run of them."""
+    """Thirty slabs, done once, by one worker, for all tests that disturb a run of them."""
     folder = tmp_path_factory.mktemp("calm")
     sweep = phantoms(folder, 30)
-    run_batch(sweep, folder / "b", workers=1, threads=2)
+    run_batch(sweep, folder / "b", workers=1)
     return Calm(sweep, folder / "slabs30.toml", folder / "b", bits(folder / "b"))
 
 
@@ -86,7 +86,7 @@ class AtOnce(Executor):
 class Here(LocalSlots):
     """What a run without workers has in their place."""
 
-    def __init__(self, workers: int, threads: int) -> None:
+    def __init__(self, workers: int) -> None:
         assert workers == 1
         self.executors = [AtOnce()]
 

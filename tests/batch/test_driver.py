@@ -1,43 +1,37 @@
 """What the driver does about dead workers, played by executors that die where they are made to."""
 
-import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 
 import pytest
 
 from nailoptics.batch import run
-from nailoptics.batch.jobs import Job, JobReport, Planned, Settings
+from nailoptics.batch.jobs import Job, Settings, in_order
 from nailoptics.batch.run import DEATHS, LocalSlots, Outcome
 from nailoptics.errors import NotReachedError
 from nailoptics.options import TraceOptions
 
 
 class Dying(Executor):
-    """Does the scenes of a job in order, and breaks at one where `kills(digest)`."""
+    """Does jobs, and breaks at a scene where `kills(digest)`."""
 
-    def __init__(self, kills: Callable[[str], bool], done: set[str]) -> None:
-        self.kills, self.done = kills, done
+    def __init__(self, kills: Callable[[str], bool]) -> None:
+        self.kills = kills
 
-    def submit(self, fn, /, job, settings, sharers):
+    def submit(self, fn, /, job, settings):
         future = Future()
-        for p in job:
-            if self.kills(p.digest):
-                future.set_exception(BrokenExecutor())
-                return future
-            self.done.add(p.digest)
-        future.set_result(JobReport(done=[p.digest for p in job]))
+        if self.kills(job.digest):
+            future.set_exception(BrokenExecutor())
+        else:
+            future.set_result(("done", ""))
         return future
 
 
 class Played(LocalSlots):
     """Executors of the test's own."""
 
-    def __init__(self, kills: Callable[[str], bool], done: set[str]) -> None:
-        self.executors = [Dying(kills, done)] * 3
-
-    def start(self) -> None:
-        pass
+    def __init__(self, kills: Callable[[str], bool]) -> None:
+        self.executors = [Dying(kills)] * 3
 
     def renew(self, slot: int) -> None:
         pass
@@ -48,21 +42,18 @@ class Played(LocalSlots):
 
 def driver_of(folder, lights: int, each: int) -> run._Driver:
     """The driver of so many scenes of each of some lights."""
-    planned = [Planned(f"{k}-{i}", f"{k:064}", f"scene {k}-{i}") for k in range(lights) for i in range(each)]
-    return run._Driver(Settings(folder, TraceOptions(backend="llvm")), planned, False, None, time.time())
+    jobs = [Job(f"{k}-{i}", f"{k:064}", f"scene {k}-{i}") for k in range(lights) for i in range(each)]
+    return run._Driver(Settings(folder, TraceOptions(backend="llvm")), jobs, None)
 
 
 @pytest.fixture
-def played(tmp_path, monkeypatch) -> Callable[..., Outcome]:
+def played(tmp_path) -> Callable[..., Outcome]:
     """A run of 100 scenes of two lights whose workers die at scenes where `kills(digest)`."""
-    done: set[str] = set()
-    monkeypatch.setattr(run.Folder, "state", lambda _, digest, *more: "done" if digest in done else "missing")
-    monkeypatch.setattr(run.Settings, "required", lambda *_: None)
     (tmp_path / "failed").mkdir()
 
-    def play(kills: Callable[[Job], bool], lights: int = 2, each: int = 50) -> Outcome:
+    def play(kills: Callable[[str], bool], lights: int = 2, each: int = 50) -> Outcome:
         driver = driver_of(tmp_path, lights, each)
-        driver.run(Played(kills, done))
+        driver.run(Played(kills))
         try:
             outcome = driver.checked_outcome()
         except NotReachedError as error:
@@ -98,16 +89,15 @@ def test_a_kill_by_chance_costs_no_scene(played):
     assert not played(once).failed
 
 
-def test_while_a_light_is_traced_nobody_else_begins_with_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(run.Folder, "state", lambda *_: "missing")
-    monkeypatch.setattr(run.Settings, "required", lambda *_: None)
+def test_while_a_light_is_traced_nobody_else_begins_with_it(tmp_path):
     driver = driver_of(tmp_path, lights=2, each=50)
+    driver.queue = in_order(driver.left.values())
     first, other = driver.queue[:2]
     for slot, job in enumerate((first, other)):
-        assert driver._next_job() == job and job[0].key == f"{slot:064}"
+        assert driver._next_job() == job and job.key == f"{slot:064}"
         driver.queue.remove(job)
         driver.running[Future()] = slot, job
     assert driver.queue and driver._next_job() is None
-    driver.stored.add(other[0].key)
+    driver.stored.add(other.key)
     following = driver._next_job()
-    assert following and following[0].key == other[0].key
+    assert following and following.key == other.key

@@ -15,7 +15,7 @@ from pathlib import Path
 from nailoptics.assets import data_dir
 from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.folder import Folder
-from nailoptics.batch.jobs import Settings, jobs_of, plan, plan_of, work
+from nailoptics.batch.jobs import Settings, in_order, jobs_of, plan_of, work
 from nailoptics.light import backend
 from nailoptics.light.identity import light_scene
 from nailoptics.light.tracing import photons_engine
@@ -60,9 +60,8 @@ def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", TraceOptions(backend=name))
     place = Folder(settings.folder)
     place.make()
-    planned = plan(sweep, settings)
-    place.write_plan(plan_of(sweep, planned, settings))
-    jobs = jobs_of(planned)
+    jobs = in_order(jobs_of(sweep, settings))
+    place.write_plan(plan_of(sweep, jobs, settings))
     kind = photons_engine(sweep.scenes[0], name)
     backend.set_threads(1)
     work(jobs[0], settings)  # compiles
@@ -95,21 +94,23 @@ def scaling(folder: Path, count: int, photons: int) -> dict[str, float]:
     sweep, tiny = sweep_of(folder, count, photons), sweep_of(folder, 4, 1000)
     wall_s: dict[int, float] = {}
     cpu_s: dict[int, float] = {}
+    every = sorted(os.sched_getaffinity(0))
     for workers in (1, 2, 1, 2):
+        os.sched_setaffinity(0, every[:workers])  # a core for each, so that it has one thread
         start = cpu_seconds()
-        run_batch(tiny, folder / f"tiny{workers}-{start}", workers=workers, threads=1)
+        run_batch(tiny, folder / f"tiny{workers}-{start}", workers=workers)
         times, begin = [], cpu_seconds()
         run_batch(
             sweep,
             folder / f"w{workers}-{start}",
             workers=workers,
-            threads=1,
             progress=lambda p, times=times: times.append(time.perf_counter()) if p.done >= 2 else None,
         )
         wall = times[-1] - times[0]
         cpu = cpu_seconds() - begin - (begin - start)
         wall_s[workers] = min(wall, wall_s.get(workers, wall))
         cpu_s[workers] = min(cpu, cpu_s.get(workers, cpu))
+        os.sched_setaffinity(0, every)
     return {
         "one_s": wall_s[1],
         "two_s": wall_s[2],
