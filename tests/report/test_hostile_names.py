@@ -99,7 +99,7 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     assert_text_alone(html.table(oximeter._errors(result)), name)
     level = SimpleNamespace(name=name, beforehand=name, lines=(name,), call=name)
     found = SimpleNamespace(levels=[level])
-    assert_text_alone(html.table(tradeoff._needs(found)), name)
+    assert_text_alone(html.table(tradeoff._lines(found)), name)
 
 
 @pytest.mark.parametrize("name", ["".join(HOSTILE)], ids=["all"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...io import to_json
-from ...studies.model_error.tradeoff import OWN, REFERENCE, Answer, Level, Tradeoff
+from ...studies.model_error.tradeoff import OWN, REFERENCE, Level, Tradeoff, fastest
 from .. import style
 from ..files import Report, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
@@ -33,23 +33,23 @@ SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
     """The page around what `draw` drew."""
-    choice = result.chosen
-    selected = "; ".join(filter(None, (*result.lines, choice.level.call))) or "none is needed"
+    name, selected = result.chosen.name, "; ".join(result.lines) or "none is needed"
+    seconds = duration(result.chosen.seconds(result.tolerance))
     body = section(
         "Error against time",
         figure(drawing or draw(result), TEXTS["caption"]),
         table(_rows(result)),
         small(TEXTS["note"].format(meaning(result))),
         f"{chosen_line(result)} What selects it: {selected}",
-        subheading("What each level needs"),
-        table(_needs(result), kind="words"),
+        subheading("What selects each level"),
+        table(_lines(result), kind="words"),
     )
     return document(
         kicker="speed against accuracy",
-        title=f"Within {100 * result.tolerance:g} %: {choice.level.name}",
+        title=f"Within {100 * result.tolerance:g} %: {name}",
         lead=f"{sentence(result)} Every level of model on this scene, against the full one, measured in "
         f"{result.wall_seconds:.0f} s.",
-        cards=[(choice.level.name, meaning(result)), (duration(choice.seconds), "of processor time to the answer")],
+        cards=[(name, meaning(result)), (seconds, "of processor time to the answer")],
         body=[body],
         attributes=result.attributes,
     )
@@ -62,55 +62,45 @@ def draw(result: Tradeoff) -> "Figure":
     axes.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel="error of the worst photodiode [%]")
     axes.set(xscale="log", xlabel="processor time to the answer [s]")
     style.plain_log(axes.yaxis)
-    ends, marks = [], []
+    ends = []
     for level in result.levels:
         curve = _curve(level)
-        if len(curve) and level.traces:
+        if len(curve):
             axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
             ends.append((level.name, curve[-1]))
-        elif len(curve):
-            axes.plot(*curve[-1], "o", ms=5, color=style.MUTED, markerfacecolor=style.PAPER, zorder=3)
-            marks.append((level.name, curve[-1]))
-    answers = [result.fastest(error) for error in GRID]
-    points = [(a.seconds, 100 * error) for a, error in zip(answers, GRID, strict=True) if a]
-    best = np.array(points).reshape(-1, 2).T
-    axes.plot(*best, color=style.INK, lw=2.2, zorder=2, label="the best of all")
+    bests = [(fastest(result.levels, error), error) for error in GRID]
+    best = [(level.seconds(error), 100 * error) for level, error in bests if level]
+    axes.plot(*np.reshape(best, (-1, 2)).T, color=style.INK, lw=2.2, zorder=2, label="the best of all")
     axes.axhline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)), zorder=1, label="tolerance")
     # Where no level could be evaluated there is nothing to fit them to.
-    low, high = axes.get_xlim() if marks or ends else axes.set_xlim(*NO_TIMES)
-    _names(axes, marks, x=None, room=(high / low) ** 0.02)
+    low, high = axes.get_xlim() if ends else axes.set_xlim(*NO_TIMES)
     # Where the names stand there is no time.
     axes.set_xticks([tick for tick in axes.get_xticks() if low <= tick <= high])
     axes.set_xlim(low, high * (high / low) ** 0.4)
-    _names(axes, ends, x=high, room=(high / low) ** 0.02)
-    seconds = result.chosen.seconds
-    axes.plot(seconds, 100 * result.chosen.error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
+    _names(axes, ends, x=high * (high / low) ** 0.02)
+    if math.isfinite(seconds := result.chosen.seconds(result.tolerance)):
+        error = 100 * result.tolerance
+        axes.plot(seconds, error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
     axes.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
     return drawing
 
 
 def _curve(level: Level) -> np.ndarray:
-    """Seconds and error [%] of a level from few photons to many, (n, 2) float; without photons its one answer."""
-    if not np.isfinite(level.bound):
-        return np.empty((0, 2))
-    if not level.traces:
-        return np.array([[level.setup_seconds, 100 * np.clip(level.bound, LEAST, MOST)]])
-    # Down to where photons no longer help.
-    errors = GRID[::-1][GRID[::-1] > 1.02 * level.bound]
-    seconds = [level.setup_seconds + level.photon_seconds(error) for error in errors]
-    return np.array([(s, 100 * e) for s, e in zip(seconds, errors, strict=True) if np.isfinite(s)]).reshape(-1, 2)
+    """Seconds and error [%] of a level from few photons to where more no longer help, (n, 2) float."""
+    errors = [error for error in GRID[::-1] if error > 1.02 * level.bound]
+    points = [(level.seconds(error), 100 * error) for error in errors]
+    return np.array([point for point in points if math.isfinite(point[0])]).reshape(-1, 2)
 
 
-def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float | None, room: float) -> None:
-    """Names beside their places, or in a column at x, at least so far apart that each is read."""
+def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float) -> None:
+    """Names in a column at x, at least so far apart that each is read, with lines to their places."""
     heights = np.array(style.spread([float(np.log10(place[1])) for _, place in places], APART))
     heights = np.maximum(heights, np.log10(100 * LEAST) + APART * (0.5 + np.argsort(np.argsort(heights))))
-    # Beside its place a name would lie on the line that goes on from there.
-    for (name, place), height in zip(places, heights + (APART / 2 if x is None else 0.0), strict=True):
+    for (name, place), height in zip(places, heights, strict=True):
         axes.annotate(
             style.plain(name),
             tuple(place),
-            xytext=((place[0] if x is None else x) * room, 10**height),
+            xytext=(x, 10**height),
             va="center",
             fontsize=8,
             color=style.INK,
@@ -123,26 +113,20 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
     """Every level, on the page and in the terminal: its biases, and its answer's time."""
     rows = []
     for level in result.levels:
-        answer = level.within(result.tolerance)
-        row = {"Level": f"{level.name}{' (chosen)' if level.name == result.chosen.level.name else ''}"}
+        row = {"Level": f"{level.name}{' (chosen)' if level.name == result.chosen.name else ''}"}
         for name, bias in (("reading", level.reading), ("signal", level.signal)):
-            shown, bound = "not measured", "–"
-            if bias is not None:
-                shown = with_error(100 * bias.value, 100 * bias.stderr, sign=True)
-                bound = significant(100 * bias.bound, 2)
-            row |= {f"Bias of {name} [%]": shown, f"upper bound of {name} [%]": bound}
-        rows.append(row | {"Answer within the tolerance": duration(answer.seconds) if answer else "–"})
+            row[f"Bias of {name} [%]"] = with_error(100 * bias.value, 100 * bias.stderr, sign=True)
+            row[f"upper bound of {name} [%]"] = significant(100 * bias.bound, 2)
+        seconds = level.seconds(result.tolerance)
+        rows.append(row | {"Answer within the tolerance": duration(seconds) if math.isfinite(seconds) else "–"})
     return rows
 
 
-def _needs(result: Tradeoff) -> list[dict[str, str]]:
-    """What must be known for each level, and what selects it."""
-    rows = []
-    for level in result.levels:
-        row = {"Level": level.name, "Must be known beside the scene": level.beforehand or "–"}
-        selected = "; ".join(filter(None, (*level.lines, level.call))) or "the scene as it is"
-        rows.append(row | {"Scene lines, or the call that gives it": selected})
-    return rows
+def _lines(result: Tradeoff) -> list[dict[str, str]]:
+    """The scene lines that select each level."""
+    return [
+        {"Level": level.name, "Scene lines": "; ".join(level.lines) or "the scene as it is"} for level in result.levels
+    ]
 
 
 def meaning(result: Tradeoff) -> str:
@@ -154,60 +138,56 @@ def meaning(result: Tradeoff) -> str:
 
 def sentence(result: Tradeoff) -> str:
     """What a designer needs: how long each error takes."""
-    answers = [result.fastest(error) for error in SENTENCE_ERRORS]
-    every = f"For {100 * SENTENCE_ERRORS[0]:g} %"
-    full = all(answer and answer.level.name in (OWN, REFERENCE) for answer in answers)
-    parts: list[str] = []
-    for error, answer in zip(SENTENCE_ERRORS, answers, strict=True):
-        how = "no level" if not answer else duration(answer.seconds) + ("" if full else f" ({answer.level.name})")
-        parts.append(f"{every if not parts else f'for {100 * error:g} %'} {how}")
+    levels = [fastest(result.levels, error) for error in SENTENCE_ERRORS]
+    full = all(level and level.name in (OWN, REFERENCE) for level in levels)
+    parts = []
+    for error, level in zip(SENTENCE_ERRORS, levels, strict=True):
+        how = "no level" if not level else duration(level.seconds(error)) + ("" if full else f" ({level.name})")
+        parts.append(f"for {100 * error:g} % {how}")
     start = "Time is photons: no simpler level is faster at any of these errors. " if full else ""
-    return f"{start}{', '.join(parts)}."
+    return f"{start}F{', '.join(parts)[1:]}."
 
 
 def chosen_line(result: Tradeoff) -> str:
     """The level to take."""
-    if math.isinf(result.chosen.error):
-        return f"Too few photons to evaluate any level: take {result.chosen.level.name}."
-    answer = f"{result.chosen.level.name}, {duration(result.chosen.seconds)} of processor time"
-    return f"Fastest within the tolerance: {answer}."
+    seconds = result.chosen.seconds(result.tolerance)
+    if math.isinf(seconds):
+        return f"Too few photons to evaluate any level: take {result.chosen.name}."
+    return f"Fastest within the tolerance: {result.chosen.name}, {duration(seconds)} of processor time."
 
 
 def summary(result: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
     names = ("tolerance", "wall_seconds", "lines")
+    answers = {str(error): _answer(fastest(result.levels, error), error) for error in ERRORS}
     return (
         {name: getattr(result, name) for name in names}
         | {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
-        | {"chosen": result.chosen.level.name, "answer": _answer(result.chosen), "sentence": sentence(result)}
-        | {"levels": [_level(result, level) for level in result.levels]}
-        | {"fastest_within": {str(error): _answer(result.fastest(error)) for error in ERRORS}}
+        | {"chosen": result.chosen.name, "answer": _answer(result.chosen, result.tolerance)}
+        | {"sentence": sentence(result), "levels": [_level(result, level) for level in result.levels]}
+        | {"fastest_within": answers}
     )
 
 
-def _answer(answer: Answer | None) -> dict[str, Any] | None:
-    if answer is None:
+def _answer(level: Level | None, error: float) -> dict[str, Any] | None:
+    """The answer of a level within an error; None where it has none."""
+    if level is None or math.isinf(level.seconds(error)):
         return None
-    names = {"photon_seconds": answer.photon_seconds, "error": answer.error, "first_seconds": answer.seconds}
-    return {"level": answer.level.name, **names, "relative_error": answer.relative_error}
+    times = {"photon_seconds": level.photon_seconds(error), "first_seconds": level.seconds(error)}
+    return {"level": level.name, "error": error, "relative_error": level.relative_error(error)} | times
 
 
 def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
-    row = asdict(level) | {"lines": level.lines, "changes": level.changes or {}}
-    row["first"] = {"fixed": row.pop("setup_seconds"), "per_second": float(level.traces)}
-    return row | {"within_tolerance": _answer(level.within(result.tolerance))}
+    row = asdict(level) | {"lines": level.lines, "within_tolerance": _answer(level, result.tolerance)}
+    return row | {"first": {"fixed": row.pop("setup_seconds"), "per_second": 1.0}}
 
 
 def lines(result: Tradeoff) -> list[str]:
     """The table of levels and the one to take, for the terminal."""
-    known = ({"Must be known": level.beforehand} for level in result.levels)
-    out = aligned([row | more for row, more in zip(_rows(result), known, strict=True)])
-    out += [f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
+    out = [*aligned(_rows(result)), f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
     if result.lines:
-        out += ["Scene lines that select it:", *(f"  {line}" for line in result.lines)]
-    if call := result.chosen.level.call:
-        return [*out, f"No line of a scene selects {'the rest' if result.lines else 'it'}: {call} gives it."]
-    return out if result.lines else [*out, "The scene is that already: no line needs to change."]
+        return [*out, "Scene lines that select it:", *(f"  {line}" for line in result.lines)]
+    return [*out, "The scene is that already: no line needs to change."]
 
 
 def _files(result: Tradeoff) -> dict[str, Any]:

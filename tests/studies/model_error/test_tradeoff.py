@@ -18,16 +18,14 @@ from nailoptics.report.pages.tradeoff import summary as tradeoff_summary
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.model_error.changes import lines_of, revised
 from nailoptics.studies.model_error.tradeoff import (
-    COURSES,
     FORMULAS,
     FULL,
     OWN,
     REFERENCE,
-    Answer,
     Bias,
     Level,
     Tradeoff,
-    literature_changes,
+    fastest,
     tradeoff,
 )
 
@@ -38,24 +36,24 @@ def prototype() -> Scene:
 
 def level(name: str, bound: float = 0.0, **changes: Any) -> Level:
     values: dict[str, Any] = {
-        "backend": "llvm",
         "reading": Bias(bound, 0.0, bound),
         "signal": Bias(bound, 0.0, bound),
         "setup_seconds": 2.0,
         "reading_noise": 0.1,
         "signal_noise": 0.1,
+        "changes": {},
     }
     return Level(name, **(values | changes))
 
 
-FORMULA = level("a formula", 0.3, setup_seconds=0.02, reading_noise=0.0, signal_noise=0.0, call="model(scene)")
+# Fast, but with a bias that only the largest errors allow.
+FORMULA = level("a formula", 0.3, setup_seconds=0.02, changes={"light": {"similarity": True}})
 
 
 def made(*measured: Level) -> Tradeoff:
     full = level(REFERENCE)
     attributes = {"scene": "", "digest": "", "photons": 1}
-    answer = Answer(full, 25.0, 0.02)
-    return Tradeoff((full, *measured), 0.02, answer, prototype(), 1.0, attributes)
+    return Tradeoff((full, *measured), 0.02, full, prototype(), 1.0, attributes)
 
 
 def test_the_sentence_names_a_time_for_each_error():
@@ -101,7 +99,7 @@ def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
     (axes,) = tradeoff_page.draw(found).axes
     assert sorted(t.get_text() for t in axes.texts) == ["a formula", "biased", REFERENCE]
     page = tradeoff_page.page(found, tradeoff_page.draw(found))
-    assert sentence(found) in page and "model(scene)" in page and "relative_error = 0.02" in page
+    assert sentence(found) in page and "similarity = true" in page and "relative_error = 0.02" in page
 
 
 def test_the_picture_is_empty_where_no_level_could_be_judged():
@@ -120,55 +118,33 @@ def found(chosen_jit):
 def test_the_chosen_level_is_within_the_tolerance(found):
     by_name = {one.name: one for one in found.levels}
     expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices"}
-    assert expected | {f"{name}, literature" for name in FORMULAS} <= by_name.keys()
+    assert expected | {f"{name}, traced" for name in FORMULAS} <= by_name.keys()
     full = by_name[REFERENCE]
-    assert full.bound == 0 and found.chosen.error <= 0.02 * (1 + 1e-9)
-    assert found.chosen.seconds <= found.fastest(0.02).seconds * 1.12
+    assert full.bound == 0 and found.chosen.bound <= 0.02 and found.chosen is fastest(found.levels, 0.02)
+    assert found.chosen.seconds(0.02) <= 1.12 * min(level.seconds(0.02) for level in found.levels)
     # The line is read from the same photons.
     assert by_name["one wavelength"].bound < 0.02
     assert by_name["one wavelength"].setup_seconds == full.setup_seconds
     # Without forward scattering there is a tenth of the scatterings, and the readings are wrong.
-    assert by_name["similarity"].bound > 0.02 and found.chosen.level.name != "similarity"
+    assert by_name["similarity"].bound > 0.02 and found.chosen.name != "similarity"
     # Photons that never meet epidermis or Kapton are the same: the error is a part of what two traces apart would have.
     assert by_name["no epidermis, no Kapton"].reading.stderr < 0.7 * by_name["matched indices"].reading.stderr
 
 
 @pytest.mark.jit
-def test_levels_without_photons_answer_at_once_and_err_by_tens_of_percent(found):
-    by_name = {one.name: one for one in found.levels}
-    for name in FORMULAS:
-        formula, traced = by_name[f"{name}, literature"], by_name[f"{name}, traced"]
-        assert formula.reading is None and formula.signal.bound > traced.signal.bound > 0
-        assert formula.setup_seconds < by_name[REFERENCE].setup_seconds
-
-
-@pytest.mark.jit
 def test_blood_levels_move_the_signal_alone(found):
-    """Expected: walls' mass and a looser tolerance move it by less than 0.2 %; samples that miss the step, and eight
-    zones, on which the distal pressure acts otherwise, by tens of percent."""
+    """Expected: samples that miss the step, and eight zones, on which the distal pressure acts otherwise, move it by
+    tens of percent."""
     by_name = {one.name: one for one in found.levels}
     full = by_name[REFERENCE]
-    for name in COURSES:
-        assert 0 < by_name[name].signal.bound < 2e-3 and by_name[name].call
     assert 0.3 < by_name["1 of 10 samples"].signal.bound < 1.0
     assert by_name["eight zones"].signal.bound > 0.3
     usual = revised(prototype(), FULL)
-    for name in (*COURSES, "1 of 10 samples", "eight zones"):
+    for name in ("1 of 10 samples", "eight zones"):
         # What selects it has the light of the full model, by which it was measured.
         scene = revised(prototype(), by_name[name].changes)
         assert (scene.light, scene.leds) == (usual.light, usual.leds)
         assert by_name[name].reading == Bias(0.0, 0.0, 0.0) and by_name[name].reading_noise > 0.5 * full.reading_noise
-    # The slower walls take their time.
-    assert by_name["walls with mass"].setup_seconds > full.setup_seconds + 0.1
-
-
-def test_formulas_from_literature():
-    """Expected: of a little more blood the same by both; the signs of the blood that each photodiode lies above."""
-    scene, blood = prototype(), np.array([[0.03, 0.03], [0.0301, 0.0299], [0.05, 0.002]])
-    first, second = (literature_changes(scene, name, blood) for name in FORMULAS)
-    assert first.shape == (1, 8, 3) and (first[..., 0] == 0).all()
-    assert np.allclose(first[..., 1], second[..., 1], rtol=2e-3)
-    assert (first[0, :4, 1:] < 0).all() and (first[0, 4:, 1:] > 0).all()
 
 
 @pytest.mark.jit
@@ -178,7 +154,7 @@ def test_the_lines_of_every_level_make_its_scene(found):
     places = {"[light]": "[light]", "[[leds]]": "[[leds]]", "[touch]": "[touch]", "[blood]": "[blood]"}
     for one in found.levels:
         pasted = text
-        for line in lines_of(one.changes or {}):
+        for line in lines_of(one.changes):
             table, field = line.split(" ", 1)
             name = field.split()[-1] if field.startswith("without") else field.split(" = ")[0]
             kept = [t for t in pasted.splitlines() if not t.startswith(f"{name} =")]
@@ -187,10 +163,10 @@ def test_the_lines_of_every_level_make_its_scene(found):
                 start = next(t for t in kept if t.startswith(places[table]))
                 pasted = pasted.replace(start, f"{start}\n{field}", 1)
         scene = parse_scene(pasted)
-        expected = revised(prototype(), one.changes or {})
+        expected = revised(prototype(), one.changes)
         assert (scene.light, scene.leds) == (expected.light, expected.leds), one.name
         assert (scene.touch, scene.blood) == (expected.touch, expected.blood), one.name
-        if one is found.chosen.level:
+        if one is found.chosen:
             assert scene.light == found.scene.light and scene.leds == found.scene.leds
 
 
@@ -227,9 +203,7 @@ def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp
     monkeypatch.setattr("nailoptics.studies.model_error.tradeoff.tradeoff", lambda scene, **_: found)
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert (
-        printed["chosen"] == found.chosen.level.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
-    )
+    assert printed["chosen"] == found.chosen.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
     assert {path.name for path in tmp_path.iterdir()} == set(tradeoff_page.TRADEOFF.files)
 
 
