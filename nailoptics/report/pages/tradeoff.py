@@ -33,7 +33,10 @@ SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
     """The page around what `draw` drew."""
-    name, selected = result.chosen.name, "; ".join(result.lines) or "none is needed"
+    name, selected = (
+        result.chosen.name,
+        "; ".join(filter(None, (*result.lines, result.chosen.call))) or "none is needed",
+    )
     seconds = duration(result.chosen.seconds(result.tolerance))
     body = section(
         "Error against time",
@@ -123,10 +126,16 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
 
 
 def _lines(result: Tradeoff) -> list[dict[str, str]]:
-    """The scene lines that select each level."""
-    return [
-        {"Level": level.name, "Scene lines": "; ".join(level.lines) or "the scene as it is"} for level in result.levels
-    ]
+    """What selects each level."""
+    rows = []
+    for level in result.levels:
+        selected = _selected(level.lines, level.call) or "the scene as it is"
+        rows.append({"Level": level.name, "Scene lines, or the call that gives it": selected})
+    return rows
+
+
+def _selected(lines: list[str], call: str) -> str:
+    return "; ".join([*lines, call] if call else lines)
 
 
 def meaning(result: Tradeoff) -> str:
@@ -186,8 +195,10 @@ def lines(result: Tradeoff) -> list[str]:
     """The table of levels and the one to take, for the terminal."""
     out = [*aligned(_rows(result)), f"Tolerance: {meaning(result)}.", chosen_line(result), sentence(result)]
     if result.lines:
-        return [*out, "Scene lines that select it:", *(f"  {line}" for line in result.lines)]
-    return [*out, "The scene is that already: no line needs to change."]
+        out += ["Scene lines that select it:", *(f"  {line}" for line in result.lines)]
+    if call := result.chosen.call:
+        return [*out, f"No line of a scene selects {'the rest' if result.lines else 'it'}: {call} gives it."]
+    return out if result.lines else [*out, "The scene is that already: no line needs to change."]
 
 
 def _files(result: Tradeoff) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from ... import tissue
 from ...display import Displayed
 from ...errors import NotReachedError
 from ...hemodynamics.for_scene import blood_over_touch
+from ...hemodynamics.respond import Model
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.tracing import unlit
@@ -79,6 +80,7 @@ class Level:
     reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a part of the largest,
         after one processor second of photons. [s^0.5]
     changes : what of the scene selects it.
+    call : what gives it beside that, where no line of a scene does.
     """
 
     name: str
@@ -88,6 +90,7 @@ class Level:
     reading_noise: float
     signal_noise: float
     changes: Changes
+    call: str = ""
 
     @property
     def lines(self) -> list[str]:
@@ -208,7 +211,7 @@ def tradeoff(
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
     reference = measured(scene, REFERENCE, base, base)
-    levels = [reference, *formulas(scene, base, options.seed), *fewer_samples(scene, base, options.seed)]
+    levels = [reference, *formulas(scene, base, options.seed), *courses(scene, base, options.seed)]
     if any(led.fwhm_nm for led in full.leds):
         # The same photons, so the same cost, whatever the noise of its error.
         levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
@@ -295,33 +298,39 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
 
 
-def fewer_samples(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
-    """A tenth of the samples: the signal where blood, linear between samples, is off most; none for short touches.
+def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
+    """Blood with walls of mass, and of fewer samples: signals where blood, linear between samples, is off most.
 
     seed : of the groups of photons, from which errors come.
     """
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
     fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
     usual, usual_s = _timed_course(full)
-    if usual.sizes["time"] <= 2 * FEWER_SAMPLES:
-        return
-    course, course_s = _timed_course(revised(full, fewer))
     blood = usual.blood_fraction.values
-    other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
-    farthest = int(np.abs(other - blood).max(0).argmax())
-    states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
-    rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states, seed), -1, 0)
-    off = (wrong - right) / rest / unit
-    signal = bias_of(base, Estimates(off[0], jackknife(off)), shared=stderr / unit)
-    level = measured(scene, f"1 of {FEWER_SAMPLES} samples", base, base)
-    seconds = level.setup_seconds + course_s - usual_s
-    yield replace(level, signal=signal, setup_seconds=seconds, changes=level.changes | fewer)
+    ways: dict[str, tuple[Model, Changes]] = {"walls with mass": ("inertial", {})}
+    if usual.sizes["time"] > 2 * FEWER_SAMPLES:
+        ways[f"1 of {FEWER_SAMPLES} samples"] = "massless", fewer
+    for name, (model, changes) in ways.items():
+        course, seconds = _timed_course(revised(full, changes), model)
+        other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
+        farthest = int(np.abs(other - blood).max(0).argmax())
+        states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
+        rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states, seed), -1, 0)
+        off = (wrong - right) / rest / unit
+        level = measured(scene, name, base, base)
+        yield replace(
+            level,
+            signal=bias_of(base, Estimates(off[0], jackknife(off)), shared=stderr / unit),
+            setup_seconds=level.setup_seconds + seconds - usual_s,
+            changes=level.changes | changes,
+            call="" if changes else f'nailoptics.hemodynamics.for_scene.blood_over_touch(scene, model="{model}")',
+        )
 
 
-def _timed_course(scene: Scene) -> tuple[xr.Dataset, float]:
+def _timed_course(scene: Scene, model: Model = "massless") -> tuple[xr.Dataset, float]:
     """Blood over a touch, and its processor time. [s]"""
     begin = time.process_time()
-    return blood_over_touch(scene), time.process_time() - begin
+    return blood_over_touch(scene, model=model), time.process_time() - begin
 
 
 def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Level:
