@@ -27,22 +27,23 @@ def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
 
     photographs : the finger at rest and pressed, as PNG.
     """
-    most, last = f"{float(result.force_n.max()):g} N", result.isel(state=-1)
-    middle = result.lab.values[result.sizes["place"] // 2, 0]
+    last = result.isel(state=-1)
+    words = f"at {float(last.force_n):g} N"
     cards = [
-        (" / ".join(significant(value, 3) for value in middle), "L*, a*, b* in the middle of the nail at rest"),
         (significant(float(result.colour_stderr.max()), 2), "largest standard error of a place's colour, CIEDE2000"),
-        (f"{estimated(last, 'white_band_mm')} mm", f"white band at {float(last.force_n):g} N"),
+        (significant(float(last.delta_e_2000.max())), f"largest difference to rest {words}, CIEDE2000"),
+        (f"{estimated(last, 'white_band_mm')} mm", f"white band {words}"),
     ]
     strip = strip_figure(result)
-    photos = [_image(data, words) for data, words in zip(photographs, ("At rest.", f"{most}."), strict=False)]
+    captions = ("At rest.", f"A{words[1:]}.")
+    photos = [_image(data, caption) for data, caption in zip(photographs, captions, strict=False)]
+    seen = figure(strip, TEXTS["strip"]), table(_by_force(result)), small(TEXTS["middle"])
     body = [
-        section("The nail under force", figure(strip, "The nail under each force, each held.")),
+        section("The nail under force", *seen),
         section("As a photograph", *photos, small(TEXTS["photograph"])) if photos else "",
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         _unknowns(result),
-        section("Colours at rest", table(_at_rest(result))),
     ]
     return document(
         kicker="colour",
@@ -54,13 +55,14 @@ def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
     )
 
 
-def _at_rest(result: xr.Dataset) -> list[dict[str, str]]:
-    """Colours at rest along the nail, and their change by the last force."""
-    rows, last = [], f"Difference at {result.force_n.values[-1]:g} N, CIEDE2000"
-    for p, v_mm in enumerate(result.v_mm.values):
-        here, site = result.isel(place=p), "skin" if p in (0, result.sizes["place"] - 1) else "nail"
-        row = {"Place": f"{v_mm:+.1f} mm, {site}"} | _lab(here.isel(state=0), "lab")
-        rows.append(row | {last: estimated(here.isel(state=-1), "delta_e_2000")})
+def _by_force(result: xr.Dataset) -> list[dict[str, str]]:
+    """The middle of the nail under each force, on the page and in the terminal."""
+    middle, rows = result.isel(place=result.sizes["place"] // 2), []
+    for s, force_n in enumerate(result.force_n.values):
+        largest = result.isel(state=s, place=int(np.argmax(result.delta_e_2000.values[:, s])))
+        row = {"Force [N]": f"{force_n:g}"} | _lab(middle.isel(state=s), "lab")
+        row["Difference to rest"] = estimated(largest, "delta_e_2000") if s else "0"
+        rows.append(row | {"White band [mm]": estimated(result.isel(state=s), "white_band_mm")})
     return rows
 
 
@@ -76,19 +78,18 @@ def _nail_width_mm(result: xr.Dataset) -> float:
 
 
 def _unknowns(result: xr.Dataset) -> str:
-    """Uncertainty over the priors."""
+    """Uncertainty over the priors: of all together, and by each of them."""
     if "lab_spread" not in result:
         return ""
-    rows = []
+    sites = ((str(site), _lab(result.sel(site=site), "lab_spread")) for site in result.site.values)
+    rows = [{"Prior": f"all together, {site}", "Range": ""} | lab for site, lab in sites]
     nail = result.sel(site="nail")
     for i in np.argsort(-nail.prior_lab_spread.values.max(1)):
         prior = nail.isel(prior=int(i))
         shown = range_of(str(prior.prior_field.item()), *prior.prior_range.values.tolist())
         row = {"Prior": str(prior.prior.item()), "Range": shown}
         rows.append(row | _lab(prior, "prior_lab_spread"))
-    text = "nailoptics validate compares nails and skin with photographs and spectra of people."
-    drawn = figure(_ranges_figure(result), "At rest; bars: 95 % of fingers.")
-    return section("Uncertainty over the priors", drawn, table(rows), small(text))
+    return section("Uncertainty over the priors", table(rows), small(TEXTS["priors"]))
 
 
 def _image(data: bytes, caption: str) -> Html:
@@ -219,22 +220,6 @@ def _over_force_figure(result: xr.Dataset) -> "Figure":
     return figure
 
 
-@style.drawing()
-def _ranges_figure(result: xr.Dataset) -> "Figure":
-    """Colours of nail and skin at rest with their uncertainty over the priors."""
-    figure, axes = style.panels(7.2, 3.0, 1, 2)
-    middle = result.sizes["place"] // 2
-    for panel, k, name in zip(axes, (0, 2), ("L*", "b*"), strict=True):
-        for site, p, colour in (("nail", middle, style.ZONES[0]), ("skin", 0, style.ZONES[1])):
-            x, y = float(result.lab[p, 0, 1]), float(result.lab[p, 0, k])
-            spread = Z95 * result.lab_spread.sel(site=site).values
-            panel.errorbar(x, y, spread[k], spread[1], color=colour, marker="o", label=f"{site}, 95 % over priors")
-        panel.set_xlabel("redness a* [1]")
-        panel.set_title(f"{'lightness' if k == 0 else 'yellowness'} {name} [1]")
-    style.legend_above(figure, axes[0], ncols=2)
-    return figure
-
-
 def summary(result: xr.Dataset) -> dict[str, Any]:
     """Colours by force and place, with the largest standard errors and spread over priors."""
     names, states = ("v_mm", "lab", "lab_stderr", "srgb", "delta_e_2000", "delta_e_2000_stderr"), []
@@ -256,16 +241,9 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     return summed | run_summary(result.attrs)
 
 
-def lines(summary: dict[str, Any]) -> list[str]:
-    """The same in a few lines for a terminal: the middle of the nail under each force."""
-    rows = []
-    for state in summary["states"]:
-        middle = state["places"][len(state["places"]) // 2]["lab"]
-        row = {"Force [N]": f"{state['force_n']:g}"}
-        row |= {band: f"{value:.1f}" for band, value in zip(("L*", "a*", "b*"), middle, strict=True)}
-        row["Difference to rest"] = f"{max(place['delta_e_2000'] for place in state['places']):.1f}"
-        rows.append(row | {"White band [mm]": f"{state['white_band_mm']:.1f}"})
-    lines, errors = aligned(rows), (summary["colour_stderr"], summary["change_stderr"])
+def lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
+    """The same in a few lines for a terminal."""
+    lines, errors = aligned(_by_force(result)), (summary["colour_stderr"], summary["change_stderr"])
     lines.append("standard error of a place's colour at most {:.2g}, of a change {:.2g} (CIEDE2000)".format(*errors))
     if "lab_spread" in summary:
         stds = "  ".join(f"{value:.1f}" for value in summary["lab_spread"]["nail"])
@@ -293,7 +271,7 @@ COLOUR = Report(
     ("colour.nc", "colour.html", "strip.png", "rest.png", "pressed.png"),
     page,
     summary,
-    lambda result, summary: lines(summary),
+    lines,
     {"strip": strip_figure, "along": _along_figure, "force": _over_force_figure},
     _files,
 )
