@@ -47,7 +47,6 @@ def page(result: Explanation) -> str:
         title=_title(known),
         lead=f"Each of {len(result.effects)} parts, effects and unknown parameters was changed by itself, with "
         f"common random numbers. Changes of a reading by more than {100 * result.tolerance:g} % matter.",
-        cards=_cards(result, known),
         body=[
             section("Effects on the readings", drawing, effects, small(TEXTS["note"])),
             section("What the scene requires", *required),
@@ -69,19 +68,6 @@ def _change(effect: Effect) -> str:
     return with_error(100 * effect.change, 100 * effect.stderr, sign=True)
 
 
-def _cards(result: Explanation, known: list[Effect]) -> list[tuple[str, str]]:
-    """The largest of each kind, and the effect of leaving out all that is not needed."""
-    cards = []
-    for kind in KINDS:
-        if ofkind := [effect for effect in known if _kind(effect) == kind]:
-            largest = ofkind[0]
-            cards.append((f"{_change(largest)} %", f"{largest.name}, the largest {kind}: on {largest.photodiode}"))
-    if result.together:
-        words = "upper bound, on any reading, of leaving out everything that is not needed"
-        cards.append((f"{significant(100 * result.together.bound, 2)} %", words))
-    return cards
-
-
 def _kind(effect: Effect) -> str:
     """What an effect is: unknown, modelled, or left out."""
     unknown, modelled, left_out = KINDS
@@ -93,21 +79,20 @@ def draw(result: Explanation) -> "Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
     shown = [effect for effect in result.effects if math.isfinite(effect.change) and effect.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
-    for row, e in enumerate(shown):
-        colour, change, spread = KINDS[_kind(e)], 100 * abs(e.change), 100 * Z95 * e.stderr
-        ends = np.clip([change - spread, change + spread, 100 * e.bound], LEAST, MOST)
-        axes.plot(ends[:2], [row, row], color=colour, lw=2.2, solid_capstyle="butt")
-        axes.plot(ends[[1, 2]], [row, row], color=colour, lw=0.8, alpha=0.5)
-        axes.plot(ends[2], row, "|", color=colour, ms=9, mew=1.6)
-        if change > LEAST:
-            axes.plot(change, row, "o", color=colour, ms=5)
-    axes.axvline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
-    axes.set(xscale="log", xlim=(LEAST, MOST), ylim=(len(shown) - 0.4, -0.6), xlabel="change of a reading [%]")
-    style.plain_log(axes.xaxis)
-    axes.set_yticks(range(len(shown)), [style.plain(effect.name) for effect in shown])
-    axes.grid(axis="y", visible=False)
     for kind, colour in KINDS.items():
-        axes.plot([], [], "o", color=colour, ms=5, label=kind)
+        rows = [row for row, effect in enumerate(shown) if _kind(effect) == kind]
+        effects = [(abs(shown[row].change), shown[row].stderr, shown[row].bound) for row in rows]
+        change, stderr, bound = 100 * np.array(effects).reshape(-1, 3).T
+        low, high = np.maximum(change - Z95 * stderr, LEAST), change + Z95 * stderr
+        axes.hlines(rows, low, high, colors=colour, lw=2.2)
+        axes.hlines(rows, high, bound, colors=colour, lw=0.8, alpha=0.5)
+        axes.plot(bound, rows, "|", color=colour, ms=9, mew=1.6)
+        axes.plot(change, rows, "o", color=colour, ms=5, label=kind)
+    axes.axvline(100 * result.tolerance, color=style.INK, lw=1, ls=(0, (1, 1.5)))
+    axes.set(xscale="log", xlim=(LEAST, MOST), xlabel="change of a reading [%]")
+    style.plain_log(axes.xaxis)
+    style.named_rows(axes, [effect.name for effect in shown])
+    axes.grid(axis="y", visible=False)
     axes.legend(loc="lower right", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
     return drawing
 
