@@ -15,14 +15,21 @@ from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import Subject, parse_subject, subject_toml
 from .. import style
 from ..files import Report, write_files
-from ..html import Html, document, figure, section, small, table, texts
-from ..numbers import estimated, significant, with_error
+from ..html import Html, details, document, figure, section, small, table, texts
+from ..numbers import cells, estimated, significant, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEXTS = texts("force")
 KINDS = TEXTS["kinds"].format(TOUCH_N)
+# Columns of how well touches are estimated.
+SCORES = {
+    "Error, rms [mN]": ("rms_n", 1e3, 2),
+    "Of their size [%]": ("relative_error", 100.0, 2),
+    "In the 95 % interval [%]": ("coverage_95", 100.0, 2),
+    "Its half width, median [mN]": ("half_width_n", 1e3, 2),
+}
 
 
 def calibration_page(result: xr.Dataset) -> str:
@@ -71,17 +78,8 @@ def _judged_on(summary: dict[str, Any]) -> str:
 
 def _kinds(touches: dict[str, dict[str, float]]) -> list[dict[str, str]]:
     """How well the touches of each kind are estimated."""
-    return [
-        {
-            "Touches": kind,
-            "Error, rms [mN]": significant(1e3 * scores["rms_n"], 2),
-            "Of their size [%]": significant(100 * scores["relative_error"], 2),
-            "In the 95 % interval [%]": f"{100 * scores['coverage_95']:.0f}",
-            "Its half width, median [mN]": significant(1e3 * scores["half_width_n"], 2),
-        }
-        for kind, scores in touches.items()
-        if math.isfinite(scores["rms_n"])
-    ]
+    known = {kind: scores for kind, scores in touches.items() if math.isfinite(scores["rms_n"])}
+    return [{"Touches": kind} | cells(scores, SCORES) for kind, scores in known.items()]
 
 
 def _factors(summary: dict[str, Any]) -> list[dict[str, str]]:
@@ -133,14 +131,9 @@ def prediction_page(result: xr.Dataset) -> str:
         methods = [{"Force by": name, of_touches: significant(1e3 * error, 2)} for name, error in errors.items()]
         inside = f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"
         cards = [(f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"), inside, *cards]
-    events = [
-        {
-            "Event": event["kind"],
-            "At [s]": significant(event["time_s"], 4),
-            "After the known force [ms]": significant(1e3 * event["latency_s"], 2),
-        }
-        for event in summary["events"]
-    ]
+    columns = {"At [s]": ("time_s", 1.0, 4), "After the known force [ms]": ("latency_s", 1e3, 2)}
+    events = table([{"Event": event["kind"]} | cells(event, columns) for event in summary["events"]])
+    switch = details(f"{len(summary['events'])} events", events) if summary["events"] else ""
     return document(
         kicker="prediction",
         title="Force from volts",
@@ -151,7 +144,7 @@ def prediction_page(result: xr.Dataset) -> str:
             section("Force", figure(force_figure(result), TEXTS["force"]), table(methods) if methods else ""),
             section("Touches", table(_kinds(summary["touches"])), small(KINDS)) if methods else "",
             section("Place, body and fit", figure(_share_figure(result), TEXTS["share"])),
-            section("The virtual switch", table(events)) if events else "",
+            section("The virtual switch", switch) if switch else "",
         ],
         attributes=result.attrs | {"digest": result.attrs["scene_digest"]},
     )
@@ -171,24 +164,22 @@ def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
 
 @style.drawing()
 def _fit_figure(result: xr.Dataset) -> "Figure":
-    """Every reading over the calibration, recorded and fitted, less its start; below, the residuals of all."""
-    readings = result.reading.values
+    """All readings over the calibration, recorded and fitted, less their starts; below, their residuals."""
     parts = [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
-    size = 7.2, 0.9 * len(readings) + 2.4, len(readings) + 1, len(parts)
-    ratios = [1.0] * len(readings) + [2.0]
-    figure, axes = style.panels(*size, sharex="col", sharey="row", squeeze=False, height_ratios=ratios)
-    for part, column in zip(parts, axes.T, strict=True):
-        residuals = column[-1]
-        for row, (panel, colour) in enumerate(zip(column[:-1], style.place_colours(len(readings)), strict=True)):
-            recorded_mv, fitted_mv = 1e3 * part.volts.values[row], 1e3 * part.volts_fitted.values[row]
-            start_mv = np.nanmedian(recorded_mv[: max(3, len(recorded_mv) // 50)])
-            panel.plot(part.time_s, recorded_mv - start_mv, color=colour, linewidth=3.0, alpha=0.55, label="recorded")
-            panel.plot(part.time_s, fitted_mv - start_mv, color=style.INK, linewidth=0.8, label="fitted")
-            style.remark(panel, style.plain(readings[row]))
-            residuals.plot(part.time_s, recorded_mv - fitted_mv, color=colour, linewidth=0.7)
+    how: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False, "height_ratios": [3.0, 2.0]}
+    figure, axes = style.panels(7.2, 4.6, 2, len(parts), **how)
+    for part, (readings, residuals) in zip(parts, axes.T, strict=True):
+        time_s, recorded_mv, fitted_mv = part.time_s, 1e3 * part.volts.values, 1e3 * part.volts_fitted.values
+        for k, colour in enumerate(style.place_colours(part.sizes["reading"])):
+            start_mv = np.nanmedian(recorded_mv[k, : max(3, len(time_s) // 50)])
+            name = style.plain(part.reading.values[k])
+            readings.plot(time_s, recorded_mv[k] - start_mv, color=colour, linewidth=2.4, alpha=0.55, label=name)
+            readings.plot(time_s, fitted_mv[k] - start_mv, color=style.INK, linewidth=0.6)
+            residuals.plot(time_s, recorded_mv[k] - fitted_mv[k], color=colour, linewidth=0.7)
         residuals.set_xlabel("time [s]")
-    axes[len(readings) // 2, 0].set_ylabel("change of the reading [mV]")
-    axes[-1, 0].set_ylabel("residual [mV]")
+    axes[0, 0].set_ylabel("change of the reading [mV]")
+    axes[1, 0].set_ylabel("residual [mV]")
+    style.legend_above(figure, axes[0, 0], ncols=4)
     return figure
 
 
