@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import finite, positive
 from ..errors import InputError
 from ..scene import Scene
 from .parameters import beds
@@ -28,20 +29,15 @@ class Zones:
     vein_reach: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        share, reach, vein_reach = np.asarray(self.share), np.asarray(self.reach), np.asarray(self.vein_reach)
-        if share.ndim != 1 or share.size < 1 or not np.all(np.isfinite(share)) or np.any(share <= 0.0):
-            raise InputError(
-                f"zones.share must hold positive finite numbers, got {self.share}; give one for each unit."
-            )
-        if not np.isclose(share.sum(), 2.0, rtol=1e-9):
+        share, reach = positive("zones.share", self.share), finite("zones.reach", self.reach)
+        vein_reach = finite("zones.vein_reach", self.vein_reach)
+        if share.ndim != 1 or not np.isclose(share.sum(), 2.0, rtol=1e-9):
             raise InputError(f"zones.share must sum to 2 (the paper's two beds), got {share.sum():g}; scale it.")
         if reach.shape != (share.size, vein_reach.size) or vein_reach.ndim != 1:
             raise InputError(
                 f"zones.reach must have shape (units, inputs) = ({share.size}, {vein_reach.size}), got {reach.shape}; "
                 "give one row for each unit and one column for each input."
             )
-        if not (np.all(np.isfinite(reach)) and np.all(np.isfinite(vein_reach))):
-            raise InputError("zones.reach and zones.vein_reach must be finite; replace NaN and inf.")
 
     @property
     def count(self) -> int:

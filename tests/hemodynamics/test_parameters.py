@@ -99,7 +99,7 @@ def test_zones_check_their_shapes_and_numbers():
         Zones(share=(1.0, 1.0), reach=((0.0,), (1.0,)), vein_reach=(1.0, 0.0))
     with pytest.raises(InputError, match="finite"):
         Zones(share=(1.0, 1.0), reach=((0.0,), (math.nan,)), vein_reach=(1.0,))
-    with pytest.raises(InputError, match="positive"):
+    with pytest.raises(InputError, match="greater than 0"):
         Zones(share=(2.0, 0.0), reach=((0.0,), (1.0,)), vein_reach=(1.0,))
 
 

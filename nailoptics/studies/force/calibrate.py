@@ -12,17 +12,16 @@ from pydantic import BaseModel, ValidationError
 
 from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
-from ...hemodynamics import steady_state
-from ...hemodynamics.parameters import Parameters, each_bed, vessels
+from ...hemodynamics.parameters import vessels
 from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene, digest, to_toml
-from ...scene.importers.sensor_recordings import SITES, Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import Recording, read_sensor_recording
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted
-from .person import N_PER_CM2, NAMES, USUAL_DISTAL_REACH, USUAL_PULP, Array, NominalFinger, Pulp
+from .person import NAMES, USUAL_DISTAL_REACH, USUAL_PULP, NominalFinger, Pulp
 from .reading_table import ReadingTable, nodes_of, reading_table
 from .recording_checks import checked, joined, lacking
 from .scores import touches_by_kind
@@ -151,15 +150,12 @@ def _free(scene: Scene, recordings: Sequence[Recording]) -> NDArray[np.bool_]:
 def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
     """The subject as fitted, before its own force was estimated; raises ValidationError or InputError."""
     person, every = fit.finger.person(fitted.factors_ln), joined(fit.recordings)
-    force_n, site = np.asarray(every.force_n), np.asarray(every.site)
-    rest_v = np.nanmedian(every.volts[:, force_n < REST_FORCE_N], axis=1)
+    rest_v = np.nanmedian(every.volts[:, np.asarray(every.force_n) < REST_FORCE_N], axis=1)
     noise_v, noise = estimate_noise(person, fitted.table, fitted.gain, fit.recordings, fitted.residual_v, rest_v)
     residual_rms_v = np.sqrt(np.nanmean(np.concatenate(fitted.residual_v, axis=1) ** 2, axis=1))
-    at_site = {"proximal": site == 1.0, "distal": site == 0.0, "even": np.isnan(site)}
-    most_n = {name: float(force_n[at].max()) for name, at in at_site.items() if at.any()}
     return Subject(
         scene_digest=digest(scene),
-        quality=Quality(fitted.chi2_per_dof, rms_n=np.nan, most_force_n=most_n),
+        quality=Quality(fitted.chi2_per_dof, rms_n=np.nan),
         factors=np.exp(fitted.factors_ln),
         readings=Readings(fitted.gain, fitted.offset_v, residual_rms_v, noise_v),
         noise=noise,
@@ -172,11 +168,6 @@ def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, quality = lacking(recordings), subject.quality
-    for side, forces_n in _two_balances_n(subject).items():
-        warnings.append(
-            f"{side} touches of {forces_n.min():.2g} to {forces_n.max():.2g} N could hold the vessels in two states: "
-            "the same force may read differently as it grows and as it falls."
-        )
     factors = subject.factor_table()
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
         warnings.append(
@@ -191,19 +182,6 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
             "the touches of `nailoptics protocol`.",
         )
     return warnings
-
-
-def _two_balances_n(subject: Subject) -> dict[str, Array]:
-    """Calibrated forces at which the person's vessels have two stable states, by site."""
-    constants = {name: each_bed(float, value) for name, value in subject.scene.vessels_of(subject.factors_ln).items()}
-    forces = {}
-    for side, most_n in subject.quality.most_force_n.items():
-        forces_n = np.linspace(0.0, most_n, 101)
-        proximal, distal = N_PER_CM2 * subject.person.pressures_n_per_cm2(forces_n, np.full(101, SITES[side]))
-        state = steady_state(Parameters(**constants), proximal_pressure_pa=proximal, distal_pressure_pa=distal)
-        if state.two_branches.any():
-            forces[side] = forces_n[state.two_branches]
-    return forces
 
 
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:

@@ -318,9 +318,8 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
 
     def mean(values: Array) -> Array:
         blocks = values[..., : count * group].reshape(*values.shape[:-1], count, group)
-        valid = np.isfinite(blocks)
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.where(valid, blocks, 0.0).sum(-1) / valid.sum(-1))
+            return np.asarray(np.nansum(blocks, -1) / np.isfinite(blocks).sum(-1))
 
     site = None if recording.site is None else recording.site[: count * group : group]
     return replace(recording, time_s=mean(time_s), volts=mean(recording.volts), force_n=mean(force_n), site=site)
