@@ -144,7 +144,10 @@ def card(app: Any, page: str, target: str) -> nodes.Node:
     link += nodes.strong(text=app.env.titles[target].astext())
     card = nodes.container(classes=["card"])
     first = next(iter(shown.findall(nodes.paragraph))).astext()
-    card += [nodes.paragraph("", "", link), nodes.paragraph(text=re.match(r".*?[.?](?=\s|$)|.*", first, re.S)[0])]
+    card += [
+        nodes.paragraph("", "", link),
+        nodes.paragraph(text=re.match(r".*?[.?](?=\s|$)|.*", first, re.S)[0].rstrip(":")),
+    ]
     return card
 
 
