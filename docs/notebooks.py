@@ -27,6 +27,8 @@ TRACING = re.compile(
     r"^(nailoptics (?:simulate|trace|compare|oximeter|colour|place|tradeoff|explain|explore)\b.*)$", re.M
 )
 LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
+# On top of a page that is not run, whose language no kernel says.
+UNEXECUTED = '\nmystnb:\n  execution_mode: "off"\nlanguage_info:\n  name: python\n  pygments_lexer: ipython3\n---\n'
 LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|max_seconds|photons)=[\d_.]+")
 
 
@@ -36,7 +38,7 @@ def with_few_photons(app: Any, name: str, source: list[str]) -> None:
     if not QUICK or not page.startswith("---\nfile_format: mystnb"):
         return
     if "\nquick: false\n" in page.partition("\n---\n")[0] + "\n":
-        page = page.replace("\n---\n", '\nmystnb:\n  execution_mode: "off"\n---\n', 1)
+        page = page.replace("\n---\n", UNEXECUTED, 1)
     source[0] = CELL.sub(lambda cell: with_limit(cell[0], PHOTONS), page)
 
 
