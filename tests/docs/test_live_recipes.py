@@ -4,6 +4,7 @@ import importlib
 import json
 import math
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,6 @@ import pytest
 
 import nailoptics
 from nailoptics.scene.importers.sensor_recordings import recording_csv
-from nailoptics.studies.force.predict import csv_rows
 
 PAGE = Path(__file__).parents[2] / "docs/live.md"
 BLOCK = re.compile(r"^```\{code-block\} python\n:caption: (\S+)\n(.*?)^```$", re.M | re.S)
@@ -45,27 +45,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def predicted() -> Any:
     """What `predict` says of the same recording."""
     return nailoptics.predict("me.toml", "steps.csv")
-
-
-@pytest.fixture
-def answered_at_once(monkeypatch: pytest.MonkeyPatch, predicted: Any) -> None:
-    """The answers without the time that the command takes to start; the first recipe starts it."""
-    header, *rows = (line.split(",") for line in csv_rows(predicted))
-
-    class Answers:
-        columns = header
-
-        def __init__(self, subject: str, photodiodes: list[str]) -> None:
-            self.rows = iter(rows)
-
-        def __call__(self, time_s: float, volts: list[float]) -> dict[str, float]:
-            row = next(self.rows)
-            assert float(row[0]) == time_s
-            return {name: float(cell or "inf") for name, cell in zip(header, row, strict=True)}
-
-        def close(self) -> None: ...
-
-    monkeypatch.setattr(importlib.import_module("live_force"), "LiveForce", Answers)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **contents: Any) -> None:
@@ -102,8 +81,7 @@ def test_a_wrench_has_the_force_and_its_variance(monkeypatch, predicted):
     stand_in(monkeypatch, "std_msgs.msg", Float64MultiArray=SimpleNamespace)
     node = importlib.import_module("nail_force_node").NailForce()
     for _, volts in importlib.import_module("sensor").samples():
-        node.subscribed["nail/volts"](SimpleNamespace(data=volts))
-    node.estimate.close()
+        node.subscribed["nail/volts"](SimpleNamespace(data=[*volts.values()]))
     forces = [one.wrench.force.z for one in published["nail/wrench"]]
     assert forces == pytest.approx(predicted.force_n.values, abs=1e-4)
     for one, low, high, force in zip(
@@ -117,7 +95,7 @@ def test_a_wrench_has_the_force_and_its_variance(monkeypatch, predicted):
         assert 1.96 * math.sqrt(one.data[14]) == pytest.approx(max(high - force, force - low), abs=3e-4)
 
 
-def test_an_outlet_gets_a_sample_for_each(monkeypatch, predicted, answered_at_once):
+def test_an_outlet_gets_a_sample_for_each(monkeypatch, predicted):
     pushed: list[list[float]] = []
     labels: list[tuple[str, str]] = []
 
@@ -140,7 +118,7 @@ def test_an_outlet_gets_a_sample_for_each(monkeypatch, predicted, answered_at_on
     assert [one[0] for one in pushed] == pytest.approx(predicted.force_n.values, abs=1e-4)
 
 
-def test_a_file_has_a_message_for_each(monkeypatch, predicted, answered_at_once):
+def test_a_file_has_a_message_for_each(monkeypatch, predicted):
     messages: list[tuple[int, dict[str, Any]]] = []
 
     class Writer:
@@ -178,7 +156,7 @@ def test_neurokits_columns_get_the_force_beside_them(monkeypatch, predicted):
     assert signals.Force.to_numpy() == pytest.approx(predicted.force_n.values)
 
 
-def test_an_ended_command_is_reported_not_awaited():
-    recipe = importlib.import_module("live_force")
-    with pytest.raises(RuntimeError, match="has ended"):
-        recipe.LiveForce("nobody.toml", ["a"])
+def test_the_loop_prints_a_line_for_each(predicted):
+    done = subprocess.run([sys.executable, "print_force.py"], capture_output=True, text=True, check=True)
+    printed = [float(re.search(r": (\S+) N", line)[1]) for line in done.stdout.splitlines()]
+    assert printed == pytest.approx(predicted.force_n.values, abs=1e-3)
