@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import inspect
 import os
 import re
 import shutil
@@ -106,6 +107,18 @@ def test_dir_and_the_type_checker_know_every_public_name():
     source = ast.parse((ROOT / "nailoptics/__init__.pyi").read_text(encoding="utf-8"))
     typed = {alias.name for node in ast.walk(source) if isinstance(node, ast.ImportFrom) for alias in node.names}
     assert set(nailoptics.__all__) <= typed
+
+
+def test_help_has_every_option_of_a_study():
+    """Expected: no public function hides its options behind **; each takes a seed and photons, with their defaults."""
+    for name in nailoptics.__all__:
+        one = getattr(nailoptics, name)
+        if inspect.isfunction(one):
+            parameters = inspect.signature(one).parameters
+            assert not [p for p in parameters.values() if p.kind is p.VAR_KEYWORD], name
+    options = inspect.signature(nailoptics.simulate).parameters
+    assert options["seed"].default == 0 and options["photons"].default is None and options["picture"].default is False
+    assert {"workers", "scheduler"} <= inspect.signature(nailoptics.sweep).parameters.keys()
 
 
 @pytest.mark.long

@@ -5,13 +5,15 @@ import subprocess
 import sys
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import made_sensor
+import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.sensor_recordings import recording_csv
-from nailoptics.studies.force.predict import csv_rows, live, predict
+from nailoptics.studies.force.predict import csv_rows, live, predict, predict_live
 from nailoptics.studies.force.subject import Subject, parse_subject
 from nailoptics.terminal import text_lines
 
@@ -45,6 +47,39 @@ def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder
     # The first sample is answered before the second is read.
     assert len(list(given)) == len(lines) - 2
     assert [*told, *list(live(subject, lines))[2:]] == list(csv_rows(predict(subject, folder / "part.csv")))
+
+
+def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
+    """By name or in the subject's order, with gaps; from the file of a subject, too."""
+    recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
+    recording.volts[3, 5] = np.nan
+    volts = recording.volts.T[:12]
+    given = iter(
+        zip(recording.time_s.tolist(), (dict(zip(NAMES, row.tolist(), strict=True)) for row in volts), strict=False)
+    )
+    forces = predict_live(subject, given)
+    first = next(forces)
+    assert first.time_s == recording.time_s[0] and next(given)[0] == recording.time_s[1]  # no other was taken yet
+    by_row = [*predict_live(subject, zip(recording.time_s, volts, strict=False))]
+    known = predict(subject, recording).isel(time=slice(12))
+    for name in ("force_n", "force_low_n", "force_high_n", "proximal_share"):
+        assert [getattr(one, name) for one in by_row] == pytest.approx(known[name].values)
+
+
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [
+        ([(0.0, [0.5])], "[0.5] are no volts of this subject's readings, proximal.6"),
+        ([(0.0, ["x"] * 8)], "are no volts of this subject's readings"),
+        ([(0.0, {"other": 0.5})], "samples: has no column 'proximal.6'"),
+        ([(0.0, [0.5] * 8), (0.0, [0.5] * 8)], "samples: time_s = 0 does not come after 0"),
+        ([(0.0, [3e4] * 8)], "looks like a converter's counts"),
+    ],
+)
+def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: list[Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        list(predict_live(subject, samples))
+    assert message in str(caught.value)
 
 
 def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
