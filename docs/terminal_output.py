@@ -1,6 +1,6 @@
 """Write what the commands of tutorials print below them, as blocks of the language `output`.
 
-    python docs/terminal_output.py docs/tutorials/prototype.md ...
+    python docs/terminal_output.py docs/tutorials/tradeoff.md ...
 
 Each page is followed in a folder of its own with the photons that it names, as the tests follow it
 with few. Warnings and progress, which go to standard error, are left out.

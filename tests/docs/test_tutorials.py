@@ -1,7 +1,7 @@
-"""Every tutorial does what it says: its files are written, its commands and its Python run, with few photons.
+"""Every tutorial that is no notebook does what it says: its files are written, its commands and its Python run.
 
-The slow tests take shipped scenes as they are, and more photons, and do all ten; the others take scenes that were made
-small.
+With few photons; the slow tests take shipped scenes as they are, and more photons, the others scenes that were made
+small. Notebooks run when the pages are built, in test_pages.py.
 """
 
 import json
@@ -23,17 +23,13 @@ from nailoptics.scene import files
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-# Those that are notebooks run when the pages are built, in test_pages.py.
+NOTEBOOK = "---\nfile_format: mystnb\n"
 PAGES = sorted(
     page
     for page in (DOCS / "tutorials").glob("*.md")
-    if "toctree" not in (text := page.read_text()) and "mystnb" not in text
+    if page.stem != "index" and not page.read_text(encoding="utf-8").startswith(NOTEBOOK)
 )
 FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
-# Which take half a minute and more of processor time however small they are: a fit of a person, a search of a board.
-TOO_SLOW = {"force", "kicad"}
-# Which take several seconds however small.
-LONG = {"cluster", "colour", "oximetry", "taylor", "tradeoff"}
 # Which have photons of their own that --photons does not decide, and many pictures: the slow tests take and draw them.
 MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
@@ -43,9 +39,9 @@ FEW = {
     "model_error.paired.PLANNED_SHARE": 0,
 }
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
-PHOTONS = {"force": 200_000, "tradeoff": 0, "oximetry": 30_000, "taylor": 100_000}
+PHOTONS = {"tradeoff": 0, "oximetry": 30_000}
 # Where few photons decide less than many do.
-CODES = {"kicad": {0, 3}, "tradeoff": {0, 3}, "taylor": {0, 3, 4}}
+CODES = {"tradeoff": {0, 3}}
 # What makes a shipped scene small: one element of each array.
 SMALLER = {r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]"}
 OWN_LIMITS = {"--relative-error", "--photons", "--max-seconds"}
@@ -94,8 +90,7 @@ def follow(page: Path, photons: int, capsys: pytest.CaptureFixture[str]) -> None
                 assert program == "nailoptics", line
                 assert run(with_few_photons(command, photons)) in codes, (line, capsys.readouterr().err)
         elif language == "python":
-            less = re.sub(r"photons, seeds = 100_000, range\(8\)", "photons, seeds = 20_000, range(4)", text)
-            exec(compile(less, str(page), "exec"), names)
+            exec(compile(text, str(page), "exec"), names)
         printed = capsys.readouterr().out
 
 
@@ -139,15 +134,9 @@ def listed_as_written(folder: Path) -> None:
             assert known is not None and known == words | {"units": known["units"] and words["units"]}, (name, variable)
 
 
+@pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, id=page.stem, marks=[pytest.mark.long] if page.stem in LONG else [])
-        for page in PAGES
-        if page.stem not in TOO_SLOW
-    ],
-)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 def test_a_tutorial_does_what_it_says(page, folder, small, jit_backend, capsys, monkeypatch):
     if page.stem in MANY:
@@ -165,12 +154,30 @@ def test_a_tutorial_does_what_it_says_with_the_shipped_scenes(page, folder, jit_
     listed_as_written(folder)
 
 
+@pytest.mark.jit
+def test_what_simulate_and_compare_write_has_the_variables_that_the_page_lists(folder, small, jit_backend):
+    for command in ("simulate", "compare"):
+        assert run([command, "prototype", "-o", command, "--photons", "20000"]) == 0
+    listed_as_written(folder)
+
+
+@pytest.mark.slow
+@pytest.mark.jit
+def test_what_place_and_predict_write_has_the_variables_that_the_page_lists(folder, jit_backend):
+    few = ["--photons", "100000"]
+    assert run(["place", "placement", "-o", "placed", *few]) in {0, 3}
+    assert run(["simulate", "calibration", "--recording", "known.csv", "-o", "known", *few]) == 0
+    assert run(["calibrate", "calibration", "known.csv", "-o", "me.toml", *few]) == 0
+    assert run(["predict", "me.toml", "known.csv", "-o", "predicted"]) == 0
+    listed_as_written(folder)
+
+
 def test_every_command_that_a_page_types_exists():
     """Of all pages and the README: the command and its options are known; users' files need not be there."""
     known = {name for name in app if not name.startswith("-")}
     typed = 0
     for page in [ROOT / "README.md", *DOCS.rglob("*.md")]:
-        fenced = "".join(re.findall(r"^```\w*\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S))
+        fenced = "".join(re.findall(r"^```.*?\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S))
         for line in re.findall(r"^(?:\.venv/bin/)?nailoptics (.*)$", fenced, re.M):
             command, *words = shlex.split(line, comments=True)
             if command in known:
@@ -179,5 +186,5 @@ def test_every_command_that_a_page_types_exists():
                 assert given <= options | {"-o"}, (page.name, line)
                 typed += 1
             else:
-                assert command == "--version", (page.name, line)
+                assert command in ("--version", "--install-completion"), (page.name, line)
     assert typed > 25 and nailoptics.__version__
