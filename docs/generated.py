@@ -387,7 +387,7 @@ def _compared(one: Mapping[str, Any]) -> str:
 
 def force() -> str:
     """How well force is estimated of virtual people: medians over each simulator's, with the best and the worst."""
-    numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "covered", "half_width_n")
+    numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
     people = json.loads((HERE / "force_benchmark.json").read_text(encoding="utf-8"))["people"]
     head = [
         "virtual people of",
@@ -397,6 +397,7 @@ def force() -> str:
         "filter",
         "cubic",
         "components",
+        "sigmoid",
         "covered",
     ]
     rows = [f"| {' | '.join([*head, 'half width'])} |", "|" + "---|" * (len(head) + 1)]
@@ -406,7 +407,7 @@ def force() -> str:
         median = {name: statistics.median(one[name] for one in of_group) for name in numbers}
         errors = sorted(one["rms_n"] for one in of_group)
         ends = f"{1e3 * errors[0]:.0f}, {1e3 * errors[-1]:.0f}"
-        error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:4])
+        error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:5])
         cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}"]
         simulator = f"{group[0]} ({len(of_group)})"
         rows.append(f"| {' | '.join([simulator, group[1], error, ends, *cells])} |")

@@ -70,7 +70,7 @@ DIFFERENCES: dict[str, Callable[[Scene, Scene], dict[str, Any]]] = {
 class Score:
     """How well one person's touches of one kind on one side were told.
 
-    rms_n : over touches; filter_n, cubic_n, components_n : of the filter alone and of the baselines. [N]
+    rms_n : over touches; filter_n, cubic_n, components_n, sigmoid_n : of the filter alone and of the baselines. [N]
     covered : part of the touches' samples below closure that the interval covers.
     half_width_n : median of the interval over these. [N]
     open_above : part of samples above closure whose interval is open; NaN where there are none.
@@ -84,6 +84,7 @@ class Score:
     filter_n: float
     cubic_n: float
     components_n: float
+    sigmoid_n: float
     covered: float
     half_width_n: float
     open_above: float
@@ -172,7 +173,7 @@ def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site)
     inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
     is_open = np.isinf(told.force_high_n.values)
     half_n = 0.5 * (told.force_high_n.values - told.force_low_n.values)
-    names = ("force_n", *(f"force_{name}_n" for name in ("filter", "cubic", "components")))
+    names = ("force_n", *(f"force_{name}_n" for name in ("filter", "cubic", "components", "sigmoid")))
     return Score(
         person.name,
         site,

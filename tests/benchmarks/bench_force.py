@@ -75,22 +75,22 @@ GOALS = (
     "covered 0.90 to 0.98, each at least 0.85, half width at most twice the rms",
 )
 HEADER = (
-    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'filter':>7} {'cubic':>7} {'components':>10} "
+    f"{'person':<10} {'side':<9} {'kind':<6} {'rms':>7} {'filter':>7} {'cubic':>7} {'components':>10} {'sigmoid':>8} "
     f"{'covered':>8} {'+-':>6} {'open':>6}"
 )
 
 
 def row(one: Score) -> tuple[float, ...]:
     """The numbers of one line of the table."""
-    errors_n = one.rms_n, one.filter_n, one.cubic_n, one.components_n
+    errors_n = one.rms_n, one.filter_n, one.cubic_n, one.components_n, one.sigmoid_n
     return *errors_n, one.covered, one.half_width_n, one.open_above
 
 
 def line(who: str, site: str, kind: str, numbers: Iterable[float]) -> str:
     """One line of the table."""
-    rms, by_filter, cubic, components, covered, half_width, is_open = numbers
+    rms, by_filter, cubic, components, sigmoid, covered, half_width, is_open = numbers
     return (
-        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {by_filter:7.3f} {cubic:7.3f} {components:10.3f} "
+        f"{who:<10} {site:<9} {kind:<6} {rms:7.3f} {by_filter:7.3f} {cubic:7.3f} {components:10.3f} {sigmoid:8.3f} "
         f"{covered:8.3f} {half_width:6.3f} {is_open:6.2f}"
     ).replace("nan", "  -")
 
@@ -257,7 +257,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
     finally:
         print("\n".join(bench.table()), flush=True)
         if given.json:
-            names = ("rms_n", "filter_n", "cubic_n", "components_n", "covered", "half_width_n")
+            names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
             rows = [
                 {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
                 for (name, site, kind), one in bench.scores.items()

@@ -342,7 +342,7 @@ def score(folder: Path, recording: Recording) -> dict[str, float]:
 
     return {
         "rms_n": over((estimate - force) ** 2, np.mean) ** 0.5,
-        **{f"{name}_n": told["baseline_rms_n"][name] for name in ("filter", "cubic", "components")},
+        **{f"{name}_n": told["baseline_rms_n"][name] for name in ("filter", "cubic", "components", "sigmoid")},
         "covered": over(inside, np.mean),
         "half_width_n": over(0.5 * (high - low), np.median),
         "open": over(np.isinf(high), np.mean),
