@@ -114,9 +114,9 @@ def tiles(
 @drawing()
 def beside_models(
     x: np.ndarray,
-    traced: Sequence[np.ndarray],
-    stderr: Sequence[np.ndarray],
-    models: Mapping[str, tuple[Sequence[np.ndarray], dict[str, Any]]],
+    traced: np.ndarray,
+    stderr: np.ndarray,
+    models: Mapping[str, tuple[np.ndarray, dict[str, Any]]],
     *,
     named: Mapping[str, str],
     xlabel: str,
@@ -124,7 +124,7 @@ def beside_models(
 ) -> "Figure":
     """A panel for each photodiode: its traced course, wide and with its 95 % interval, beside those of models.
 
-    traced, stderr : (n,) float of each photodiode.
+    traced, stderr : (photodiodes, n) float.
     models : the same of each model and its look, by its label.
     named : name of each photodiode and its colour.
     """

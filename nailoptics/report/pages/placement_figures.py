@@ -137,7 +137,8 @@ def _draw_sites(axes: "Axes", result: xr.Dataset, led: str) -> None:
         # The finest is drawn last, over the others.
         at = at[np.argsort(-resolution_mn[at])]
         look: dict[str, Any] = {"cmap": "viridis_r", "norm": norm, "edgecolors": style.MUTED, "linewidths": 0.4}
-        image = axes.scatter(*(place[at] + aside).T, 24, resolution_mn[at], mark, **look)
+        u_mm, v_mm = (place[at] + aside).T
+        image = axes.scatter(u_mm, v_mm, s=24, c=resolution_mn[at], marker=mark, **look)
     bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, format="{x:g}")
     bar.ax.yaxis.set_minor_formatter("{x:g}")
     axes.set_title("LEDs tried [mN]")
