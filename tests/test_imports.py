@@ -251,6 +251,7 @@ THEIRS |= {
     "contact_sheet.png",
     "_fig10.png",
     "hemodynamics_NAME_fig2.png",
+    "hemodynamics_NAME_fig15_to_18.png",
 }
 
 

@@ -13,7 +13,7 @@ from ... import hemodynamics, tissue
 from ...io import make_folder
 from ...light import backend as backends
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
-from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press, subject_force
+from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press
 from ...paper.responses import PeopleReadings, Responses, simulate_responses
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
@@ -100,30 +100,25 @@ def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
 
 @style.drawing()
 def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
-    """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15 to 18.
+    """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15_to_18.
 
     directory : Where they go; made if it is not there.
     name : Of the set, for titles and file names.
     """
     make_folder(Path(directory))
     figures = {
-        "10": ("vessels under steps of proximal pressure", lambda: _figure_10(responses)),
-        "11": ("readings under steps of both pressures", lambda: _figure_11(responses)),
-        "12": ("steady readings, each against the pressure on its own side", lambda: _figure_12(responses)),
-        "15": ("proximal reading, force on the proximal pulp", lambda: _cycle(responses, 0)),
-        "16": ("proximal reading, force on the proximal pulp", lambda: _press(responses, 0)),
-        "17": ("distal reading, force on the distal pulp", lambda: _cycle(responses, 1)),
-        "18": ("distal reading, force on the distal pulp", lambda: _press(responses, 1)),
+        "10": ("Fig. 10: vessels under steps of proximal pressure", _figure_10),
+        "11": ("Fig. 11: readings under steps of both pressures", _figure_11),
+        "12": ("Fig. 12: steady readings, each against the pressure on its own side", _figure_12),
+        "15_to_18": ("Figs. 15 to 18: reading under a force on its own side", _touches),
     }
     paths = []
     for number, (title, drawn) in figures.items():
-        if not is_shown_by(name, number):
-            continue
-        figure = drawn()
-        text = f"Fig. {number}: {title} (set “{name}”)"
-        figure.suptitle(text, x=0.02, ha="left", fontsize=11, fontweight="bold")
-        paths.append(Path(directory, f"hemodynamics_{name}_fig{number}.png"))
-        style.write_figure(figure, paths[-1])
+        if is_shown_by(name, number[:2]):
+            figure = drawn(responses)
+            figure.suptitle(f"{title} (set “{name}”)", x=0.02, ha="left", fontsize=11, fontweight="bold")
+            paths.append(Path(directory, f"hemodynamics_{name}_fig{number}.png"))
+            style.write_figure(figure, paths[-1])
     return paths
 
 
@@ -175,36 +170,32 @@ def _figure_12(r: Responses) -> "Figure":
     return figure
 
 
-def _cycle(r: Responses, side: int) -> "Figure":
-    """One reading over a cycle of force on its own side: loading and unloading."""
-    figure, axis = style.panels(6.5, 4.2)
-    axis.axvline(1.0, **_VEINS_SHUT)
-    for branch, line, label in zip(r.cycle[side], ("-", "--"), ("loading", "unloading"), strict=True):
-        axis.plot(CURVE_PA / N_PER_CM2, branch, color=style.ZONES[side], ls=line, label=label)
-    gap = np.abs(np.diff(r.cycle[side], axis=0)).max() / np.ptp(r.cycle[side])
-    style.remark(axis, f"hysteresis {gap:.1%} of the range")
-    axis.set(title="Static: 0 to 2 N at 0.05 Hz, mean of three cycles", xlim=(0.0, 2.0))
-    axis.set(xlabel=f"force on 1 cm² of the {_SIDES[side]} pulp [N]", ylabel=_READING)
-    axis.legend()
+def _touches(r: Responses) -> "Figure":
+    """Both readings over a cycle of force, loading and unloading, and over the subjects' step of force."""
+    figure, axes = _touch_panels()
+    for (side, over_time), axis in np.ndenumerate(axes):
+        colour = style.ZONES[side]
+        if over_time:
+            axis.plot(_TIME_S, np.concatenate([r.press_on[side], r.press_off[side]], axis=-1), color=colour)
+        else:
+            loading, unloading = r.cycle[side]
+            axis.plot(CURVE_PA / N_PER_CM2, loading, color=colour, label="loading")
+            axis.plot(CURVE_PA / N_PER_CM2, unloading, color=colour, ls="--", label="unloading")
+            gap = np.abs(unloading - loading).max() / np.ptp(r.cycle[side])
+            axis.legend(title=f"hysteresis {gap:.1%} of the range")
+        axis.set_ylabel(_READING)
     return figure
 
 
-def _press(r: Responses, side: int) -> "Figure":
-    """One reading over time, with the subjects' force on its own side."""
-    figure, axis = style.panels(6.5, 4.2)
-    force_n = np.concatenate([subject_force(PHASE_S), subject_force(ON_S + PHASE_S)])
-    reading = np.concatenate([r.press_on[side], r.press_off[side]], axis=-1)
-    axis.plot(_TIME_S, reading, color=style.ZONES[side], label="reading")
-    axis.plot([], [], color=style.INK, lw=1.0, ls=":", label="force")
-    axis.set(title="Dynamic", xlabel="time [s]", ylabel=_READING, xlim=(_TIME_S[0], _TIME_S[-1]))
-    beside = axis.twinx()
-    beside.plot(_TIME_S, force_n, color=style.INK, lw=1.0, ls=":")
-    beside.set(ylabel=f"force on 1 cm² of the {_SIDES[side]} pulp [N]")
-    beside.set(ylim=(0.0, 1.25 * float(np.max(force_n))))
-    beside.grid(False)
-    beside.spines["right"].set_visible(True)
-    axis.legend()
-    return figure
+def _touch_panels() -> "tuple[Figure, Any]":
+    """Panels for Figs. 15 to 18: a side in each row, over force and over time."""
+    figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
+    for (side, over_time), axis in np.ndenumerate(axes):
+        axis.axvline(ON_S if over_time else 1.0, **_VEINS_SHUT)
+        touch = f"1 N until {ON_S:g} s" if over_time else "mean of three cycles"
+        axis.set_title(f"Fig. {15 + 2 * side + over_time}: force on the {_SIDES[side]} pulp, {touch}")
+        axis.set_xlabel("time [s]" if over_time else "force [N]")
+    return figure, axes
 
 
 @style.drawing()
@@ -214,7 +205,7 @@ def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scen
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
 
-    figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
+    figure, axes = _touch_panels()
     melanin = [scene.finger.melanin_fraction for scene in scenes if scene.finger]
     norm, skins = LogNorm(min(melanin), max(melanin)), colormaps["copper_r"]
     static = CURVE_PA / N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
@@ -228,10 +219,7 @@ def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scen
         axis.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0, label="± standard deviation")
         axis.plot(x, mean, color=colour, lw=2.4, label="mean")
         axis.plot(x, fit, color=style.INK, lw=1.2, ls="--", label="Taylor (9), fitted to each, mean")
-        axis.axvline(ON_S if column else 1.0, **_VEINS_SHUT)
-        touch = f"1 N until {ON_S:g} s" if column else "mean of three cycles"
-        axis.set(title=f"Fig. {15 + 2 * side + column}: force on the {_SIDES[side]} pulp, {touch}", xlim=(x[0], x[-1]))
-        axis.set(xlabel="time [s]" if column else "force [N]", ylabel=f"change of the {_SIDES[side]} reading [%]")
+        axis.set_ylabel(f"change of the {_SIDES[side]} reading [%]")
     axes[0, 0].legend()
     figure.colorbar(ScalarMappable(norm, skins), ax=axes, pad=0.02, label="melanin of the epidermis [1]")
     path = directory / "people_fig15_to_18.png"
