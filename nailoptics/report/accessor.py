@@ -44,6 +44,9 @@ KINDS = {
 class Page(Html):
     """A page as text, which a notebook shows below the cell."""
 
+    def __repr__(self) -> str:
+        return f"<Page: {len(self)} characters>"
+
     def _repr_html_(self) -> str:
         return f'<iframe srcdoc="{html.escape(self)}" width="100%" height="700" style="border: 0"></iframe>'
 

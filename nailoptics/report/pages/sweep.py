@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from ...batch import write_table
-from ...errors import InputError
 from ...io import write_text
 from .. import style
 from ..files import Report, run_summary
@@ -98,11 +97,8 @@ def _varied(results: xr.Dataset) -> list[str]:
 
 
 def _along_axis(results: xr.Dataset, axis: str = "") -> "Figure":
-    """Readings over one axis, the first if none is named; raises InputError where there is nothing to plot."""
-    axes, quantity = [axis] if axis else _varied(results), _quantity(results)
-    if not axes or quantity is None or axes[0] not in axes_of(results):
-        raise InputError(f'axis = "{axis}": nothing to plot; choose an axis from {", ".join(axes_of(results))}.')
-    return _along(results, quantity, axes[0])
+    """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
+    return _along(results, str(_quantity(results)), axis or _varied(results)[0])
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
