@@ -4,7 +4,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, model_validator
@@ -370,25 +369,18 @@ class Scene(Displayed, Table):
         return self
 
     @classmethod
-    def from_kicad(
-        cls,
-        path: str | Path,
-        parts: Mapping[str, Any] | None = None,
-        *,
-        board: Mapping[str, Any] = MappingProxyType({}),
-        **tables: Any,
-    ) -> Self:
+    def from_kicad(cls, path: str | Path, parts: Mapping[str, Any] | None = None, **tables: Any) -> Self:
         """The scene of a KiCad board on a nail, its outline and the positions of its parts included.
 
         parts : what the board's references are, such as {"D1": {"led": "led_800"}, "U2": {"photodiode": "bpw34"}};
             without it the error proposes them.
-        board : further fields of [board], such as {"faces_nail": "bottom"}.
-        tables : further tables of the scene, such as touch={"force_n": 2.0}; an index finger if finger is not given.
+        tables : further tables of the scene, such as touch={"force_n": 2.0}, and further fields of its board; an index
+            finger if finger is not given.
 
         Raises: InputError.
         """
-        file = {"kicad": str(path)} | ({} if parts is None else {"parts": dict(parts)})
-        return cls(**{"finger": {}, "board": file | dict(board)} | tables)
+        board = {"kicad": str(path), "parts": parts} | tables.pop("board", {})
+        return cls(**{"finger": {}, "board": board} | tables)
 
     def with_(self, **changes: Any) -> Self:
         """The scene with other values at dotted paths, as of a sweep's axes: with_(**{"blood.so2": 0.9}).

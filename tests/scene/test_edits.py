@@ -125,11 +125,11 @@ def test_a_scene_says_what_it_holds_in_a_line_and_draws_itself(scene):
     top, cut = scene.draw().axes
     assert {"LED ir, 800 nm", "distal.9"} <= {text.get_text() for text in top.texts} and len(cut.images) == 1
     html = scene._repr_html_()
-    assert html.startswith("&lt;Scene: index;") and 'src="data:image/png;base64,' in html
+    assert html.startswith("<pre>&lt;Scene: index;") and 'src="data:image/png;base64,' in html
 
 
 def test_a_phantom_has_no_board_to_draw():
     phantom = nail.load_scene("phantom")
     with pytest.raises(nail.InputError, match="phantom has no board to draw"):
         phantom.draw()
-    assert phantom._repr_html_().startswith("&lt;Scene: phantom;") and "img" not in phantom._repr_html_()
+    assert phantom._repr_html_().startswith("<pre>&lt;Scene: phantom;") and "img" not in phantom._repr_html_()

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...commit import code_attributes
 from ...errors import InputError
@@ -105,19 +105,19 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     check_known(reading_columns(header), subject.light.names, STDIN)
     columns = {name: header.index(name) for name in ("time_s", *subject.light.names)}
     yield ",".join(CSV_COLUMNS)
-    for force in _estimates(subject, _samples(rows, columns), STDIN):
+    for force in predict_live(subject, _samples(rows, columns)):
         yield _csv_row(*force)
 
 
-def _samples(rows: Iterable[tuple[int, str]], columns: dict[str, int]) -> Iterator[tuple[float, Array]]:
+def _samples(rows: Iterable[tuple[int, str]], columns: dict[str, int]) -> Iterator[tuple[float, dict[str, float]]]:
     """Times and volts of numbered lines, until one that ends in its midst."""
     for number, line in rows:
         cells = _cells(line)
         if len(cells) <= max(columns.values()) and not line.endswith("\n"):
             return
         _, sample = number_columns(iter([(number, cells)]), columns, STDIN)
-        (time_s,) = sample.pop("time_s").tolist()
-        yield time_s, np.concatenate(list(sample.values()))
+        time_s, *volts = (float(column[0]) for column in sample.values())
+        yield time_s, dict(zip(list(sample)[1:], volts, strict=True))
 
 
 class LiveForce(NamedTuple):
@@ -134,49 +134,26 @@ class LiveForce(NamedTuple):
 
 
 def predict_live(
-    subject: Subject | xr.Dataset | str | Path, samples: Iterable[tuple[float, Mapping[str, float] | ArrayLike]]
+    subject: Subject | xr.Dataset | str | Path, samples: Iterable[tuple[float, Mapping[str, float]]]
 ) -> Iterator[LiveForce]:
     """Force of samples that come one by one: each is answered before the next is taken.
 
     subject : as for `predict`.
-    samples : time [s] and volts of each reading, by its name, or all in the order of the subject's file; NaN is a gap.
-        Times rise, the finger is untouched at first, and again after a gap of 5 s.
+    samples : time [s] and volts of each reading by its name; NaN is a gap. Times rise; the finger is untouched at
+        first, and again after a gap of 5 s.
 
     Raises: InputError for volts of other readings, or times out of order.
     """
-    subject = _subject(subject)
-    names = subject.light.names
-
-    def ordered() -> Iterator[tuple[float, Array]]:
-        for time_s, volts in samples:
-            if isinstance(volts, Mapping):
-                check_known([*volts], names, "samples")
-                volts = [volts[name] for name in names]
-            try:
-                row = np.array(volts, dtype=float)
-            except (TypeError, ValueError):
-                row = np.empty(0)
-            if row.shape != (len(names),):
-                raise InputError(f"samples: {volts!r} are no volts of this subject's readings, {', '.join(names)}.")
-            yield float(time_s), row
-
-    return _estimates(subject, ordered(), "samples")
-
-
-def _subject(given: Subject | xr.Dataset | str | Path) -> Subject:
-    if isinstance(given, xr.Dataset):
-        return parse_subject(given.attrs["subject"])
-    return given if isinstance(given, Subject) else load_subject(given)
-
-
-def _estimates(subject: Subject, samples: Iterable[tuple[float, Array]], name: str) -> Iterator[LiveForce]:
-    """The force of each sample; name : what messages call them."""
-    kalman, estimator, last_s = KalmanFilter(subject), ForceEstimator(subject), None
-    for time_s, volts in samples:
+    subject, last_s = _subject(subject), None
+    kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
+    for time_s, by_name in samples:
+        where = f"sample at time_s = {time_s:.15g}"
+        check_known([*by_name], names, where)
+        volts = np.array([by_name[name] for name in names], float)
         if last_s is not None and time_s <= last_s:
-            raise InputError(f"{name}: time_s = {time_s:.15g} does not come after {last_s:.15g}; times must rise.")
+            raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
         if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
-            raise InputError(f"{name}: time_s = {time_s:.15g} looks like a converter's counts; convert it to volts.")
+            raise InputError(f"{where} looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
@@ -184,6 +161,12 @@ def _estimates(subject: Subject, samples: Iterable[tuple[float, Array]], name: s
         last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
         columns = (float(column[0]) for column in force[: len(FORCE_COLUMNS)])
         yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
+
+
+def _subject(given: Subject | xr.Dataset | str | Path) -> Subject:
+    if isinstance(given, xr.Dataset):
+        return parse_subject(given.attrs["subject"])
+    return given if isinstance(given, Subject) else load_subject(given)
 
 
 def _cells(line: str) -> list[str]:

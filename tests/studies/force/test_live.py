@@ -50,30 +50,30 @@ def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder
 
 
 def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
-    """By name or in the subject's order, with gaps; from the file of a subject, too."""
+    """Expected: with gaps, too, the forces of `predict`; no sample is taken before the one before it is answered."""
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
     recording.volts[3, 5] = np.nan
-    volts = recording.volts.T[:12]
-    given = iter(
-        zip(recording.time_s.tolist(), (dict(zip(NAMES, row.tolist(), strict=True)) for row in volts), strict=False)
-    )
+    volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T[:12].tolist()]
+    given = iter(zip(recording.time_s.tolist(), volts, strict=False))
     forces = predict_live(subject, given)
     first = next(forces)
-    assert first.time_s == recording.time_s[0] and next(given)[0] == recording.time_s[1]  # no other was taken yet
-    by_row = [*predict_live(subject, zip(recording.time_s, volts, strict=False))]
+    assert first.time_s == recording.time_s[0] and next(given)[0] == recording.time_s[1]
+    found = [*predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
     known = predict(subject, recording).isel(time=slice(12))
     for name in ("force_n", "force_low_n", "force_high_n", "proximal_share"):
-        assert [getattr(one, name) for one in by_row] == pytest.approx(known[name].values)
+        assert [getattr(one, name) for one in found] == pytest.approx(known[name].values)
+
+
+RIGHT = dict.fromkeys(NAMES, 0.5)
 
 
 @pytest.mark.parametrize(
     ("samples", "message"),
     [
-        ([(0.0, [0.5])], "[0.5] are no volts of this subject's readings, proximal.6"),
-        ([(0.0, ["x"] * 8)], "are no volts of this subject's readings"),
-        ([(0.0, {"other": 0.5})], "samples: has no column 'proximal.6'"),
-        ([(0.0, [0.5] * 8), (0.0, [0.5] * 8)], "samples: time_s = 0 does not come after 0"),
-        ([(0.0, [3e4] * 8)], "looks like a converter's counts"),
+        ([(0.0, {"other": 0.5})], "sample at time_s = 0: has no column 'proximal.6'"),
+        ([(0.0, RIGHT | {"other": 0.5})], "column 'other' is no reading of this board"),
+        ([(0.0, RIGHT), (0.0, RIGHT)], "time_s = 0 does not come after 0"),
+        ([(0.0, dict.fromkeys(NAMES, 3e4))], "looks like a converter's counts"),
     ],
 )
 def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: list[Any], message: str) -> None:
