@@ -4,7 +4,7 @@ from .blood import blood_fraction, saturation, saturation_over_time, white_band_
 from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .respond import respond
-from .steady import SteadyState, arterial_gain_m_per_pa, steady_state
+from .steady import SteadyState, steady_state
 from .touch import Contact, creeping_pressure, spreading_pressure
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .zones import PAPER_ZONES, Zones, with_shear, zones_between

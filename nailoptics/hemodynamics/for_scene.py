@@ -18,7 +18,9 @@ from ..variables import described, precision
 from .blood import Arterioles, arterioles_of
 from .parameters import posture_pa, vessels, with_posture
 from .respond import Model
+from .steady import linear_response
 from .touch import TouchCourse, touch_course
+from .walls import build_walls
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
 
@@ -132,7 +134,9 @@ class BloodModel:
         """
         model, p = self.without_shear(), self.parameters
         pressure_pa = np.array(model.touch.sides_pa(force_n))
-        gain = hemodynamics.arterial_gain_m_per_pa(p, frequency_hz, pressure_pa=pressure_pa, zones=model.zones)
+        outside_pa = model.zones.on_walls(pressure_pa[:, None])
+        ends_pa = np.array([p.arterial_pressure_pa]), np.array([p.venous_pressure_pa])
+        gain = linear_response(build_walls(p, model.zones), np.asarray(frequency_hz), outside_pa, *ends_pa)[:-1]
         state = hemodynamics.steady_state(p, pressure_pa=pressure_pa[:, None], zones=model.zones)
         # Blood of capillaries goes with the square of the diameter; venules, shut here, stay as they are.
         capillary = model.fraction(state.capillary_diameter_m, np.inf)
@@ -140,7 +144,7 @@ class BloodModel:
         if (small := model.arterioles) is not None:
             # All that is slower than a beat has the height in arterioles that it has in P_H.
             beats = np.asarray(frequency_hz) > 0.99 * heart_rate_per_min(self.body) / 60.0
-            transmural_pa = p.arterial_pressure_pa - model.zones.on_walls(pressure_pa[:, None])[:-1]
+            transmural_pa = p.arterial_pressure_pa - outside_pa[:-1]
             change = change + small.compliance_per_pa(transmural_pa) * np.where(beats, small.pulse_ratio, 1.0)
         return change
 

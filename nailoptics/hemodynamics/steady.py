@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Literal, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..checks import Array, finite
 from ..errors import InputError
@@ -86,37 +85,16 @@ def steady_state(
     )
 
 
-def arterial_gain_m_per_pa(
-    parameters: Parameters, frequency_hz: ArrayLike, *, pressure_pa: ArrayLike, zones: Zones = PAPER_ZONES
-) -> np.ndarray:
-    """Change of every capillary unit's diameter with a small wave of P_H while a touch is held, (N, F) complex. [m/Pa]
-
-    frequency_hz : (F,) float, above 0. The slowest waves have the steady states' own change. [Hz]
-    pressure_pa : (M,) float. The touch pressures that are held; at P_H of the parameters. [Pa]
-    zones : Units along the nail and the reach of each pressure.
-
-    The absolute value is the amplitude of a unit's diameter over that of the wave, the angle its phase. The massless
-    network, linearised where it rests: a wall that touches does not move.
-
-    Raises: InputError for a frequency that is not positive and finite.
-    """
-    frequency = np.atleast_1d(finite("frequency_hz", frequency_hz))
-    if np.any(frequency <= 0.0):
-        raise InputError(
-            f"frequency_hz must be above 0, got {frequency.min():g}; take steady_state for a pressure held."
-        )
-    outside = zones.on_walls(np.asarray(pressure_pa, dtype=float)[:, None])
-    ends = np.array([parameters.arterial_pressure_pa]), np.array([parameters.venous_pressure_pa])
-    return linear_response(build_walls(parameters, zones), frequency, outside, *ends)[:-1]
-
-
 def linear_response(
     walls: Walls, frequency_hz: np.ndarray, outside_pa: np.ndarray, high_pa: np.ndarray, low_pa: np.ndarray
 ) -> np.ndarray:
-    """Change of the diameter of every wall with a small wave of P_H, (N+1, F) complex. [m/Pa]
+    """Change of the diameter of every wall with a small wave of P_H while a touch is held, (N+1, F) complex. [m/Pa]
 
     frequency_hz : (F,) float; 0 is a change that is held. outside_pa : (N+1, 1) float. Touch pressure on each wall.
     high_pa, low_pa : (1,) float. P_H and P_L.
+
+    The absolute value is the amplitude of a diameter over that of the wave, the angle its phase. The massless network,
+    linearised where it rests: a wall that touches does not move.
     """
     width, pressure = solve_walls(walls, outside_pa, high_pa, low_pa)
     free = np.where(width > walls.with_axes(2).closed * (1.0 + 1e-9), 1.0, 0.0)
