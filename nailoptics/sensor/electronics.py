@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias, TypedDict, Unpack
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,17 +23,6 @@ E24 = np.array([10, 11, 12, 13, 15, 16, 18, 20, 22, 24, 27, 30, 33, 36, 39, 43, 
 MOST_OHM = 22e6
 # A recorded reading of so much of the converter's range is at its limit: its last codes cannot be distinguished.
 RECORDED_LIMIT = 0.998
-
-
-class Stage(TypedDict, total=False):
-    """What a photodiode's stage has beside the LED's light, numbers or arrays that broadcast with it.
-
-    ambient_a : photocurrent by light from outside; 0 if not given. [A]
-    feedback_ohm : feedback resistance; the photodiode's own if not given. [ohm]
-    """
-
-    ambient_a: ArrayLike
-    feedback_ohm: Ohm
 
 
 class NoiseBudget(NamedTuple):
@@ -217,22 +206,25 @@ def read(
     led: Led,
     photodiode: Photodiodes,
     amplifier: Electronics,
-    **stage: Unpack[Stage],
+    *,
+    ambient_a: ArrayLike = 0.0,
+    feedback_ohm: Ohm = None,
 ) -> Output:
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
     detected_fraction : array. Part of the LED's light that the photodiode detects.
     photodiode : or several, along the last axis.
     amplifier : The stage and its converter, a scene's `[electronics]`.
+    ambient_a : photocurrent by light from outside; as feedback_ohm a number or an array that broadcasts. [A]
+    feedback_ohm : feedback resistance; the photodiode's own if not given. [ohm]
 
     A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
     bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
 
     Raises: InputError for a fraction or a current that is negative or not finite.
     """
-    given_ohm, lit_a = stage.get("feedback_ohm"), photocurrent_a(detected_fraction, led, photodiode)
-    ohm = stage_ohm(photodiode, amplifier) if given_ohm is None else given_ohm
-    outside_a = not_negative("ambient_a", stage.get("ambient_a", 0.0))
+    lit_a, outside_a = photocurrent_a(detected_fraction, led, photodiode), not_negative("ambient_a", ambient_a)
+    ohm = stage_ohm(photodiode, amplifier) if feedback_ohm is None else feedback_ohm
     dark_a = _dark_a(photodiode, amplifier)
     amplified = np.asarray((lit_a + outside_a + dark_a) * ohm)
     volts, saturated = converted(amplified, amplifier)

@@ -10,7 +10,7 @@ still add up one by one.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +168,7 @@ def response(
     point: OperatingPoint,
     *,
     replicates: bool = False,
-    **stage: Unpack[electronics.Stage],
+    **stage: Any,
 ) -> Response:
     """What photodiodes read of an LED, from a photon map's means per emitted photon.
 
@@ -179,6 +179,7 @@ def response(
     photodiode : or several, (..., photodiodes, 4).
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
         the converter's limit counts with the probability of being below it, so that information has no jumps.
+    stage : ambient_a and feedback_ohm of `electronics.read`.
     """
     detected = np.maximum(values[..., 0], 0.0)
     source, amplifier = scene.leds[led], scene.electronics
