@@ -3,18 +3,17 @@
 import errno
 import json
 import logging
-import math
 import os
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
 from ..checks import explain
 from ..errors import InputError
@@ -77,15 +76,6 @@ class Plan(Table):
     required: tuple[Accuracy, ...]
     lights: int
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if not math.prod(self.dims.values()) == len(self.scenes) == len(self.required):
-            raise ValueError("its scenes do not fill its dims")
-        for axis in self.axes:
-            if len(axis.values) not in self.dims.values():
-                raise ValueError(f"its axis {axis.name} fits no dimension")
-        return self
-
 
 @dataclass(frozen=True)
 class Folder:
@@ -111,28 +101,24 @@ class Folder:
         """The plan of the last run; raises PlanError where there is none, InputError where it is not for this user."""
         path = self.root / "plan.json"
         try:
+            if not path.exists():
+                why = "is not a batch folder (it has no plan.json); give the folder of a batch."
+                raise PlanError(f"{self.root}: {why}")
             data = json.loads(path.read_text(encoding="utf-8"))
             if not isinstance(data, dict):
                 raise ValueError("it holds no table")
-            if data.get("format", FORMAT) != FORMAT:
-                raise InputError(
-                    f"{path}: has format {data['format']}, and {FORMAT} is known here: another nailoptics wrote it; "
-                    "use that one, or another folder."
-                )
+            if (made_in := data.get("format", FORMAT)) != FORMAT:
+                why = f"has format {made_in}, and {FORMAT} is known here: another nailoptics wrote it"
+                raise InputError(f"{path}: {why}; use that one, or another folder.")
             if "asked" in data:  # its name until 0.2.0
                 data["required"] = data.pop("asked")
             return Plan.model_validate_json(json.dumps(data))
-        except (FileNotFoundError, NotADirectoryError):
-            why = "is not a batch folder (it has no plan.json); give the folder of a batch."
-            raise PlanError(f"{self.root}: {why}") from None
         except PermissionError as error:
             line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
             raise InputError(line) from None
         except (OSError, ValueError, RecursionError) as error:
-            why = explain(error, Plan).args[0]
-            raise PlanError(
-                f"{path}: cannot be read ({why.rstrip('.')}); run the batch again to write it anew."
-            ) from None
+            why = explain(error, Plan).args[0].rstrip(".")
+            raise PlanError(f"{path}: cannot be read ({why}); run the batch again to write it anew.") from None
 
     def write_plan(self, plan: Plan) -> None:
         """Write the plan, whole or not at all."""
@@ -151,9 +137,7 @@ class Folder:
                 raise CorruptError("it belongs to another scene")
             if header["made"] != made.model_dump():
                 return "foreign", {}, xr.Dataset()
-            dataset = from_record(header, arrays)
-            _check(header, dataset)
-            return "done", header, dataset
+            return "done", header, from_record(header, arrays)
         except FileNotFoundError:
             pass
         except Exception as error:  # what is no result of ours fails in many ways
@@ -180,18 +164,6 @@ class Folder:
         """Record why a scene failed, and the lines of its traceback."""
         record = {"error": why, "traceback": details, "time": time.time()}
         write_bytes(self.failure(digest), json.dumps(record).encode(), flush=True)
-
-
-def _check(header: dict[str, Any], data: xr.Dataset) -> None:
-    """Raise ValueError, TypeError or KeyError where a file that is whole holds what no run writes."""
-    error = header["relative_error"]
-    if not math.isfinite(header["photons_per_led"]) or not (error is None or math.isfinite(error)):
-        raise ValueError("its photons or their error are not finite")
-    if not isinstance(header["reached"], bool) or not data.data_vars:
-        raise ValueError("it does not say whether it reached its accuracy, or holds no variable")
-    # NaN is neither.
-    if "detected_fraction_rest" in data and not bool((data.detected_fraction_rest >= 0.0).all()):
-        raise ValueError("detected_fraction_rest is negative or not a number")
 
 
 def meets(header: dict[str, Any], required: Accuracy) -> bool:

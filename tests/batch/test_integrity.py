@@ -95,7 +95,7 @@ def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, dam
 @pytest.mark.parametrize(
     "change",
     [
-        {"dims": {"x": 7}},
+        {"dims": {"x": "many"}},
         {"scenes": "abc"},
         {"made": {}},
         {"axes": [{"name": "x"}]},
@@ -153,35 +153,6 @@ def test_a_damaged_results_folder_is_reported_and_the_rest_goes_on(calm, used):
 
 def bits_of_files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in results_of(folder) if path.is_file()}
-
-
-def test_results_of_wrong_content_and_a_right_checksum_are_made_again(calm, used):
-    header, arrays = unpack(results_of(used)[0].read_bytes())
-    name = "detected_fraction_rest"
-    fraction, entry = arrays[name], header["variables"][name]
-    mutants = [
-        ({"photons_per_led": "many"}, {}),
-        ({"photons_per_led": None}, {}),
-        ({"relative_error": [1]}, {}),
-        ({"reached": "yes"}, {}),
-        ({"variables": {}}, {}),
-        ({"variables": [name]}, {}),
-        ({"attrs": None}, {}),
-        ({"variables": header["variables"] | {name: {"dims": entry["dims"]}}}, {}),
-        ({"variables": header["variables"] | {name: entry | {"dims": ["led"]}}}, {}),
-        ({}, {name: np.full_like(fraction, np.nan)}),
-        ({}, {name: -fraction}),
-        ({}, {name: np.zeros((1, 7))}),
-        ({}, {"energy": np.zeros(1)}),
-    ]
-    for path, (about, others) in zip(results_of(used), mutants, strict=False):
-        old, whole = unpack(path.read_bytes())
-        path.write_bytes(pack(old | about, whole | others))
-    assert (status(used).corrupt, status(used).done) == (len(mutants), 30 - len(mutants))
-    assert sorted(nail.open_results(used).state.values)[: len(mutants)] == ["corrupt"] * len(mutants)
-    outcome, said = again(calm, used)
-    assert len(outcome.corrupt) == len(mutants) == sum("damaged" in line for line in said)
-    assert bits(used) == calm.bits
 
 
 def test_another_sweep_is_refused_and_one_that_grew_goes_on(calm, used, tmp_path):

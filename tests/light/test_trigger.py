@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_scenes import phantom
 
-from nailoptics.light.tracing import Ending, Trigger, run_until, seconds_per_sample
+from nailoptics.light.tracing import Ending, Trigger, run_until
 from nailoptics.light.tracing.trigger import LedStoppingCriterion
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Accuracy, parse_scene
@@ -83,13 +83,3 @@ def test_the_driver_ends_when_met_late_or_interrupted():
     assert run_until(range(9), taken.append, report=interrupt) is Ending.INTERRUPTED and taken[5:] == [0]
     with pytest.raises(KeyboardInterrupt):
         run_until(range(9), lambda k: interrupt())
-
-
-def test_the_pace_is_that_of_the_second_call(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr("nailoptics.light.tracing.trigger.time.perf_counter", lambda: now[0])
-
-    def sample(count: int) -> None:
-        now[0] += 0.5 * count + (10.0 if now[0] == 0 else 0.0)
-
-    assert seconds_per_sample(sample, 4, lambda first_s: int(first_s)) == 0.5

@@ -9,7 +9,6 @@ from .trigger import (
     Trigger,
     out_of_time,
     run_until,
-    seconds_per_sample,
     share_of_time,
     unlit,
 )

@@ -71,18 +71,6 @@ def run_until(
     return Ending.MET
 
 
-def seconds_per_sample(sample: Callable[[int], object], first: int, count: Callable[[float], int]) -> float:
-    """The pace of sampling, from a second call, since the first compiles what it runs. [s]
-
-    sample : takes so many samples. count : samples of the second call, from what the first took. [s]
-    """
-    begin = time.perf_counter()
-    sample(first)
-    then, begin = count(time.perf_counter() - begin), time.perf_counter()
-    sample(then)
-    return (time.perf_counter() - begin) / then
-
-
 @dataclass(frozen=True)
 class TraceProgress:
     """How far a trace is.

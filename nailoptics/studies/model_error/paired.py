@@ -14,7 +14,6 @@ from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
-from ...light.tracing import photons_engine, seconds_per_sample
 from ...light.transfer.records import LedTrace
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
@@ -23,10 +22,9 @@ from ...statistics import MIN_EFFECTIVE_TERMS, farther_end
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
-# Part of the time that goes to learning what a photon costs, by photons in this range, and to the traces; the rest is
-# for what the plan does not know.
-PILOT_SHARE, LEAST_PHOTONS, PILOT_PHOTONS = 0.03, 1 << 14, 1 << 17
-PLANNED_SHARE = 0.8
+# Photons that show what one costs, and the part of the time that goes to the traces; the rest is for what the plan does
+# not know.
+PILOT_PHOTONS, PLANNED_SHARE = 1 << 15, 0.8
 # Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
 UNDETECTED = 1.53
 # Photons that are read at once, to bound the memory.
@@ -168,19 +166,10 @@ class PairedTracer:
             if unmet and unmet.interrupted:
                 raise NotReachedError(str(unmet), interrupted=True)
             return max(led.photons for led in pilot.traces)
-        # The first trace loads the engine and compiles; what a photon costs is what it costs from then on.
-        photons_engine(scene, options.backend)
-        limit_s = options.max_seconds or USUAL_SECONDS
-
-        def pilot_photons(first_s: float) -> int:
-            affordable = PILOT_SHARE * limit_s / max(first_s, 1e-9) * LEAST_PHOTONS
-            return int(min(max(affordable, 2 * LEAST_PHOTONS), PILOT_PHOTONS))
-
-        each_s = seconds_per_sample(
-            lambda photons: self._traced(scene, photons, store=False), LEAST_PHOTONS, pilot_photons
-        )
-        left_s = limit_s - (time.perf_counter() - self._start)
-        return max(LEAST_PHOTONS, int(PLANNED_SHARE * left_s / self.scenes / each_s))
+        # The first of two traces compiles; what a photon costs is what it costs from then on.
+        each_s = min(self._traced(scene, PILOT_PHOTONS, store=False).transfer.wall_seconds for _ in range(2))
+        left_s = (options.max_seconds or USUAL_SECONDS) - (time.perf_counter() - self._start)
+        return max(PILOT_PHOTONS, int(PLANNED_SHARE * left_s / self.scenes / each_s * PILOT_PHOTONS))
 
     def _traced(self, scene: Scene, photons: int, *, store: bool = True) -> PairedReadings:
         options, cpu = self.options, time.process_time()
