@@ -147,6 +147,11 @@ class Placement(Table):
     Or a table of weights, such as { worst = 2, oxygen = 1 }: the weighted mean of logarithms."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()
     """Fingers over which layouts are evaluated; the scene's finger if none is given."""
+    people: Annotated[int, Field(ge=0, le=200)] = 0
+    """Number of people, drawn from the priors and the sizes of fingers around the first finger, for whom layouts are
+    ranked; the search itself is for the fingers. 0: layouts are ranked for the fingers."""
+    quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9
+    """Part of the people for whom a layout is at least as good as its rank says, instead of the worst or the mean."""
     edge_mm: NonNegative = 0.3
     """Minimum distance of any part from the board's edge. [mm]"""
     clearance_mm: NonNegative = 0.1

@@ -1,5 +1,6 @@
 """Prior ranges of a scene's fields, shipped with their sources and correlations, and a scene's own [priors]."""
 
+import math
 from collections.abc import Collection, Sequence
 from functools import cache
 from typing import Annotated, Literal, NamedTuple, Self
@@ -10,6 +11,7 @@ from pydantic import Field, model_validator
 from ..assets import read_toml
 from .base import Table, check_unique
 from .body import Body
+from .finger import Finger
 
 
 class PriorRange(Table):
@@ -106,8 +108,10 @@ class Priors(Table):
         """Correlations of some priors, each on its scale, (priors, priors) float; 0 with the scene's own ranges."""
         of = {prior.field: i for i, prior in enumerate(priors)}
         own = {one.field for one in self.ranges}
-        matrix = np.eye(len(priors))
-        for one in read_toml("priors.toml")["correlations"]:
+        matrix, shipped = np.eye(len(priors)), read_toml("priors.toml")
+        sizes = [of[one["field"]] for one in shipped["sizes"]["priors"] if one["field"] in of]
+        matrix[np.ix_(sizes, sizes)] += shipped["sizes"]["correlation"] * (1 - np.eye(len(sizes)))
+        for one in shipped["correlations"]:
             first, second = one["fields"]
             if first in of and second in of and not own & {first, second}:
                 matrix[of[first], of[second]] = matrix[of[second], of[first]] = one["value"]
@@ -118,6 +122,16 @@ class Priors(Table):
 def shipped_priors() -> tuple[Prior, ...]:
     """The priors of assets/priors.toml."""
     return tuple(Prior(**one) for one in read_toml("priors.toml")["priors"])
+
+
+def size_priors(finger: Finger) -> tuple[Prior, ...]:
+    """Those of the sizes of people's fingers, of which this finger's are the median."""
+
+    def around(one: Prior) -> Prior:
+        scale = getattr(finger, one.field.removeprefix("finger.")) / math.sqrt(one.low * one.high)
+        return one.model_copy(update={"low": scale * one.low, "high": scale * one.high})
+
+    return tuple(around(Prior(**one)) for one in read_toml("priors.toml")["sizes"]["priors"])
 
 
 @cache

@@ -359,6 +359,9 @@ def condition_number(read: Response) -> float:
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
 
 
-def over_fingers(resolution_n: Array, over: str) -> Array:
-    """One force resolution for all fingers, along the first axis: the worst or the mean. [N]"""
-    return resolution_n.mean(0) if over == "mean" else resolution_n.max(0)
+def over_fingers(resolution: Array, over: str, people: int = 0, quantile: float = 1.0) -> Array:
+    """One resolution for all fingers, along the first axis: the worst or the mean; or, where the last so many are
+    people, the least that no less than this part of them reach."""
+    if people:
+        return np.quantile(resolution[-people:], quantile, axis=0, method="inverted_cdf")
+    return resolution.mean(0) if over == "mean" else resolution.max(0)

@@ -16,6 +16,7 @@ from ..light.identity import light_digest
 from ..light.transfer.series import read_replicates
 from ..options import TraceOptions
 from ..scene import Prior, Scene
+from ..scene.priors import size_priors
 from ..statistics import Z95, jackknife
 from ..variables import Variables, described, variable
 
@@ -61,9 +62,13 @@ def prior_of(prior: Prior) -> tuple[float, float]:
 
 def nodes_of(prior: Prior) -> tuple[float, ...]:
     """The field's values at the nodes of the quadrature."""
+    return tuple(map(float, _values_at(prior, NODES)))
+
+
+def _values_at(prior: Prior, z: np.ndarray) -> np.ndarray:
+    """Values so many standard deviations from a prior's mean."""
     mean, sd = prior_of(prior)
-    at = mean + NODES * sd
-    return tuple(float(x) for x in (np.exp(at) if prior.scale == "log" else at))
+    return np.asarray(np.exp(mean + z * sd) if prior.scale == "log" else mean + z * sd)
 
 
 def over_priors(
@@ -119,10 +124,37 @@ def standard_draws(correlation: np.ndarray) -> np.ndarray:
     count = len(correlation)
     draws = norm.ppf(qmc.Sobol(count, seed=1).random(DRAWS)) if count else np.zeros((DRAWS, 0))
     draws -= draws.mean(0)
-    draws = draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T
+    return _correlated(draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T, correlation)
+
+
+def _correlated(draws: np.ndarray, correlation: np.ndarray) -> np.ndarray:
+    """Independent draws of normal numbers with correlations, (n, priors) float."""
     # Correlations are rounded: an eigenvalue may be a little below 0.
     value, vector = np.linalg.eigh(correlation)
     return np.asarray(draws @ (vector * np.sqrt(np.maximum(value, 0.0))).T)
+
+
+def known_priors(scene: Scene) -> tuple[Prior, ...]:
+    """The priors of a scene's finger and of its body."""
+    return (*scene.finger_priors, *scene.priors.of_body(scene.body))
+
+
+def draw_people(scene: Scene, count: int) -> list[dict[str, float]]:
+    """Values of the fields of people drawn from the priors of a scene, its body and its finger's sizes.
+
+    Always the same ones: a Latin hypercube, in which every field has one value in each of `count` equally probable
+    parts of its prior, as far as correlations leave them there, and none beyond the prior's ends.
+    """
+    from scipy.stats import norm, qmc
+
+    assert scene.finger is not None
+    priors = (*known_priors(scene), *size_priors(scene.finger))
+    parts = norm.ppf(qmc.LatinHypercube(len(priors), seed=1).random(count))
+    z = np.clip(_correlated(parts, scene.priors.correlation(priors)), -Z95, Z95)
+    values = {prior.field: _values_at(prior, at) for prior, at in zip(priors, z.T, strict=True)}
+    behind_mm = scene.finger.length_mm - scene.finger.nail_length_mm
+    values["finger.length_mm"] = values["finger.nail_length_mm"] + behind_mm
+    return [{field: float(column[i]) for field, column in values.items()} for i in range(count)]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Writes into the scenes, in place: the whole [finger] table, blood at rest, of bed and pulp, with its saturation, and the
 LED's flux. Vessels, contact, pulse and board stay as they are.
 - Digits are given. A size is that of the digit (`nailoptics.scene.finger.ANATOMY`) times a factor with the spread of
-  index fingers; the factors of one person are correlated by SIZE_CORRELATION, a judgement.
+  index fingers; the factors of one person are correlated (assets/priors.toml).
 - Melanin is that of eight groups of people, from the lightest ring finger to the darkest back of a hand, as
   assets/spectra/fit_fingertip_skin.py fits it to the medians in assets/real/skin_spectra.csv.
 - Tissue and blood are drawn from the joint prior (assets/priors.toml), each within the range of its own prior:
@@ -15,9 +15,10 @@ import re
 
 import numpy as np
 
-from nailoptics.assets import data_dir
-from nailoptics.scene import Prior, Priors
+from nailoptics.assets import data_dir, read_toml
+from nailoptics.scene import Finger, Prior, Priors
 from nailoptics.scene.finger import ANATOMY
+from nailoptics.scene.priors import size_priors
 from nailoptics.scene.vessels import FACTORS
 from nailoptics.statistics import Z95
 from nailoptics.studies.prior_uncertainty import prior_of
@@ -34,17 +35,9 @@ PEOPLE = (
     ("little", "IQ", 0.041),
     ("index", "AB", 0.032),
 )
-# Standard deviations of logarithms: of index fingers, 16-20 mm wide and 12-15 thick with nails 10-14 wide and 11-13
-# long, taken for 95 % ranges, and with a radius of 8.9 +- 1.2 mm. That of the bone's end is a judgement.
-SIZE_SD = {
-    "width_mm": np.log(20 / 16) / (2 * Z95),
-    "thickness_mm": np.log(15 / 12) / (2 * Z95),
-    "nail_width_mm": np.log(14 / 10) / (2 * Z95),
-    "nail_length_mm": np.log(13 / 11) / (2 * Z95),
-    "nail_radius_mm": 1.2 / 8.9,
-    "bone_to_tip_mm": 0.1,
-}
-SIZE_CORRELATION = 0.7
+# Standard deviations of logarithms.
+SIZE_SD = {prior.field.removeprefix("finger."): prior_of(prior)[1] for prior in size_priors(Finger())}
+SIZE_CORRELATION = read_toml("priors.toml")["sizes"]["correlation"]
 FLUX_MW = (0.9, 1.5)
 # Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
 NOT_DRAWN = (

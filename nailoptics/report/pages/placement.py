@@ -18,6 +18,7 @@ from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.result import budgets as budgets_of
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
+from ...studies.placement.tolerances import MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
@@ -33,10 +34,14 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
-WAYS = tuple(f"0.5 mm {way} [%]" for way in ("left", "right", "proximal", "distal"))
+TOLERATED = (
+    f"Change in percent of what the best is ranked by if board or photodiode lies {STEP_MM:g} mm off, the board is "
+    f"turned by {TURN_DEG:g} degrees, or an LED is {100 * POWER:.0f} % off its power."
+)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING = {
     "Resolution [mN]": ("force_resolution_n", 1e3, 0),
+    "Median person [mN]": ("median_resolution_n", 1e3, 0),
     "Electronics alone [mN]": ("electronics_resolution_n", 1e3, 0),
     "Prior std [mN]": ("force_resolution_spread_n", 1e3, 0),
     "SpO2 [%]": ("spo2_error_percent", 1.0, 0),
@@ -68,6 +73,7 @@ def page(result: xr.Dataset) -> str:
                 "The ranking",
                 figure(figures.ranking_figure(result), TEXTS["ranking"]),
                 table(_ranking_rows(ranking[: figures.SHOWN]), kind="dense"),
+                *map(small, _people(ranking)),
                 small(rough_words(ranking)),
                 small(checked),
             ),
@@ -93,6 +99,8 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     force, low, high = (quantity(first[f"force_resolution_{end}n"], "N") for end in ("", "low_", "high_"))
     fingers = result.sizes["finger"]
     over = "" if fingers == 1 else f", {rules.over_fingers} of {fingers} fingers"
+    if rules.people:
+        over = f", or less for {100 * rules.quantile:g} % of {rules.people} people"
     noise = f", with {body_words(best)}" if "electronics_resolution_n" in result else ""
     others = sum(row["rank"] == 1 for row in ranking) - 1
     return (
@@ -139,15 +147,23 @@ def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
     ]
 
 
+def _people(ranking: list[dict[str, Any]]) -> list[str]:
+    """Which person has the coarsest resolution with the best layout and those that the search did not make, and why."""
+    lines = []
+    for row in (
+        row for i, row in enumerate(ranking) if "people_off" in row and (i == 0 or row["origin"] != "searched")
+    ):
+        reason = f", by {row['worst_reason']}" if row["worst_reason"] else ""
+        off = f"; parts lie off the nails of {row['people_off']} people" if row["people_off"] else ""
+        worst = f"{row['worst_person']} ({quantity(row['worst_resolution_n'], 'N')})"
+        lines.append(f"Coarsest with {row['layout']}: {worst}{reason}{off}.")
+    return lines
+
+
 def _limits(result: xr.Dataset) -> str:
-    """What the resolution consists of, and how it changes where one photodiode of the best layout is moved."""
+    """What the resolution consists of, and how it changes with the tolerances of the best layout."""
     budgets, names = budgets_of(result), {"floor": "no layout changes"} | CAUSES
     causes = {f"{names.get(cause, cause)} [mN]": (cause, 1e3, 3) for cause in list(budgets[0])[1:]}
-    moved = []
-    for name in result.moved_photodiode.values:
-        of = result.sel(moved_photodiode=name)
-        changes = map(_change, 100 * of.moved_ranking.values, 100 * of.moved_ranking_stderr.values)
-        moved.append({"Photodiode": str(name)} | dict(zip(WAYS, changes, strict=True)))
     body = ""
     if "electronics_resolution_n" in result:
         bandwidth_hz = result.attrs["bandwidth_hz"]
@@ -159,17 +175,39 @@ def _limits(result: xr.Dataset) -> str:
         figure(figures.budget_figure(budgets), TEXTS["budget"]),
         table([{"Layout": row["layout"]} | cells(row, causes) for row in budgets], kind="dense"),
         small(body),
-        subheading("One photodiode moved"),
-        table(moved),
-        small(TEXTS["moved"]),
+        subheading("Tolerances"),
+        table(_tolerance_rows(_tolerances(result))),
+        small(f"{TOLERATED} {TEXTS['tolerances']}"),
     )
 
 
-def _change(percent: float, error: float) -> str:
-    """A change with its standard error; of a photodiode that has no room or saturates, in words."""
-    if math.isnan(percent):
+def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
+    """For board, photodiodes and LEDs of the best layout the change with each of their tolerances; None of no room."""
+    parts = []
+    for name in result.toleranced_part.values:
+        kinds = (*MOVED, *TURNED) if name == "board" else POWERED if name in result.led.values else MOVED
+        row: dict[str, Any] = {"part": str(name)}
+        for kind in kinds:
+            at = result.sel(toleranced_part=name, deviation=kind)
+            known = bool(at.tolerance_ranking.notnull())
+            error = float(at.tolerance_ranking_stderr)
+            row[kind] = {"value": float(at.tolerance_ranking), "stderr": error} if known else None
+        parts.append(row)
+    return parts
+
+
+def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
+    """The same in words."""
+    kinds = (*MOVED, *TURNED, *POWERED)
+    return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
+
+
+def _change(change: dict[str, float] | None) -> str:
+    """A change with its standard error; of what has no room or saturates, in words."""
+    if change is None:
         return "no room"
-    return "more than ten times" if percent > MOST_PERCENT else with_error(percent, error, sign=True)
+    percent = 100 * change["value"]
+    return "over ten times" if percent > MOST_PERCENT else with_error(percent, 100 * change["stderr"], sign=True)
 
 
 def why(row: dict[str, Any]) -> str:
@@ -286,6 +324,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
+        "tolerances": _tolerances(result),
         **spread_summary(result),
     } | run_summary(result.attrs)
 
@@ -296,10 +335,11 @@ def lines(summary: dict[str, Any]) -> list[str]:
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
     out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced"]
-    out += [line.replace("\u00a0", " ") for line in summary["limits"]]
+    out += [line.replace("\u00a0", " ") for line in (*_people(ranking), *summary["limits"])]
     if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}")
+    out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
     words = [rough_words(ranking), summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 

@@ -2,7 +2,7 @@
 a search may move on it."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from ...errors import InputError
@@ -12,6 +12,8 @@ from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
 from ...scene.layout import SIDES, lay_elements
 from ...scene.parts import check_one_response
+from ...scene.rectangles import Rectangle
+from ..prior_uncertainty import at_value, draw_people
 
 PartT = TypeVar("PartT", Led, Photodiode)
 
@@ -19,7 +21,7 @@ NAIL_MARGIN_MM = 0.1
 # No board that bears an LED and a photodiode is narrower.
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
-SPECK_MM = 0.05
+SPECK, SPECK_MM = "speck", 0.05
 # Places are rounded to so many decimals of a millimetre, below which sums of floats differ. [1]
 DECIMALS = 9
 # LEDs that a search places together.
@@ -57,11 +59,37 @@ def fingers(scene: Scene) -> tuple[FingerCase, ...]:
     return rules(scene).fingers or (FingerCase(name=scene.finger.digit),)
 
 
-def worn_on(scene: Scene, case: FingerCase, *, light_only: bool = False) -> Scene:
-    """The scene on one of the fingers.
+@dataclass(frozen=True)
+class Person:
+    """A person drawn from the priors: the first finger with values of its own, by field."""
+
+    name: str
+    first: FingerCase
+    values: dict[str, float]
+
+    @property
+    def digit(self) -> str:
+        """Whose light it is, as of other fingers their digit."""
+        return self.name
+
+
+def people(scene: Scene) -> list[Person]:
+    """The people for whom layouts are ranked."""
+    first, count = fingers(scene)[0], rules(scene).people
+    drawn = draw_people(worn_on(scene, first), count) if count else []
+    return [Person(f"person_{i}", first, values) for i, values in enumerate(drawn, 1)]
+
+
+def worn_on(scene: Scene, case: FingerCase | Person, *, light_only: bool = False) -> Scene:
+    """The scene on one of the fingers; on a person's, what of a board with explicit edges lies on the nail.
 
     light_only : change what decides where light goes, sizes, and leave what only dims it.
     """
+    if isinstance(case, Person):
+        scene = worn_on(scene, case.first)
+        for field, value in case.values.items():
+            scene = at_value(scene, field, value)
+        return cut_to(scene, nail_mm(scene))
     assert scene.finger is not None
     optics = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
     finger = scene.finger if case.digit is None else Finger(digit=case.digit, **optics)
@@ -94,11 +122,33 @@ def base_board(scene: Scene) -> Scene:
     return _with_edges(scene, center, size, rules(scene).bond_wire_mm if board.barrier and gap_mm is None else gap_mm)
 
 
+def nail_mm(scene: Scene) -> Point:
+    """Width and length of the scene's nail. [mm]"""
+    assert scene.finger is not None
+    return scene.finger.nail_width_mm, scene.finger.nail_length_mm
+
+
+def fits(scene: Scene) -> bool:
+    """Whether all parts of a board lie on the nail of its scene."""
+    try:
+        return bool(scene.layout)
+    except InputError:
+        return False
+
+
 def _smallest_nail_mm(scene: Scene) -> Point:
     """Size of what every finger's nail has room for. [mm]"""
-    nails = [worn_on(scene, case).finger for case in fingers(scene)]
-    widths, lengths = zip(*((n.nail_width_mm, n.nail_length_mm) for n in nails if n), strict=True)
+    widths, lengths = zip(*(nail_mm(worn_on(scene, case)) for case in fingers(scene)), strict=True)
     return min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM
+
+
+def cut_to(scene: Scene, nail_mm: Point) -> Scene:
+    """A board of explicit edges without what reaches over a nail of this size; parts stay where they are."""
+    board, margins = scene.board, 2 * NAIL_MARGIN_MM
+    assert board.size_mm is not None
+    corners = Rectangle.around("board", board.center_mm, board.size_mm).corners_mm
+    cut = _with_edges(scene, *_on_the_nail(corners, (nail_mm[0] - margins, nail_mm[1] - margins)), board.barrier_gap_mm)
+    return bare_board(cut, side=board.barrier_side) if scene.photodiodes[0].name == SPECK else cut
 
 
 def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point]:
@@ -166,7 +216,7 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
         axis, way = SIDES[side]
         place = (led[0], way * reach[1]) if axis else (way * reach[0], led[1])
     board = scene.board.model_copy(update={"barrier_side": side})
-    speck = SINGLE | {"name": "speck", "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
+    speck = SINGLE | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
     return scene.model_copy(update={"photodiodes": photodiodes, "board": board})
 

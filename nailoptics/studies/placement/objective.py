@@ -3,13 +3,13 @@ score from traced light, of which there is more where the best is undecided."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
-from ...errors import InputError, NotReachedError
+from ...errors import NotReachedError
 from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
@@ -26,8 +26,7 @@ from ...sensor.information import (
     total_information,
 )
 from ...statistics import jackknife, t95
-from ...variables import Variables, described, jackknifed
-from . import boards, candidates
+from . import boards
 from .candidates import CandidateLayout
 from .photon_maps import PhotonMapCache
 
@@ -39,8 +38,6 @@ JUDGE_PHOTONS = 1 << 18
 JUDGE_SHARE = 0.85
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
-# By which one photodiode of the best layout is moved: across and along. [mm]
-STEPS_MM = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ class Spo2Objective:
             return np.asarray(read.noise_v2 / pulsating)
 
 
-def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> Spo2Objective:
+def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.Person], force_n: float) -> Spo2Objective:
     """The rule for a scene's fingers, under the force at which layouts are evaluated.
 
     Raises: InputError for a scene without a pulse or without two LEDs of different wavelengths.
@@ -102,8 +99,8 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase], force_n: float) -> 
 class Objective:
     """The quantity to minimise, from the information of single photodiodes.
 
-    rules : with the weights of worst, mean, share and oxygen.
-    points : the touch on each finger.
+    rules : with the weights of worst, mean, share and oxygen, and the number of people.
+    points : the touch on each finger; those of people come last.
     oxygen : what SpO2 is evaluated by, if it counts.
     """
 
@@ -148,11 +145,16 @@ class Objective:
         """
         if name == "oxygen":
             with np.errstate(divide="ignore"):
-                return np.asarray(np.max(1 / np.sqrt(total[..., -1]), axis=0))
+                return self.over(1 / np.sqrt(total[..., -1]), name)
         resolution = share_resolution if name == "share" else force_resolution_n
         information = total if self.oxygen is None else total[..., :-1]
         resolutions = [resolution(*both) for both in zip(information, self.points, strict=True)]
-        return over_fingers(np.stack(resolutions), name)
+        return self.over(np.stack(resolutions), name)
+
+    def over(self, resolution: Array, name: str | None = None) -> Array:
+        """One resolution, as of `value`, for all fingers or people, (fingers, ...) -> (...); name : the force's."""
+        rules = self.rules
+        return over_fingers(resolution, name or rules.over_fingers, people=rules.people, quantile=rules.quantile)
 
     def score(self, total: Array) -> Array:
         """What layouts are ranked by, (fingers, ..., n) -> (...): the weighted geometric mean of the values, or the
@@ -177,22 +179,22 @@ class ForceResolution:
     fingers_n : (1 + blocks, fingers) float. On each finger. [N]
     floors_n : (fingers,) float. False force by the body, the same with every layout, to which the rest adds in squares;
         it has no error. [N]
-    over : whether all fingers together are the worst of them, or their mean.
+    objective : by which all fingers together are the worst of them, their mean or, of people, a quantile.
     """
 
     fingers_n: Array
     floors_n: Array
-    over: str
+    objective: Objective
 
     @property
     def all_n(self) -> Array:
         """Over the fingers, (1 + blocks,) float. [N]"""
-        return over_fingers(self.fingers_n.T, self.over)
+        return self.objective.over(self.fingers_n.T)
 
     @property
     def floor_n(self) -> float:
-        """The noise floor over the fingers: no layout resolves less. [N]"""
-        return float(over_fingers(self.floors_n, self.over))
+        """The noise floor over the fingers: no layout resolves less; 0 of people, of whom each has another. [N]"""
+        return 0.0 if self.objective.rules.people else float(self.objective.over(self.floors_n))
 
     @property
     def interval_n(self) -> tuple[float, float]:
@@ -261,8 +263,9 @@ def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:
 
 def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> LayoutScore:
     """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
-    responses = cache.read(layout.scene, layout.board)
-    total, points, over = objective.total(responses), objective.points, objective.rules.over_fingers
+    points = objective.points
+    responses = cache.read(layout.scene, layout.board, len(points))
+    total = objective.total(responses)
     information = total if objective.oxygen is None else total[..., :-1]
     still = [total_information(by_led, electronics_alone=True) for by_led in responses]
     through, alone = (
@@ -271,34 +274,15 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     )
     floors_n = np.array([physiological_noise_force_n(point) for point in points])
     return LayoutScore(
-        force=ForceResolution(through, floors_n, over),
-        electronics=ForceResolution(alone, np.zeros(len(points)), over),
+        force=ForceResolution(through, floors_n, objective),
+        electronics=ForceResolution(alone, np.zeros(len(points)), objective),
         information_per_pa2=np.stack([pressure_information(matrix) for matrix in information], 1),
         responses=responses,
         share=objective.value("share", total),
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),
         ranked=objective.score(total),
-        by_force=set(objective.rules.weights) == {over},
+        by_force=set(objective.rules.weights) == {objective.rules.over_fingers},
     )
-
-
-def moved_photodiodes(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> Variables:
-    """How what layouts are ranked by changes where one photodiode of a layout is moved, by the same light; NaN where it
-    has no room."""
-    ranked, changes = score_layout(layout, cache, objective).ranked, []
-    for i, part in enumerate(layout.scene.photodiodes):
-        for step in STEPS_MM:
-            place = (part.position_mm[0] + step[0], part.position_mm[1] + step[1])
-            parts = [*layout.scene.photodiodes]
-            parts[i] = part.model_copy(update={"position_mm": place})
-            moved = replace(layout, scene=layout.scene.model_copy(update={"photodiodes": tuple(parts)}))
-            try:
-                candidates.check(moved.scene, moved.name)
-                changes.append(score_layout(moved, cache, objective).ranked / ranked - 1)
-            except InputError:
-                changes.append(np.full_like(ranked, np.nan))
-    by_part = np.array(changes).reshape(-1, len(STEPS_MM), len(ranked))
-    return described(__package__, moved_ranking=jackknifed(np.moveaxis(by_part, -1, 0)), moved_part_mm=STEPS_MM)
 
 
 def score_layouts(

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from ...geometry import SPACING_MM
-from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point
+from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_digest, light_scene
 from ...light.tracing.store import LightStore
 from ...options import BackendName
@@ -19,11 +20,25 @@ from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
 from ...statistics import left_out, seed_of
 from . import boards
+from .boards import Person
+
+# Part of the photons of a finger that a person has, and the cells of the distances of its walk. [mm]
+PERSON_SHARE, PERSON_DISTANCE_MM = 0.5, 0.4
 
 
 def batch_seed(seed: int, stream: int, traced: Scene, led: int, batch: int) -> int:
     """The seed of a batch of photons, from what decides the light: it depends neither on those before nor on blood."""
     return seed_of(seed, stream, int(light_digest(traced)[:8], 16), led, batch)
+
+
+def recorded(
+    batches: Sequence[Arrivals], scene: Scene, led: int, point: OperatingPoint, areas: Sequence[Rectangle], blocks: int
+) -> np.ndarray:
+    """Means per emitted photon of light of one LED that was recorded on areas, (blocks, areas, values) float."""
+    blood = blood_point(scene, led, traced=light_scene(scene), blood_fraction=point.blood_fraction)
+    light = Arrivals.joined(batches)
+    by_block = (light.thin(blocks, k) for k in range(blocks))
+    return np.stack([readings(block, blood.values(block), areas)[0] for block in by_block])
 
 
 class Stopped(Exception):
@@ -34,7 +49,7 @@ class Stopped(Exception):
 class FingerCondition:
     """A finger on which layouts are evaluated, and the touch there."""
 
-    case: FingerCase
+    case: FingerCase | Person
     point: OperatingPoint
 
 
@@ -43,7 +58,7 @@ class TracedBoard:
     """Light of a bare board.
 
     maps : by finger and LED. tracers : by digit.
-    areas : where light that arrives is recorded, in `arrivals`, by digit and LED, batch by batch.
+    areas : where light that arrives is recorded, in `arrivals`, by digit or person and LED, batch by batch.
     """
 
     maps: list[list[PhotonMap]]
@@ -55,6 +70,10 @@ class TracedBoard:
     def photons(self) -> int:
         """How many photons of every LED were traced on every finger."""
         return min(board_map.photons for by_led in self.maps for board_map in by_led)
+
+    def on_areas(self, arrivals: Arrivals) -> Arrivals:
+        """What of light arrives on the recorded areas."""
+        return arrivals.select(np.any([area.holds(*arrivals.place_mm.T) for area in self.areas], axis=0))
 
 
 @dataclass
@@ -82,8 +101,13 @@ class PhotonMapCache:
 
     @property
     def cases(self) -> list[FingerCase]:
-        """The fingers of the conditions."""
-        return [condition.case for condition in self.conditions]
+        """The fingers of the conditions, without people."""
+        return [condition.case for condition in self.conditions if not isinstance(condition.case, Person)]
+
+    @property
+    def people(self) -> list[Person]:
+        """The people of the conditions, who come last; their light is recorded on areas alone."""
+        return [condition.case for condition in self.conditions if isinstance(condition.case, Person)]
 
     def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
         """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
@@ -94,7 +118,7 @@ class PhotonMapCache:
         """What is traced of a board; of a new one nothing."""
         if (key := digest(board)) not in self._traced:
             new = partial(PhotonMap, board.layout.outline, values=4, blocks=self.blocks)
-            self._traced[key] = TracedBoard([[new() for _ in board.leds] for _ in self.conditions])
+            self._traced[key] = TracedBoard([[new() for _ in board.leds] for _ in self.cases])
         return self._traced[key]
 
     @property
@@ -105,6 +129,8 @@ class PhotonMapCache:
     def extend(self, board: Scene, photons: int) -> None:
         """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
         tracers = self.of(board).tracers
+        for person in self.people:
+            self._extend_person(board, person, PERSON_SHARE * photons)
         # Conditions of one digit differ in what only dims the light: they share a trace.
         for case in {case.digit: case for case in self.cases}.values():
             if case.digit not in tracers:
@@ -114,10 +140,26 @@ class PhotonMapCache:
             for led in range(len(board.leds)):
                 self._extend_led(board, tracers[case.digit], case.digit, led, photons)
 
+    def _extend_person(self, board: Scene, person: Person, photons: float) -> None:
+        """Record a person's light, of whose board no part lies off the nail."""
+        worn, held = boards.worn_on(board, person), self.of(board)
+        if not boards.fits(worn):
+            return
+        # Tracers of many people would fill the memory.
+        tracer = self.tracer(worn, spacing_mm=PERSON_DISTANCE_MM)
+        per_batch = round(min(photons, tracer.batch_photons))
+        for led, _ in product(range(len(board.leds)), range(round(photons / per_batch))):
+            if self.stop():
+                return
+            batches = held.arrivals.setdefault((person.name, led), [])
+            seed = batch_seed(self.seed, self.stream, tracer.scene, led, len(batches))
+            batches.append(held.on_areas(tracer.arrivals(led, photons=per_batch, seed=seed)))
+            self.photons += per_batch
+
     def _extend_led(self, board: Scene, tracer: BoardTracer, digit: str | None, led: int, photons: int) -> None:
         """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
         held, members = self.of(board), []
-        for by_led, condition in zip(held.maps, self.conditions, strict=True):
+        for by_led, condition in zip(held.maps, self.conditions, strict=False):
             if condition.case.digit == digit:
                 at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
                 members.append((by_led[led], blood_point(boards.worn_on(board, condition.case), led, **at)))
@@ -130,8 +172,7 @@ class PhotonMapCache:
             arrivals = tracer.arrivals(led, photons=per_batch, seed=seed)
             self.photons += arrivals.photons
             if held.areas:
-                inside = np.any([area.holds(*arrivals.place_mm.T) for area in held.areas], axis=0)
-                held.arrivals.setdefault((digit, led), []).append(arrivals.select(inside))
+                held.arrivals.setdefault((digit, led), []).append(held.on_areas(arrivals))
             for board_map, point in members:
                 board_map.add(arrivals, point.values(arrivals))
 
@@ -139,25 +180,40 @@ class PhotonMapCache:
         """Free what is held of a board."""
         self._traced.pop(digest(board), None)
 
-    def read(self, layout: Scene, board: Scene) -> list[list[Response]]:
+    def read(self, layout: Scene, board: Scene, count: int | None = None) -> list[list[Response]]:
         """Responses of a layout, by finger and LED, each (1 + blocks, photodiodes): by all photons, then without each
-        block of them."""
-        areas, layout = layout.layout.photodiode_areas, self.with_resistors(layout, board)
+        block of them.
+
+        count : on the first so many fingers; on all, and of all people, if not given.
+        """
+        resistors = self.with_resistors(layout, board)
         return [
-            scene_responses(layout, [left_out(m.over(areas)) for m in by_led], condition.point, replicates=True)
-            for condition, by_led in zip(self.conditions, self.of(board).maps, strict=True)
+            scene_responses(resistors, map(left_out, self._light(layout, board, i)), condition.point, replicates=True)
+            for i, condition in enumerate(self.conditions[:count])
         ]
+
+    def _light(self, layout: Scene, board: Scene, i: int) -> list[np.ndarray]:
+        """Means per emitted photon on one of the fingers by LED, each (blocks, photodiodes, values); dark where some
+        part lies off a person's nail."""
+        areas, condition, held = layout.layout.photodiode_areas, self.conditions[i], self.of(board)
+        if not isinstance(person := condition.case, Person):
+            return [light.over(areas) for light in held.maps[i]]
+        if not boards.fits(boards.worn_on(layout, person)):
+            return [np.zeros((self.blocks, len(areas), 4)) for _ in board.leds]
+        worn = boards.worn_on(board, person)
+        by_led = (held.arrivals[person.name, led] for led in range(len(board.leds)))
+        return [recorded(light, worn, k, condition.point, areas, self.blocks) for k, light in enumerate(by_led)]
 
     def with_resistors(self, layout: Scene, board: Scene) -> Scene:
         """The layout with resistors for the brightest light of any LED on any finger, beside [ambient] or a lamp, where
         it has "auto"."""
         if layout.electronics.feedback_ohm != "auto":
             return layout
-        areas, photodiodes = layout.layout.photodiode_areas, [e.photodiode for e in layout.layout.photodiodes]
+        photodiodes = [element.photodiode for element in layout.layout.photodiodes]
         lit_a = [
-            brightest_current_a(light.over(areas).mean(0), led, photodiodes, condition.point)
-            for condition, by_led in zip(self.conditions, self.of(board).maps, strict=True)
-            for led, light in zip(layout.leds, by_led, strict=True)
+            brightest_current_a(light.mean(0), led, photodiodes, condition.point)
+            for i, condition in enumerate(self.conditions)
+            for led, light in zip(layout.leds, self._light(layout, board, i), strict=True)
         ]
         if (key := digest(layout)) not in self._ambient_a:
             self._ambient_a[key] = ambient_bound_a(layout, usual=LAMP)

@@ -21,10 +21,11 @@ from ...scene import FingerCase, Placement, Scene, digest, load_scene
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
-from .objective import JUDGE_SHARE, Objective, moved_photodiodes, score_layouts, spo2_objective
+from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
-from .robustness import resolution_over_priors
+from .robustness import over_people, resolution_over_priors
+from .tolerances import tolerances
 from .verification import check_mitsuba, verify_by_mitsuba, verify_layout
 
 log = logging.getLogger(__name__)
@@ -68,16 +69,17 @@ def place(
     rules, base = boards.rules(scene), boards.base_board(scene)
     if verify_with_mitsuba:
         check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
-    conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
-    oxygen = spo2_objective(base, boards.fingers(scene), rules.force_n) if "oxygen" in rules.weights else None
-    objective = Objective(rules, [condition.point for condition in conditions], oxygen)
+    people = boards.people(scene)
+    on_fingers = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
+    conditions = [*on_fingers, *(finger_condition(base, person, rules) for person in people)]
+    of_fingers, objective = (_objective(base, on, rules) for on in (on_fingers, conditions))
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
     ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS)
-    searching = replace(ranking, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
+    searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
-    layouts, searched = _candidates(base, objective, searching, report_progress)
+    layouts, searched = _candidates(base, of_fingers, searching, people, report_progress)
     # A search leaves little time to the user's layouts: these and its best are evaluated in any case.
     listed = sum(layout.origin == "given" for layout in layouts)
     least = len({digest(layout.board) for layout in layouts[: listed + 1]}) if searched else 0
@@ -88,10 +90,14 @@ def place(
     layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
     layouts = [replace(layout, scene=ranking.with_resistors(layout.scene, layout.board)) for layout in layouts]
     report_progress("check", 0.0, scores[0].relative_error)
-    checked, unchecked = _checked(layouts, rules, ranking, report_progress, options if verify_with_mitsuba else None)
-    names = [photodiode.name for photodiode in layouts[0].scene.photodiodes]
-    moved = xr.Dataset(moved_photodiodes(layouts[0], ranking, objective), coords={"moved_photodiode": names})
-    checked = checked.merge(moved, combine_attrs="override")
+    checked, unchecked = _checked(
+        layouts, of_fingers.rules, ranking, report_progress, options if verify_with_mitsuba else None
+    )
+    stop = partial(report_progress.is_over, 1.0)
+    tolerated = tolerances(layouts[0], ranking, of_fingers, stop=stop)
+    checked = checked.merge(tolerated, combine_attrs="override")
+    if people:
+        checked = checked.merge(over_people(layouts, scores, ranking, stop=stop), combine_attrs="override")
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
@@ -124,10 +130,25 @@ def _checked(
     return known, f"{report_progress.why} before the best layout was {missing[0]}." if missing else None
 
 
+def _objective(base: Scene, conditions: Sequence[FingerCondition], rules: Placement) -> Objective:
+    """The rule by which layouts are ranked on these fingers, and for the people among them if there are any."""
+    cases = [condition.case for condition in conditions]
+    rules = rules.model_copy(update={"people": sum(isinstance(case, boards.Person) for case in cases)})
+    oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
+    return Objective(rules, [condition.point for condition in conditions], oxygen)
+
+
 def _candidates(
-    base: Scene, objective: Objective, cache: PhotonMapCache, report_progress: StageProgress
+    base: Scene,
+    objective: Objective,
+    cache: PhotonMapCache,
+    people: Sequence[boards.Person],
+    report_progress: StageProgress,
 ) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
-    """All layouts to evaluate, given, searched and the paper's, and every site of the LEDs that the search tried."""
+    """All layouts to evaluate, given, searched and the paper's, and every site of the LEDs that the search tried.
+
+    people : whose nails the board of the search must fit, too.
+    """
     rules = objective.rules
     boards.check_search(base, rules)
     layouts = given(base, rules)
@@ -135,6 +156,8 @@ def _candidates(
     of_paper = "oxygen" not in rules.weights and base.board.unmapped is None
     paper = _paper_layout(base, cache.conditions) if of_paper else None
     straight = boards.searchable_board(base, rules)
+    for person in people:
+        straight = boards.cut_to(straight, boards.nail_mm(boards.worn_on(base, person)))
     searched = search.Search(straight, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
@@ -158,7 +181,7 @@ def _evaluated_enough(cache: PhotonMapCache, least: int, report_progress: StageP
     return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= (1 if report_progress.interrupted else least)
 
 
-def finger_condition(base: Scene, case: FingerCase, rules: Placement) -> FingerCondition:
+def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Placement) -> FingerCondition:
     """A finger of the placement with the touch at which layouts are evaluated."""
     scene = boards.worn_on(base, case)
     return FingerCondition(case, operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s))

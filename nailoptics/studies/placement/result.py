@@ -226,8 +226,12 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
         table |= of(*(f"electronics_resolution_{end}" for end in ends))
     table["roughly_known"] = (result[f"{by_light}_stderr"] > ROUGH * result[by_light]).values
     table |= of("share_resolution", "share_resolution_stderr", "spo2_error_percent", "spo2_error_percent_stderr")
-    for end in ("", "_stderr") if "resolution_spread" in result else ():
+    # The priors count around the fingers, not for each person.
+    for end in ("", "_stderr") if "resolution_spread" in result and "people_off" not in result else ():
         table[f"force_resolution_spread_n{end}"] = (force_n * result[f"resolution_spread{end}"]).values
+    of_people = ("median_resolution_n", "median_resolution_n_stderr", "worst_person", "worst_resolution_n")
+    of_people += ("worst_reason", "people_off")
+    table |= {name: result[name].values for name in of_people if name in result}
     table |= {"tied": tied & (tied.sum() > 1)} | of("condition_number", "fixed_ratio_resolution_n")
     pressures_pa = result.pressure_resolution_pa.max("finger")
     table |= {f"{name}_pressure_pa": pressures_pa.sel(pressure=name).values for name in PRESSURES}
@@ -236,10 +240,12 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
 
 def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
     """The force resolution of the best layout and of those that the search did not make, on the finger where each is
-    worst: total, the floor of every layout, and the rest by cause, which add in squares. [N]"""
-    by_layout = []
+    worst, or for the person by whom it is ranked: total, the floor of every layout, and the rest by cause, which add in
+    squares. [N]"""
+    by_layout, above_n = [], result.finger_resolution_n - result.force_resolution_n
+    fingers = abs(above_n).argmin("finger") if "people_off" in result else above_n.argmax("finger")
     for i in [0, *(np.flatnonzero(result.origin.values[1:] != "searched") + 1)]:
-        layout = result.isel(layout=i, finger=int(result.finger_resolution_n.values[i].argmax()))
+        layout = result.isel(layout=i, finger=int(fingers[i]))
         parts = dict(zip(result.cause.values.tolist(), layout.force_budget_n.values.tolist(), strict=True))
         floor_n = float(np.nan_to_num(layout.get("physiological_noise_force_n", 0.0)))
         if "waves" in parts:

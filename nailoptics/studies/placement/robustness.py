@@ -1,4 +1,4 @@
-"""How far the best layout stays the best over the priors of the finger."""
+"""How far the best layout stays the best over the priors of the finger, and what people make of it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ...light.board_map import Arrivals, blood_point, readings
+from ...light.board_map import Arrivals
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
+from ...scene.priors import size_priors
 from ...sensor.information import (
     OperatingPoint,
     force_resolution_n,
@@ -20,11 +21,21 @@ from ...sensor.information import (
     total_information,
 )
 from ...statistics import Z95, jackknife, left_out
-from ...variables import described
-from ..prior_uncertainty import PriorSensitivity, only_absorbs, over_priors, prior_variables
+from ...variables import described, jackknifed
+from ..prior_uncertainty import (
+    PriorSensitivity,
+    at_value,
+    known_priors,
+    nodes_of,
+    only_absorbs,
+    over_priors,
+    prior_variables,
+    value_of,
+)
 from . import boards
 from .candidates import CandidateLayout
-from .photon_maps import PhotonMapCache, Stopped, batch_seed
+from .objective import LayoutScore
+from .photon_maps import PERSON_DISTANCE_MM, PhotonMapCache, Stopped, batch_seed, recorded
 
 # The best layouts that are read again at every node of every prior, from so many blocks of photons.
 TOP_RANKED = 3
@@ -45,8 +56,7 @@ def resolution_over_priors(
     Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
     """
     scene = layouts[0].board
-    known = (*scene.finger_priors, *scene.priors.of_body(scene.body))
-    priors = sorted(known, key=lambda prior: not only_absorbs(scene, prior))
+    priors = sorted(known_priors(scene), key=lambda prior: not only_absorbs(scene, prior))
     untraced = [prior for prior in priors if not (only_absorbs(scene, prior) or scene.priors.own_traces)]
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, layout in enumerate(layouts) if i < TOP_RANKED or layout.name == "paper"]
@@ -69,6 +79,57 @@ def resolution_over_priors(
     )
 
 
+def over_people(
+    layouts: Sequence[CandidateLayout],
+    scores: Sequence[LayoutScore],
+    cache: PhotonMapCache,
+    *,
+    stop: Callable[[], bool],
+) -> xr.Dataset:
+    """What people make of evaluated layouts: the median, whom each does not fit, who is worst and by what of theirs.
+
+    The reason is the property whose usual value, the prior's middle, would help that person most, one at a time; it is
+    sought for the best layout and those that the search did not make, as long as there is time.
+    """
+    people = cache.people
+    by_person = np.stack([score.force.fingers_n[:, -len(people) :].T for score in scores], -1)
+    off = [[not boards.fits(boards.worn_on(one.scene, person)) for person in people] for one in layouts]
+    worst = np.where(np.transpose(off), -np.inf, by_person[:, 0]).argmax(0)
+    resolution = _Resolution(scores[0].force.objective.rules, cache, stop)
+    reasons = [
+        _reason(resolution, layout, people[k]) if i == 0 or layout.origin != "searched" else ""
+        for i, (layout, k) in enumerate(zip(layouts, worst, strict=True))
+    ]
+    data = described(
+        __package__,
+        median_resolution_n=jackknifed(over_fingers(by_person, "", len(people), 0.5)),
+        worst_resolution_n=by_person[worst, 0, np.arange(len(layouts))],
+        worst_person=[people[k].name for k in worst],
+        worst_reason=reasons,
+        people_off=np.sum(off, axis=1),
+    )
+    return xr.Dataset(data)
+
+
+def _reason(resolution: "_Resolution", layout: CandidateLayout, person: boards.Person) -> str:
+    """By which property of a person a layout's resolution is coarsest, in words; empty where there was no time."""
+    worn, usual = boards.worn_on(layout.board, person), boards.worn_on(layout.board, person.first)
+    assert worn.finger is not None and usual.finger is not None
+    middle = {prior: nodes_of(prior)[1] for prior in known_priors(usual)}
+    changed = {prior.name: at_value(worn, prior.field, value) for prior, value in middle.items()}
+    sizes = [prior.field.removeprefix("finger.") for prior in size_priors(usual.finger)]
+    update = {name: getattr(usual.finger, name) for name in (*sizes, "length_mm")}
+    changed["size of the finger"] = worn.model_copy(update={"finger": worn.finger.model_copy(update=update)})
+    resolution.light.clear()
+    try:
+        own_mn, *others_mn = [1e3 * resolution.of(layout, person, one)[0] for one in (worn, *changed.values())]
+    except Stopped:
+        return ""
+    least_mn, name = min(zip(others_mn, changed, strict=True))
+    words = [f" of {value_of(worn, p.field):.2g} (usually {x:.2g})" for p, x in middle.items() if p.name == name]
+    return f"{name}{''.join(words)}, without which {least_mn:.3g} instead of {own_mn:.3g} mN"
+
+
 @dataclass
 class _Resolution:
     """Force resolution of layouts on other fingers, by all blocks of photons and without each.
@@ -81,35 +142,35 @@ class _Resolution:
     cache: PhotonMapCache
     stop: Callable[[], bool]
     points: dict[Any, OperatingPoint] = field(default_factory=dict)
-    light: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
+    light: dict[tuple[str, int], list[Arrivals]] = field(default_factory=dict)
 
     def over_priors(self, layout: CandidateLayout, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the score at the nodes of every prior, (priors, 3, 1 + blocks) float, and of the scene's own,
         (1 + blocks,) float."""
         self.light.clear()
         by_case = [
-            over_priors(boards.worn_on(layout.board, case), priors, partial(self._resolution_n, layout, case))
+            over_priors(boards.worn_on(layout.board, case), priors, partial(self.of, layout, case))
             for case in self.cache.cases
         ]
         over = self.rules.over_fingers
         nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
         return np.log(over_fingers(nodes, over)), np.log(over_fingers(base, over))
 
-    def _resolution_n(self, layout: CandidateLayout, case: FingerCase, scene: Scene) -> np.ndarray:
-        """Force resolution on one finger, (1 + blocks,) float. [N]"""
+    def of(self, layout: CandidateLayout, case: FingerCase | boards.Person, scene: Scene) -> np.ndarray:
+        """Force resolution on one finger changed to a scene, (1 + blocks,) float. [N]"""
         finger = scene.finger, scene.blood, scene.body, scene.touch
         if finger not in self.points:
             touch = operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
             self.points[finger] = touch
-        point, areas, by_led = self.points[finger], layout.scene.layout.photodiode_areas, []
-        for i in range(len(scene.leds)):
-            blood = blood_point(scene, i, traced=light_scene(scene), blood_fraction=point.blood_fraction)
-            blocks = [self._arrivals(layout, scene, case, i).thin(BLOCKS, k) for k in range(BLOCKS)]
-            by_led.append(left_out(np.stack([readings(block, blood.values(block), areas)[0] for block in blocks])))
-        read = scene_responses(layout.scene, by_led, point, replicates=True)
+        point, areas, leds = self.points[finger], layout.scene.layout.photodiode_areas, range(len(scene.leds))
+        batches = (self._arrivals(layout, scene, case, led) for led in leds)
+        by_led = (recorded(light, scene, led, point, areas, BLOCKS) for led, light in enumerate(batches))
+        read = scene_responses(layout.scene, map(left_out, by_led), point, replicates=True)
         return force_resolution_n(total_information(read), point)
 
-    def _arrivals(self, layout: CandidateLayout, scene: Scene, case: FingerCase, led: int) -> Arrivals:
+    def _arrivals(
+        self, layout: CandidateLayout, scene: Scene, case: FingerCase | boards.Person, led: int
+    ) -> list[Arrivals]:
         """Light of an LED on the layout's photodiodes: that of the evaluation, or, where its paths differ, newly
         traced with the same random numbers."""
         key, cache = (light_digest(scene), led), self.cache
@@ -118,13 +179,13 @@ class _Resolution:
             batches = cache.of(layout.board).arrivals.get((case.digit, led), [])[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
-                tracer = cache.tracer(shaped)
+                tracer = cache.tracer(shaped, spacing_mm=PERSON_DISTANCE_MM if case in cache.people else None)
                 for i, batch in enumerate(batches):
                     if self.stop():
                         raise Stopped
                     seed = batch_seed(cache.seed, cache.stream, usual, led, i)
                     batches[i] = tracer.arrivals(led, photons=batch.photons, seed=seed)
-            self.light[key] = Arrivals.joined(batches)
+            self.light[key] = batches
         return self.light[key]
 
 

@@ -33,7 +33,8 @@ from nailoptics.studies.placement import (
     search,
     sites,
 )
-from nailoptics.studies.placement.objective import Objective, moved_photodiodes, resolution_interval_n, score_layout
+from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
+from nailoptics.studies.placement.tolerances import tolerances
 
 AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
@@ -255,11 +256,16 @@ def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
     cache, objective = photon_map_cache(conditions, seed=0, stream=1, blocks=16), None
     objective = Objective(rules, [condition.point for condition in conditions])
     cache.extend(layout.board, 1 << 15)
-    data = xr.Dataset(moved_photodiodes(layout, cache, objective))
+    data = tolerances(layout, cache, objective, stop=lambda: True)
     ratio = score_layout(moved, cache, objective).ranked / score_layout(layout, cache, objective).ranked
-    assert float(data.moved_ranking[3, 3]) == pytest.approx(ratio[0] - 1, rel=1e-9)
-    assert float(data.moved_ranking_stderr[3, 3]) == pytest.approx(float(jackknife(ratio)), rel=1e-9)
-    assert bool(np.isnan(data.moved_ranking[1, 2])) and not np.isnan(data.moved_ranking[1, 3])
+    last, second = (data.sel(toleranced_part=layout.scene.photodiodes[k].name) for k in (3, 1))
+    to_tip = last.sel(deviation="distal")
+    assert float(to_tip.tolerance_ranking) == pytest.approx(ratio[0] - 1, rel=1e-9)
+    assert float(to_tip.tolerance_ranking_stderr) == pytest.approx(float(jackknife(ratio)), rel=1e-9)
+    no_room = np.isnan(second.tolerance_ranking).sel(deviation=["proximal", "distal"])
+    assert no_room.values.tolist() == [True, False]
+    # Without time, another place of the board is not traced.
+    assert np.isnan(data.tolerance_ranking.sel(toleranced_part="board")).all()
 
 
 def test_places_of_a_layout_are_written_with_few_decimals():
