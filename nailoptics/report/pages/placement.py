@@ -22,7 +22,7 @@ from ...studies.placement.tolerances import MOVED, POWER, POWERED, STEP_MM, TURN
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
-from ..numbers import aligned, cells, estimated, quantity, significant, with_error
+from ..numbers import aligned, cells, estimated, quantity, significant, with_error, with_stderr
 from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from . import placement_figures as figures
@@ -185,13 +185,10 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
     """For board, photodiodes and LEDs of the best layout the change with each of their tolerances; None of no room."""
     parts = []
     for name in result.toleranced_part.values:
-        kinds = (*MOVED, *TURNED) if name == "board" else POWERED if name in result.led.values else MOVED
         row: dict[str, Any] = {"part": str(name)}
-        for kind in kinds:
+        for kind in (*MOVED, *TURNED) if name == "board" else POWERED if name in result.led.values else MOVED:
             at = result.sel(toleranced_part=name, deviation=kind)
-            known = bool(at.tolerance_ranking.notnull())
-            error = float(at.tolerance_ranking_stderr)
-            row[kind] = {"value": float(at.tolerance_ranking), "stderr": error} if known else None
+            row[kind] = with_stderr(at, "tolerance_ranking") if at.tolerance_ranking.notnull() else None
         parts.append(row)
     return parts
 

@@ -97,7 +97,7 @@ def place(
     tolerated = tolerances(layouts[0], ranking, of_fingers, stop=stop)
     checked = checked.merge(tolerated, combine_attrs="override")
     if people:
-        checked = checked.merge(over_people(layouts, scores, ranking, stop=stop), combine_attrs="override")
+        checked = checked.merge(over_people(layouts, scores, ranking, stop), combine_attrs="override")
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}

@@ -229,9 +229,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     # The priors count around the fingers, not for each person.
     for end in ("", "_stderr") if "resolution_spread" in result and "people_off" not in result else ():
         table[f"force_resolution_spread_n{end}"] = (force_n * result[f"resolution_spread{end}"]).values
-    of_people = ("median_resolution_n", "median_resolution_n_stderr", "worst_person", "worst_resolution_n")
-    of_people += ("worst_reason", "people_off")
-    table |= {name: result[name].values for name in of_people if name in result}
+    table |= of("median_resolution_n", "median_resolution_n_stderr", "worst_resolution_n", "people_off")
+    table |= {name: result[name].values for name in ("worst_person", "worst_reason") if name in result}
     table |= {"tied": tied & (tied.sum() > 1)} | of("condition_number", "fixed_ratio_resolution_n")
     pressures_pa = result.pressure_resolution_pa.max("finger")
     table |= {f"{name}_pressure_pa": pressures_pa.sel(pressure=name).values for name in PRESSURES}

@@ -80,11 +80,7 @@ def resolution_over_priors(
 
 
 def over_people(
-    layouts: Sequence[CandidateLayout],
-    scores: Sequence[LayoutScore],
-    cache: PhotonMapCache,
-    *,
-    stop: Callable[[], bool],
+    layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], cache: PhotonMapCache, stop: Callable[[], bool]
 ) -> xr.Dataset:
     """What people make of evaluated layouts: the median, whom each does not fit, who is worst and by what of theirs.
 
@@ -96,16 +92,14 @@ def over_people(
     off = [[not boards.fits(boards.worn_on(one.scene, person)) for person in people] for one in layouts]
     worst = np.where(np.transpose(off), -np.inf, by_person[:, 0]).argmax(0)
     resolution = _Resolution(scores[0].force.objective.rules, cache, stop)
-    reasons = [
-        _reason(resolution, layout, people[k]) if i == 0 or layout.origin != "searched" else ""
-        for i, (layout, k) in enumerate(zip(layouts, worst, strict=True))
-    ]
+    explained = [i for i, layout in enumerate(layouts) if i == 0 or layout.origin != "searched"]
+    reasons = {i: _reason(resolution, layouts[i], people[worst[i]]) for i in explained}
     data = described(
         __package__,
         median_resolution_n=jackknifed(over_fingers(by_person, "", len(people), 0.5)),
         worst_resolution_n=by_person[worst, 0, np.arange(len(layouts))],
         worst_person=[people[k].name for k in worst],
-        worst_reason=reasons,
+        worst_reason=[reasons.get(i, "") for i in range(len(layouts))],
         people_off=np.sum(off, axis=1),
     )
     return xr.Dataset(data)

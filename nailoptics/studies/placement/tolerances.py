@@ -1,9 +1,10 @@
 """How much worse the best layout becomes by tolerances: of gluing, of each photodiode's place, of the LEDs' power."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,7 @@ from ...errors import InputError
 from ...scene import Scene
 from ...variables import described, jackknifed
 from . import boards, candidates
+from .boards import PartT
 from .candidates import CandidateLayout
 from .objective import JUDGE_PHOTONS, Array, Objective, score_layout
 from .photon_maps import PERSON_DISTANCE_MM, PhotonMapCache
@@ -41,8 +43,9 @@ def tolerances(
     fingers = cache.conditions[: len(objective.points)]
     elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, stop=stop)
     changes: dict[tuple[str, str], Array] = {}
-    for (part, kind), varied in _varied(scene).items():
+    for part, kind, vary in _varied(scene):
         try:
+            varied = vary()
             candidates.check(varied, layout.name)
             moved, light = replace(layout, scene=varied), cache
             if part == "board":
@@ -59,36 +62,30 @@ def tolerances(
     return xr.Dataset(data, coords={"toleranced_part": parts, "deviation": list(KINDS)})
 
 
-def _varied(scene: Scene) -> dict[tuple[str, str], Scene]:
-    """The scene with each tolerance of each part; of the board's, without what then reaches over the nail."""
+def _varied(scene: Scene) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
+    """Each part, a deviation of it, and what makes the scene with that, which may be impossible."""
+    for kind, (du, dv) in MOVED.items():
+        yield "board", kind, partial(_glued, scene, du_mm=du, dv_mm=dv)
+        for i, (u, v) in enumerate(photodiode.position_mm for photodiode in scene.photodiodes):
+            moved = {f"photodiodes[{i}].position_mm": (u + du, v + dv)}
+            yield scene.photodiodes[i].name, kind, partial(scene.with_, **moved)
+    for kind, angle_deg in TURNED.items():
+        yield "board", kind, partial(_glued, scene, angle_deg=angle_deg)
+    for led, (kind, factor) in product(scene.leds, POWERED.items()):
+        yield led.name, kind, partial(scene.with_led, led.name, flux_mw=factor * led.flux_mw)
 
-    def board_at(turn_deg: float, du: float = 0.0, dv: float = 0.0) -> Scene:
-        cos, sin = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
-        (u, v), update = scene.board.center_mm, dict[str, Any]()
-        for name in ("leds", "photodiodes"):
-            places = [part.position_mm for part in getattr(scene, name)]
-            turned = [{"position_mm": (cos * x - sin * y, sin * x + cos * y)} for x, y in places]
-            both = zip(getattr(scene, name), turned, strict=True)
-            update[name] = tuple(
-                part.model_copy(update=at | {"rotation_deg": (part.rotation_deg + turn_deg) % 360}) for part, at in both
-            )
-        # Edges lie straight: those of a turned board are its box.
-        (width, length), sin = scene.layout.outline.size_mm, abs(sin)
-        size_mm = (cos * width + sin * length, sin * width + cos * length)
-        board = scene.board.model_copy(update={"center_mm": (u + du, v + dv), "size_mm": size_mm})
-        return boards.cut_to(scene.model_copy(update=update | {"board": board}), boards.nail_mm(scene))
 
-    varied = {("board", kind): board_at(0.0, *step) for kind, step in MOVED.items()}
-    varied |= {("board", kind): board_at(turn_deg) for kind, turn_deg in TURNED.items()}
-    for photodiode in scene.photodiodes:
-        (u, v), others = photodiode.position_mm, scene.photodiodes
-        for kind, (du, dv) in MOVED.items():
-            moved = photodiode.model_copy(update={"position_mm": (u + du, v + dv)})
-            parts = tuple(moved if one is photodiode else one for one in others)
-            varied[photodiode.name, kind] = scene.model_copy(update={"photodiodes": parts})
-    for led in scene.leds:
-        for kind, factor in POWERED.items():
-            powered = led.model_copy(update={"flux_mw": factor * led.flux_mw})
-            leds = tuple(powered if one is led else one for one in scene.leds)
-            varied[led.name, kind] = scene.model_copy(update={"leds": leds})
-    return varied
+def _glued(scene: Scene, *, du_mm: float = 0.0, dv_mm: float = 0.0, angle_deg: float = 0.0) -> Scene:
+    """The board glued aside, or turned about its middle, without what then reaches over the nail."""
+    cos, sin, (u, v) = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)), scene.board.center_mm
+    # Edges lie straight: those of a turned board are its box.
+    width, length = scene.layout.outline.size_mm
+    size_mm = cos * width + abs(sin) * length, abs(sin) * width + cos * length
+    board = scene.board.model_copy(update={"center_mm": (u + du_mm, v + dv_mm), "size_mm": size_mm})
+
+    def turned(part: PartT) -> PartT:
+        (x, y), at_deg = part.position_mm, (part.rotation_deg + angle_deg) % 360
+        return part.model_copy(update={"position_mm": (cos * x - sin * y, sin * x + cos * y), "rotation_deg": at_deg})
+
+    parts = {kind: tuple(map(turned, getattr(scene, kind))) for kind in ("leds", "photodiodes")}
+    return boards.cut_to(scene.model_copy(update={"board": board} | parts), boards.nail_mm(scene))
