@@ -268,8 +268,7 @@ def library() -> str:
         elif inspect.isclass(one):
             # The fields of a scene have a reference of their own.
             members = SCENE_MEMBERS if one is Scene else ""
-            given = "()" if one is Scene else ""
-            kinds["Classes"].append(f".. autoclass:: nailoptics.{name}{given}\n   :members: {members}\n")
+            kinds["Classes"].append(f".. autoclass:: nailoptics.{name}()\n   :members: {members}\n")
         else:
             kinds["Functions"].append(f".. autofunction:: nailoptics.{name}\n")
     return "\n".join(f"## {kind}\n\n" + "\n".join(map(_rst, entries)) for kind, entries in kinds.items())
