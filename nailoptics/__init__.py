@@ -1,17 +1,15 @@
 """nailoptics: an optical sensor on a fingernail, simulated from touch force to photodiode volts."""
 
 import importlib
-import inspect
-import re
 import sys
-from pathlib import Path
 from typing import Any
 
 from .version import __version__ as __version__
 
-# Where each public name lives, as the stub for type checkers says: `import nailoptics` imports none of them.
-_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
-_HOMES = {name: home for home, name in re.findall(r"^from (\S+) import ([^_]\w+) as", _STUB, re.MULTILINE)}
+# Where each public name lives, as the stub for type checkers says, line by line: `import nailoptics` imports none.
+with open(f"{__file__}i", encoding="utf-8") as _stub:
+    _WORDS = [line.split() for line in _stub if line.startswith("from .") and "__version__" not in line]
+_HOMES = {name: home for _, home, _, name, *_ in _WORDS}
 __all__ = [*_HOMES]
 
 
@@ -23,7 +21,7 @@ def __getattr__(name: str) -> Any:
     found = getattr(importlib.import_module(_HOMES[name], __name__), name)
     if "xarray" in sys.modules:  # results show themselves by `result.nail`
         importlib.import_module(".report.accessor", __name__)
-    if inspect.isfunction(found):
+    if not isinstance(found, type):
         from .options import spell_out
 
         spell_out(found)
