@@ -14,6 +14,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import directives
+from nbclient import NotebookClient
 from sphinx.util.docutils import SphinxDirective
 
 import nailoptics
@@ -55,6 +56,8 @@ def prepare_kernels(app: Any) -> None:
     look = {"figure.dpi": 144, "figure.figsize": [6.4, 3.6], "figure.facecolor": "white", "grid.color": style.GRID}
     lines = [f"c.InlineBackend.rc = {look}", "c.IPKernelApp.log_level = 40"]
     (profile / "ipython_kernel_config.py").write_text("\n".join(lines), encoding="utf-8")
+    # What a command prints arrives in pieces, between which myst-nb would break lines.
+    NotebookClient.coalesce_streams = True
     os.environ.pop("MPLBACKEND", None)  # figures are shown below the cells that make them
     # What is installed beside Sphinx is run, in lines as wide as the page.
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
