@@ -381,7 +381,9 @@ def _compared(one: Mapping[str, Any]) -> str:
     """A heading and the figure of one quantity."""
     # A blank line would end the HTML.
     figure = re.sub(r"\n\s*\n", "\n", validation_page.figure_of(one))
-    return f"**{one['quantity'][0].upper()}{one['quantity'][1:]}**\n\n{figure}\n\n{one.get('remark', '')}\n"
+    name = one["quantity"] if one["quantity"][1] == "*" else one["quantity"][0].upper() + one["quantity"][1:]
+    name = name.replace("*", "\\*")
+    return f"**{name}**\n\n{figure}\n\n{one.get('remark', '')}\n"
 
 
 def force() -> str:
