@@ -9,10 +9,11 @@ the filter sums their powers. `validate` compares single waves by name.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from ..checks import finite, not_negative, number, positive
 from ..errors import InputError
@@ -245,9 +246,9 @@ class DampedOscillator:
     frequency_hz : where its power lies. coherence_s : how long it keeps its phase. rms_pa : its strength.
     """
 
-    frequency_hz: float
-    coherence_s: float
-    rms_pa: float
+    frequency_hz: Annotated[float, Field(gt=0, lt=100)]
+    coherence_s: Annotated[float, Field(gt=0, lt=1e6)]
+    rms_pa: Annotated[float, Field(ge=0, lt=1e5)]
 
     def propagate(self, step_s: float) -> tuple[Array, float]:
         """Transition (2, 2) over a step, and the variance of the process noise of either state. [Pa^2]"""
@@ -269,9 +270,9 @@ class CardiacOscillator:
     rate_hz : beats in a second. rms_pa : of each harmonic. spread : relative standard deviation of their heights.
     """
 
-    rate_hz: float
-    rms_pa: tuple[float, ...]
-    spread: float
+    rate_hz: Annotated[float, Field(ge=0.1, le=10)]
+    rms_pa: tuple[Annotated[float, Field(ge=1e-3, le=1e5)], ...]
+    spread: Annotated[float, Field(ge=1e-3, le=1)]
 
     @property
     def size(self) -> int:

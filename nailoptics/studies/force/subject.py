@@ -87,18 +87,6 @@ def _columns(rows: Any) -> Any:
     return {field: [row.get(field) for row in rows.values()] for field in fields}
 
 
-def _possible_beat(beat: CardiacOscillator) -> CardiacOscillator:
-    if not (0.1 <= beat.rate_hz <= 10 and 1e-3 <= beat.spread <= 1 and all(1e-3 <= rms <= 1e5 for rms in beat.rms_pa)):
-        raise ValueError(f"{beat} is not that of a heart")
-    return beat
-
-
-def _possible_wave(wave: DampedOscillator) -> DampedOscillator:
-    if not (0 < wave.frequency_hz < 100 and 0 < wave.coherence_s < 1e6 and 0 <= wave.rms_pa < 1e5):
-        raise ValueError(f"{wave} is not one of a body")
-    return wave
-
-
 @dataclass(frozen=True, config=TABLE)
 class Noise:
     """What moves readings beside the touch, and beside their white noise.
@@ -112,14 +100,9 @@ class Noise:
 
     drift_per_min: Fraction
     led_drift_per_min: Fraction
-    waves: Annotated[
-        tuple[Annotated[DampedOscillator, AfterValidator(_possible_wave)], ...],
-        Field(validation_alias=AliasChoices("waves", "rhythms")),
-    ]
+    waves: Annotated[tuple[DampedOscillator, ...], Field(validation_alias=AliasChoices("waves", "rhythms"))]
     # Files of version 0.2 have an empty table where none was detected.
-    beat: Annotated[
-        Annotated[CardiacOscillator, AfterValidator(_possible_beat)] | None, BeforeValidator(lambda beat: beat or None)
-    ] = None
+    beat: Annotated[CardiacOscillator | None, BeforeValidator(lambda beat: beat or None)] = None
     dynamic_error: Annotated[float, Field(exclude=True)] = DYNAMIC_ERROR
     static_error: Annotated[float, Field(exclude=True)] = STATIC_ERROR
 
