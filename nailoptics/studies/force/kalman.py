@@ -119,7 +119,20 @@ class KalmanFilter:
         """
         if since_s is not None:
             self.predict(since_s)
-        return self.update(volts, since_s)
+        valid = np.isfinite(volts)
+        variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
+        nis = self._update(volts, valid, variance)
+        self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
+        blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
+        self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
+        return PressureEstimate(
+            touch_n_per_cm2=self.model.sensed_touch(self.state, self.relaxed_n_per_cm2),
+            covariance=self.covariance[TOUCH, TOUCH].copy(),
+            arterial_pa=self.model.arterial_pa(self.state),
+            nis=nis,
+            count=int(valid.sum()),
+            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER_GATE),
+        )
 
     def predict(self, since_s: float) -> None:
         """Predict the next sample, or restart."""
@@ -152,23 +165,6 @@ class KalmanFilter:
         before[:, touch, touch] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
-
-    def update(self, volts: Array, since_s: float | None) -> PressureEstimate:
-        """Update the prediction by a sample (R,) [V], so long after the one before it."""
-        valid = np.isfinite(volts)
-        variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
-        nis = self._update(volts, valid, variance)
-        self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
-        blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
-        self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
-        return PressureEstimate(
-            touch_n_per_cm2=self.model.sensed_touch(self.state, self.relaxed_n_per_cm2),
-            covariance=self.covariance[TOUCH, TOUCH].copy(),
-            arterial_pa=self.model.arterial_pa(self.state),
-            nis=nis,
-            count=int(valid.sum()),
-            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER_GATE),
-        )
 
     def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
         """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
