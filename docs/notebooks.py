@@ -30,7 +30,7 @@ TRACING = re.compile(
 LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
 # On top of a page that is not run, whose language no kernel says.
 UNEXECUTED = '\nmystnb:\n  execution_mode: "off"\nlanguage_info:\n  name: python\n  pygments_lexer: ipython3\n---\n'
-LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|max_seconds|photons)=[\d_.]+")
+LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|max_seconds|photons)( ?= ?)[\d_.]+")
 
 
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
@@ -45,7 +45,7 @@ def with_few_photons(app: Any, name: str, source: list[str]) -> None:
 
 def with_limit(cell: str, photons: int) -> str:
     """A cell that traces so many photons, whatever limits it has."""
-    cell = LIMIT_IN_PYTHON.sub(f"photons={photons}", cell)
+    cell = LIMIT_IN_PYTHON.sub(rf"photons\g<1>{photons}", cell)
     return TRACING.sub(lambda command: f"{LIMIT.sub('', command[1])} --photons {photons}", cell)
 
 
