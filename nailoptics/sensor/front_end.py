@@ -51,17 +51,16 @@ def with_fitted_resistors(scene: Scene) -> Scene:
 
 @dataclass(frozen=True)
 class SampledFrontEnd:
-    """A photodiode's transimpedance stage, sampled in an oximeter's slots.
+    """The photodiodes' transimpedance stages, sampled in an oximeter's slots.
 
-    photodiode : whose light it amplifies.
     leds : numbers of the red and the infrared LED.
-    ambient_a : photocurrent by ambient light. [A]
+    ambient_a : (photodiodes,) float. Photocurrent by ambient light. [A]
     """
 
     scene: Scene
-    photodiode: Photodiode
+    photodiodes: tuple[Photodiode, ...]
     leds: tuple[int, int]
-    ambient_a: float = 0.0
+    ambient_a: Array
 
     @cached_property
     def oximeter(self) -> Oximeter:
@@ -138,45 +137,47 @@ class SampledFrontEnd:
         return (self.weights @ self.mixing)[:, :2]
 
     def slot_volts(self, fraction: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """Mean volts of every slot and where the converter is at its limit, (..., slots) each.
+        """Mean volts of every slot and where the converter is at its limit, (slots, ..., photodiodes) each.
 
-        fraction : (..., 2) float. Detected fractions of the red and the infrared LED.
+        fraction : (2, ..., photodiodes) float. Detected fractions of the red and the infrared LED.
         """
-        detected, amplifier = np.asarray(fraction, float), self.scene.electronics
-        lights = [(detected[..., k], led) for k, led in enumerate(self.leds)]
-        lights.append((np.zeros_like(detected[..., 0]), self.leds[0]))
+        amplifier, how = self.scene.electronics, {"ambient_a": self.ambient_a}
         settled = [
-            electronics.read(part, self.scene.leds[led], self.photodiode, amplifier, ambient_a=self.ambient_a)
-            for part, led in lights
+            electronics.read(part, self.scene.leds[led], self.photodiodes, amplifier, **how).amplified_v
+            for part, led in self._lit(fraction)
         ]
-        return electronics.converted(np.stack([slot.amplified_v for slot in settled], -1) @ self.mixing.T, amplifier)
+        return electronics.converted(np.tensordot(self.mixing, settled, 1), amplifier)
 
     def photocurrent_a(self, fraction: ArrayLike, led: int) -> Array:
-        """Photocurrent of one LED's light from its detected fraction, of any shape. [A]"""
-        return electronics.photocurrent_a(fraction, self.scene.leds[led], self.photodiode)
+        """Photocurrent of one LED's light from its detected fraction, (..., photodiodes) float. [A]"""
+        return electronics.photocurrent_a(fraction, self.scene.leds[led], self.photodiodes)
 
     def slot_noise_v2(self, fraction: ArrayLike) -> dict[str, Array]:
-        """Variance of every slot's average by its cause, (slots,) float each. [V^2]
+        """Variance of every slot's average by its cause, (slots, photodiodes) float each. [V^2]
 
-        fraction : (2,) float. Detected fraction of the red and the infrared LED's light. [1]
+        fraction : (2, photodiodes) float. Detected fraction of the red and the infrared LED's light. [1]
         """
         amplifier, samples = self.scene.electronics, self.oximeter.samples
-        lit = dict(zip(self.lights, np.append(np.asarray(fraction, float), 0.0), strict=True))
-        led = dict(zip(self.lights, (*self.leds, self.leds[0]), strict=True))
-        current_a = np.array([self.photocurrent_a(lit[name], led[name]) for name in self.slot_names])
+        lit_a = dict(zip(self.lights, (self.photocurrent_a(*lit) for lit in self._lit(fraction)), strict=True))
+        current_a = np.stack([lit_a[name] for name in self.slot_names])
         quiet, bright = (
-            electronics.noise_budget(current_a + ambient_a, self.photodiode, amplifier)
+            electronics.noise_budget(current_a + ambient_a, self.photodiodes, amplifier)
             for ambient_a in (0.0, self.ambient_a)
         )
         # Noise of a first-order stage is correlated over its time constant, between the samples of a slot.
         times_s = [1e-3 * self.sample_times_ms(slot.length_ms) for slot in self.slots]
-        averaged = np.array([np.exp(-np.abs(t[:, None] - t) / self.settling_s).mean() for t in times_s])
+        averaged = np.array([[np.exp(-np.abs(t[:, None] - t) / self.settling_s).mean()] for t in times_s])
         held = electronics.BOLTZMANN_J_PER_K * amplifier.temperature_k / (1e-12 * self.oximeter.hold_pf)
         return {
             "electronics": (sum(quiet) - quiet.adc_v2) * averaged + held / samples,
             "converter": np.full_like(current_a, quiet.adc_v2 / samples),
             "ambient light": (bright.shot_v2 - quiet.shot_v2) * averaged,
         }
+
+    def _lit(self, fraction: ArrayLike) -> list[tuple[Array, int]]:
+        """Detected fraction of each of `lights`, and the number of an LED."""
+        detected = np.asarray(fraction, float)
+        return list(zip([*detected, np.zeros_like(detected[0])], (*self.leds, self.leds[0]), strict=True))
 
 
 def red_and_infrared(scene: Scene) -> tuple[int, int]:
@@ -199,15 +200,11 @@ def oximeter_leds(scene: Scene) -> tuple[int, int]:
     return leds
 
 
-def front_ends_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None = None) -> list[SampledFrontEnd]:
-    """The front end of every photodiode; ambient_a : (photodiodes,) float, photocurrent by ambient light. [A]"""
+def front_end_of(scene: Scene, leds: tuple[int, int], ambient_a: Array | None = None) -> SampledFrontEnd:
+    """The front end of a scene; ambient_a : (photodiodes,) float, photocurrent by ambient light. [A]"""
     scene = with_fitted_resistors(scene)
-    elements = scene.layout.photodiodes
-    currents = np.zeros(len(elements)) if ambient_a is None else ambient_a
-    return [
-        SampledFrontEnd(scene, element.photodiode, leds, float(a))
-        for element, a in zip(elements, currents, strict=True)
-    ]
+    photodiodes = tuple(element.photodiode for element in scene.layout.photodiodes)
+    return SampledFrontEnd(scene, photodiodes, leds, np.zeros(len(photodiodes)) if ambient_a is None else ambient_a)
 
 
 def ratio_stderr(

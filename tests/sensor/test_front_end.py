@@ -8,10 +8,11 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.sensor import electronics
-from nailoptics.sensor.front_end import SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
+from nailoptics.sensor.front_end import SampledFrontEnd, front_end_of, oximeter_leds, ratio_stderr
 
 TEXT = (data_dir("scenes") / "pulse_oximeter.toml").read_text(encoding="utf-8")
-LIGHT = np.array([4e-3, 5e-3])
+# Of both LEDs on three photodiodes.
+LIGHT = np.array([[4e-3] * 3, [5e-3] * 3])
 
 
 def shipped() -> Scene:
@@ -19,14 +20,14 @@ def shipped() -> Scene:
 
 
 def stage(scene: Scene, ambient_a: float = 0.0) -> SampledFrontEnd:
-    return front_ends_of(scene, (0, 1), np.full(3, ambient_a))[0]
+    return front_end_of(scene, (0, 1), np.full(3, ambient_a))
 
 
 def test_settled_slots_read_their_own_light_less_the_dark_slot():
     bright = stage(shipped(), ambient_a=1e-6)
     weights, (volts, full) = bright.weights, bright.slot_volts(LIGHT)
     per_fraction = [
-        electronics.volts_per_fraction(led, bright.photodiode, shipped().electronics) for led in shipped().leds
+        electronics.volts_per_fraction(led, bright.photodiodes, shipped().electronics) for led in shipped().leds
     ]
     assert np.allclose(weights @ volts, LIGHT * per_fraction, rtol=1e-5) and not full.any()
     assert volts[2] == pytest.approx(1e-6 * 4e5 + 1e-10 * 4e5, rel=1e-4)
@@ -44,9 +45,9 @@ def test_a_slow_stage_carries_the_slot_before_as_its_time_constant_says():
 def test_noise_of_averaged_slots_is_that_of_samples_that_are_drawn():
     """Noise of a first-order stage, drawn sample by sample, averaged over a slot as the converter does."""
     one, rng = stage(shipped()), np.random.default_rng(5)
-    expected = one.slot_noise_v2(LIGHT)["electronics"][0]
-    budget = electronics.noise_budget(one.photocurrent_a(LIGHT[0], 0), one.photodiode, shipped().electronics)
-    analog = float(sum(budget) - budget.adc_v2)
+    expected = one.slot_noise_v2(LIGHT)["electronics"][0, 0]
+    budget = electronics.noise_budget(one.photocurrent_a(LIGHT[0], 0), one.photodiodes, shipped().electronics)
+    analog = float((sum(budget) - budget.adc_v2)[0])
     held = electronics.BOLTZMANN_J_PER_K * 305.0 / 10e-12
     step = np.exp(-np.diff(1e-3 * one.sample_times_ms(2.0))[0] / one.settling_s)
     values = np.sqrt(analog) * rng.standard_normal(200_000)

@@ -69,9 +69,7 @@ class CalibratedOximeter:
         return np.concatenate(out, -1)
 
 
-def sensitivity_curves(
-    oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array
-) -> dict[str, Variables]:
+def sensitivity_curves(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> dict[str, Variables]:
     """Bias of SpO2 over each disturbance, by its name.
 
     sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
@@ -102,7 +100,7 @@ def sensitivity_curves(
         add(name, text, "K", WARMER_K, lines("shift_nm", drift * WARMER_K))
     text, venous = "venous saturation below the arterial one", np.maximum(scene.blood.so2 - VENOUS_BELOW, 0.0)
     add("venous_below_arterial", text, "1", VENOUS_BELOW, at("blood.venous_so2", venous))
-    text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_ends, sun_a)
+    text, bias = "sunlight with the dark slot left out", _sunlight(oximeter, front_end, sun_a)
     curves["sunlight_lux"] = _curve("sunlight_lux", text, "lx", SUN_LUX, *bias)
     return curves
 
@@ -115,12 +113,11 @@ def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr:
     return data | variable(name, name, values, text, units=units)
 
 
-def _sunlight(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], sun_a: Array) -> tuple[Array, Array]:
+def _sunlight(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> tuple[Array, Array]:
     """Bias by sunlight where no dark reading is taken away: it adds to what is steady."""
-    nominal, level_a, ratios = oximeter.nominal, np.zeros(oximeter.nominal.dc.shape[:-1]), []
-    for j, front_end in enumerate(front_ends):
-        for k, led in enumerate(front_end.leds):
-            level_a[:, k, j] = front_end.photocurrent_a(nominal.dc[:, k, j, 0], led)
+    nominal, ratios = oximeter.nominal, []
+    steady = nominal.dc[..., 0]
+    level_a = np.stack([front_end.photocurrent_a(steady[:, k], led) for k, led in enumerate(front_end.leds)], 1)
     for lux in SUN_LUX:
         diluted = nominal.perfusion_index[..., 0] * level_a / (level_a + sun_a * lux / SUN_LUX[-1])
         ratios.append(diluted[:, 0] / diluted[:, 1])

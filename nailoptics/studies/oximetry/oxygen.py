@@ -13,7 +13,7 @@ from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
-from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_ends_of, oximeter_leds, ratio_stderr
+from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_end_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Estimate, Variables, described, jackknifed
 from .disturbances import CalibratedOximeter, path_warnings, sensitivity_curves
@@ -70,13 +70,13 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     sources = (scene.ambient or LAMP, SUN)
     outside_a = trace_ambient(scene, sources, options, seed=seed_of(options.seed, _LEAKAGE))
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = outside_a
-    front_ends = front_ends_of(scene, leds, ambient_a)
+    front_end = front_end_of(scene, leds, ambient_a)
     path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
     calibrations = _calibrations(curve(FIT_SO2).ratio)
     slope = np.abs(calibrations["linear"][1][:, 1])
-    volts = _volts(transfer, leds, beat, front_ends, seed)
+    volts = _volts(transfer, leds, beat, front_end, seed)
     time_s, light = light_of_touch(scene, transfer, leds)
-    data = calibrations | volts | _error_variables(oximeter, slope, front_ends, volts)
+    data = calibrations | volts | _error_variables(oximeter, slope, front_end, volts)
     data |= described(
         __package__,
         ratio=jackknifed(oximeter.curve),
@@ -87,7 +87,7 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         ambient_a=Estimate(ambient_a, ambient_stderr_a),
         sun_a=Estimate(sun_a, sun_stderr_a),
     )
-    disturbances = sensitivity_curves(oximeter, front_ends, sun_a)
+    disturbances = sensitivity_curves(oximeter, front_end, sun_a)
     for curves in disturbances.values():
         data |= curves
     names = {
@@ -103,7 +103,7 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     about = {
         "title": "nailoptics: oxygen from volts",
         "seed": options.seed,
-        "warnings": _warnings(oximeter, front_ends, path_ratio[0]),
+        "warnings": _warnings(oximeter, front_end, path_ratio[0]),
         "best": best,
         "so2": scene.blood.so2,
         "disturbances": list(disturbances),
@@ -122,26 +122,25 @@ def _calibrations(ratio: Array) -> Variables:
 
 
 def _volts(
-    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_ends: list[SampledFrontEnd], seed: int
+    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end: SampledFrontEnd, seed: int
 ) -> Variables:
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
     states = [(transfer.scene.blood.so2, beat.resting, beat.pulse)]
-    light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds], -1)
-    slots = np.stack([front_end.slot_volts(light[:, j])[0] for j, front_end in enumerate(front_ends)], 1)
-    full = np.stack([front_end.slot_volts(light[0, j])[1].any((0, 1)) for j, front_end in enumerate(front_ends)])
-    volts = np.einsum("gjts,jls->gljt", slots, np.stack([front_end.weights for front_end in front_ends]))
+    light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds])
+    slots, full = front_end.slot_volts(np.swapaxes(light, 2, 3))
+    volts = np.einsum("ls,sgtj->gljt", front_end.weights, slots)
     return described(
         __package__,
         volts=jackknifed(volts),
         volts_pulse=jackknifed(volts - volts.mean(-1, keepdims=True)),
-        slot_volts=slots[0].mean(1),
-        saturated=full,
-        slot=np.array(front_ends[0].slot_names),
+        slot_volts=slots[:, 0].mean(1).T,
+        saturated=full[:, 0].any((0, 1)),
+        slot=np.array(front_end.slot_names),
     )
 
 
 def _error_variables(
-    oximeter: CalibratedOximeter, slope: Array, front_ends: list[SampledFrontEnd], volts: Variables
+    oximeter: CalibratedOximeter, slope: Array, front_end: SampledFrontEnd, volts: Variables
 ) -> Variables:
     """Error of SpO2 by its cause, for one beat and for 8 s. [percent]
 
@@ -152,11 +151,8 @@ def _error_variables(
     level_v, pulse = volts["volts"][1].mean(-1).T, volts["volts_pulse"][1][1]
     shape = pulse.std(-1) / np.ptp(pulse, axis=-1)
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    noises = [
-        {name: front_end.weights**2 @ slots for name, slots in front_end.slot_noise_v2(fraction).items()}
-        for front_end, fraction in zip(front_ends, nominal.dc[0, ..., 0].T, strict=True)
-    ]
-    noise_v2 = [np.stack([noise[name] for noise in noises]) for name in CAUSES]
+    of_slots_v2 = front_end.slot_noise_v2(nominal.dc[0, ..., 0])
+    noise_v2 = [(front_end.weights**2 @ of_slots_v2[name]).T for name in CAUSES]
     data: dict[str, Array] = {}
     for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene.body)), ("", AVERAGE_S)):
         how = {"shape_rms": shape, "frames": seconds * frame_hz}
@@ -166,18 +162,17 @@ def _error_variables(
     return described(__package__, **data)
 
 
-def _warnings(oximeter: CalibratedOximeter, front_ends: list[SampledFrontEnd], path_ratio: Array) -> list[str]:
+def _warnings(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, path_ratio: Array) -> list[str]:
     scene, nominal = oximeter.transfer.scene, oximeter.nominal
     lines = path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
-    for j, (front_end, name) in enumerate(zip(front_ends, oximeter.transfer.photodiodes, strict=True)):
-        _, full = front_end.slot_volts(nominal.dc[0, :, j, 0])
-        lit = [slot for slot, over in zip(front_end.slot_names, full, strict=True) if over]
-        if lit:
+    _, full = front_end.slot_volts(nominal.dc[0, ..., 0])
+    for name, over in zip(oximeter.transfer.photodiodes, full.T, strict=True):
+        if over.any():
             lines.append(
-                f'photodiode "{name}" saturates in slot "{lit[0]}": its volts do not measure the light; lower the '
-                "LED's flux_mw or electronics.feedback_ohm"
+                f'photodiode "{name}" saturates in slot "{front_end.slot_names[int(over.argmax())]}": its volts do not '
+                "measure the light; lower the LED's flux_mw or electronics.feedback_ohm"
             )
-    crosstalk = float(np.abs(front_ends[0].corrected - np.eye(2)).max())
+    crosstalk = float(np.abs(front_end.corrected - np.eye(2)).max())
     if crosstalk > MOST_CROSSTALK:
         lines.append(
             f"slots: {100 * crosstalk:.1f} % of a reading is not its own LED's settled light; raise "

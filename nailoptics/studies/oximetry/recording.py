@@ -17,7 +17,7 @@ from ...scene import Oximeter, Scene
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
-from ...sensor.front_end import AVERAGE_S, front_ends_of, oximeter_leds
+from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
 from .ratio import saturation_of
@@ -63,36 +63,29 @@ def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecordi
 
     result : what `oximeter` returned for the scene.
     """
-    front_ends = front_ends_of(scene, oximeter_leds(scene), np.asarray(result.ambient_a))
-    time_s, light, rng = (
-        result.time.values,
-        result.detected_fraction.values,
-        np.random.default_rng(seed_of(seed, _NOISE)),
-    )
-    first = front_ends[0]
-    delay_s, places = first.delays_s[first.lights[1]], [first.slot_names.index(name) for name in first.lights[:2]]
-    later = np.stack([np.interp(time_s + delay_s, time_s, course) for course in light[1]])
-    volts, dark = [], []
-    for j, front_end in enumerate(front_ends):
-        fraction = np.stack([light[0, j], later[j]], -1)
-        slots, _ = front_end.slot_volts(fraction)
-        variance = np.sum(list(front_end.slot_noise_v2(fraction.mean(0)).values()), axis=0)
-        noisy = slots + np.sqrt(variance) * rng.standard_normal(slots.shape)
-        noisy, _ = electronics.converted(noisy, scene.electronics)
-        volts.append(noisy[:, places].T)
-        dark.append(noisy[:, first.slot_names.index(DARK)] if DARK in first.slot_names else np.zeros(len(time_s)))
+    front_end = front_end_of(scene, oximeter_leds(scene), np.asarray(result.ambient_a))
+    time_s, (red, infrared) = result.time.values, result.detected_fraction.values
+    delay_s, rng = front_end.delays_s[front_end.lights[1]], np.random.default_rng(seed_of(seed, _NOISE))
+    later = [np.interp(time_s + delay_s, time_s, course) for course in infrared]
+    fraction = np.stack([red.T, np.transpose(later)])
+    slots, _ = front_end.slot_volts(fraction)
+    noise_v = np.sqrt(sum(front_end.slot_noise_v2(fraction.mean(1)).values()))[:, None]
+    drawn = np.transpose(rng.standard_normal((len(red), len(time_s), len(slots))))
+    noisy, _ = electronics.converted(slots + noise_v * drawn, scene.electronics)
+    by_slot = dict(zip(front_end.slot_names, np.swapaxes(noisy, 1, 2), strict=True))
+    volts = np.stack([by_slot[name] for name in front_end.lights[:2]])
     names = tuple(str(name) for name in result.photodiode.values)
-    return OximeterRecording("simulated", names, time_s, np.stack(volts, 1), np.stack(dark))
+    return OximeterRecording("simulated", names, time_s, volts, by_slot.get(DARK, np.zeros_like(red)))
 
 
 def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     """Read a recording of a scene's oximeter; raises InputError, also where it holds no pulse."""
     leds = oximeter_leds(scene)
-    first = front_ends_of(scene, leds)[0]
-    names, delays_s = scene.layout.photodiode_names, first.delays_s
+    front_end = front_end_of(scene, leds)
+    names, delays_s = scene.layout.photodiode_names, front_end.delays_s
     frame_hz = (scene.oximeter or Oximeter()).frame_hz
     how: dict[str, Any] = {"photodiodes": names, "delays_s": delays_s, "frame_hz": frame_hz}
-    recording = read_oximeter_recording(path, leds=first.lights[:2], **how)
+    recording = read_oximeter_recording(path, leds=front_end.lights[:2], **how)
     # Checked here, before any light is traced.
     pulses_over_time(recording, scene)
     return recording
