@@ -135,12 +135,9 @@ class SweepFile(Table):
                     'linspace and logspace are for "product" and "zip"'
                 )
         counts = {axis.axis_name: len(axis.values_at()) for axis in self.axes if self.combine == "zip"}
-        for (first, count), (other, another) in itertools.pairwise(counts.items()):
-            if another != count:
-                raise ValueError(
-                    f'axes "{first}" and "{other}" have {count} and {another} values; combine = "zip" needs as many '
-                    "of each"
-                )
+        if len({*counts.values()}) > 1:
+            each = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise ValueError(f'axes differ in their numbers of values, {each}; combine = "zip" needs as many of each')
         return self
 
 
