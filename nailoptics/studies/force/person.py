@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, PlainValidator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from ...hemodynamics import creeping_pressure, spreading_pressure
+from ...hemodynamics import Contact, creeping_pressure, spreading_pressure
 from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
@@ -38,7 +38,7 @@ PULSED, STEP_PA = 9, 200.0
 MOST_GAIN = 1e4
 SIDES = ("proximal", "distal")
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
-N_PER_CM2 = 1e4
+N_PER_CM2, MM2_PER_CM2 = 1e4, 100.0
 
 # Tables of a subject file; it also holds what is for its reader alone.
 TABLE = ConfigDict(extra="ignore", allow_inf_nan=False, arbitrary_types_allowed=True)
@@ -153,10 +153,9 @@ class Person:
         site : (T,) float. 1 where the touch is proximal, 0 where it is distal, NaN where it is even.
         """
         share = np.where(np.isnan(site), np.asarray(self.share)[..., None], site)
-        even = force_n / np.asarray(self.area_cm2)[..., None]
-        # A side that bears more than half of the force has as much more of the contact's area.
-        proximal = even * share / np.maximum(share, 0.5) / np.asarray(self.proximal_area)[..., None]
-        return np.stack([proximal, even * (1 - share) / np.maximum(1 - share, 0.5)])
+        contact = Contact(MM2_PER_CM2 * np.asarray(self.area_cm2)[..., None], share)
+        proximal_pa, distal_pa = contact.pressures(np.maximum(force_n, 0.0))
+        return np.stack([proximal_pa / np.asarray(self.proximal_area)[..., None], distal_pa]) / N_PER_CM2
 
     def force(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Force [N] and its proximal share from both pressures (2, ...): the inverse of `pressures_n_per_cm2`."""
