@@ -2,10 +2,8 @@
 
 import os
 import re
-import runpy
 from functools import partial
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -302,9 +300,3 @@ def test_a_page_that_cannot_be_written_leaves_the_old_one(undrawn, make, tmp_pat
     with pytest.raises(InputError, match="No space left"):
         SIMULATION.write(result, tmp_path)
     assert path.read_text(encoding="utf-8") == "old" and sorted(os.listdir(tmp_path)) == ["report.html", "result.nc"]
-
-
-def test_the_picture_for_the_readme_is_small(make, tmp_path):
-    script = Path(__file__).parents[2] / "docs" / "pictures" / "readme_picture.py"
-    runpy.run_path(str(script))["readme_picture"](make(), tmp_path / "picture.png")
-    assert 20_000 < (tmp_path / "picture.png").stat().st_size < 300_000

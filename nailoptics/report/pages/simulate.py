@@ -124,14 +124,11 @@ def _models_section(result: xr.Dataset, scene: Scene | None, readings: "pd.DataF
     lines += [
         subheading("Constants of Beer–Lambert (8) and Taylor (9)"),
         _pair_table(rows, readings, scene, kind="fits"),
+        *map(small, (TEXTS["fits"], *notes)),
     ]
-    lines += [small(TEXTS["fits"]), *(small(f"[{mark}] {note}") for note, mark in notes.items())]
     if paths := _paths(result, readings):
-        lines += [
-            subheading("Mean path of the detected light"),
-            TEXTS["mean_path"],
-            _pair_table(paths, readings, scene, kind="paths"),
-        ]
+        lines += [subheading("Mean path of the detected light"), TEXTS["mean_path"]]
+        lines.append(_pair_table(paths, readings, scene, kind="paths"))
     return section("Traced light beside the reduced optics", *lines)
 
 
@@ -233,26 +230,20 @@ def _list(words: Sequence[str]) -> str:
 
 def _paths(result: xr.Dataset, readings: "pd.DataFrame") -> list[dict[str, str]]:
     """Mean path of the detected light at rest in every absorber; empty where the engine records no paths."""
-    mean, stderr = result.mean_path_mm, result.mean_path_mm_stderr
-    if not np.isfinite(mean).any():
-        return []
-    passed = (mean + 2 * stderr.fillna(0) >= LEAST_PATH_MM).any(("led", "photodiode"))
-    mean, stderr = mean.sel(absorber=passed), stderr.sel(absorber=passed)
-    names = {bed_zone_name(k): f"bed, {zone}" for k, zone in enumerate(result.zone.values)}
-    heads = [f"{names.get(str(a), a)} [mm]" for a in mean.absorber.values]
+    paths = result[["mean_path_mm", "mean_path_mm_stderr"]]
+    passed = (paths.mean_path_mm + 2 * paths.mean_path_mm_stderr.fillna(0) >= LEAST_PATH_MM).any(("led", "photodiode"))
+    zones = {bed_zone_name(k): f"bed, {zone}" for k, zone in enumerate(result.zone.values)}
+    heads = {str(name): f"{zones.get(str(name), name)} [mm]" for name in paths.absorber.values[passed.values]}
     rows = []
-    for r in readings.itertuples():
-        pairs = zip(*(paths.sel(led=r.led, photodiode=r.photodiode).values for paths in (mean, stderr)), strict=True)
-        # A path that is nothing beside a finger is not shown in powers of ten.
-        cells = [
-            "< 0.001" if 0 <= path + 2 * error < LEAST_PATH_MM else with_error(path, error) for path, error in pairs
-        ]
-        rows.append({"Photodiode": r.photodiode} | dict(zip(heads, cells, strict=True)))
+    for r in readings.itertuples() if heads else ():
+        at = paths.sel(led=r.led, photodiode=r.photodiode)
+        shown = {head: estimated(at.sel(absorber=name), "mean_path_mm") for name, head in heads.items()}
+        rows.append({"Photodiode": r.photodiode} | shown)
     return rows
 
 
-def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, str]], dict[str, str]]:
-    """Fitted constants of Beer-Lambert (8) and Taylor (9) with their residuals; and marks of what is not determined.
+def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, str]], list[str]]:
+    """Fitted constants of Beer-Lambert (8) and Taylor (9) with their residuals; and what is not determined, in words.
 
     Where the readings do not bend, V0, V1 and alpha of Beer-Lambert (8) are not identifiable; the fit is shown as
     straight.
@@ -267,15 +258,14 @@ def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, 
         "V′₁ [µV µm⁻²]": ("taylor_v1_v_per_m2", 1e6),
         "Taylor (9) residual, rms [µV]": ("taylor_residual_rms_v", 1e-6),
     }
-    rows, marks = [], dict[str, str]()
+    rows, noted = [], dict[str, list[str]]()
     for r in readings.itertuples():
         fit = result.sel(led=r.led, photodiode=r.photodiode)
         if r.saturated:
             rows.append({"Photodiode": f"{r.photodiode} saturated"} | dict.fromkeys(fields, "–"))
             continue
-        note, level_v = str(fit.fit_note.item()), abs(float(fit.taylor_v0_v))
-        mark = " [" + marks.setdefault(note, chr(ord("a") + len(marks) % 26)) + "]" if note else ""
-        row = {"Photodiode": r.photodiode + mark}
+        noted.setdefault(str(fit.fit_note.item()), []).append(r.photodiode)
+        row, level_v = {"Photodiode": r.photodiode}, abs(float(fit.taylor_v0_v))
         straight = 0 < float(fit.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT
         for head, (field, unit) in fields.items():
             level = level_v / (largest_m2 if field.endswith("_per_m2") else 1.0) / unit
@@ -284,7 +274,7 @@ def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, 
             if row[head].endswith("?") and field.startswith("beer_lambert"):
                 row[head] = "straight" if straight else "not known"
         rows.append(row)
-    return rows, marks
+    return rows, [f"{', '.join(dict.fromkeys(names))}: {note}" for note, names in noted.items() if note]
 
 
 def _pair_table(rows: Sequence[dict[str, str]], readings: "pd.DataFrame", scene: Scene | None, *, kind: str) -> Html:

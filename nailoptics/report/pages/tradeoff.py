@@ -11,7 +11,7 @@ from ...io import to_json
 from ...studies.model_error.tradeoff import OWN, REFERENCE, Level, Tradeoff, fastest
 from .. import style
 from ..files import Report, scene_text
-from ..html import document, figure, section, small, subheading, table, texts
+from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, duration, significant, with_error
 
 if TYPE_CHECKING:
@@ -33,27 +33,22 @@ SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
     """The page around what `draw` drew."""
-    name, selected = (
-        result.chosen.name,
-        "; ".join(filter(None, (*result.lines, result.chosen.call))) or "none is needed",
-    )
-    seconds = duration(result.chosen.seconds(result.tolerance))
-    body = section(
-        "Error against time",
-        figure(drawing or draw(result), TEXTS["caption"]),
-        table(_rows(result)),
-        small(TEXTS["note"].format(meaning(result))),
-        f"{chosen_line(result)} What selects it: {selected}",
-        subheading("What selects each level"),
-        table(_lines(result), kind="words"),
-    )
+    rows = [row | lines for row, lines in zip(_rows(result), _lines(result), strict=True)]
+    selected = _selected(result.lines, result.chosen.call) or "none is needed"
     return document(
         kicker="speed against accuracy",
-        title=f"Within {100 * result.tolerance:g} %: {name}",
-        lead=f"{sentence(result)} Every level of model on this scene, against the full one, measured in "
-        f"{result.wall_seconds:.0f} s.",
-        cards=[(name, meaning(result)), (seconds, "of processor time to the answer")],
-        body=[body],
+        title=f"Within {100 * result.tolerance:g} %: {result.chosen.name}",
+        lead=f"{chosen_line(result)} What selects it: {selected}",
+        body=[
+            section(
+                "Error against time",
+                figure(drawing or draw(result), TEXTS["caption"]),
+                f"{sentence(result)} Every level of model on this scene, against the full one, measured in "
+                f"{result.wall_seconds:.0f} s.",
+                table(rows, kind="effects dense"),
+                small(TEXTS["note"].format(meaning(result))),
+            )
+        ],
         attributes=result.attributes,
     )
 
@@ -127,11 +122,8 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
 
 def _lines(result: Tradeoff) -> list[dict[str, str]]:
     """What selects each level."""
-    rows = []
-    for level in result.levels:
-        selected = _selected(level.lines, level.call) or "the scene as it is"
-        rows.append({"Level": level.name, "Scene lines, or the call that gives it": selected})
-    return rows
+    selected = (_selected(level.lines, level.call) or "the scene as it is" for level in result.levels)
+    return [{"Scene lines, or the call that gives it": lines} for lines in selected]
 
 
 def _selected(lines: list[str], call: str) -> str:
