@@ -1,5 +1,5 @@
 """MEDIA AND SHAPE TO DETECTED LIGHT: the only room that imports Mitsuba, and only when light is traced."""
 
-from .detect import DetectedLight, RestReadings, open_light, read_rest, section
+from .detect import DetectedLight, RestReadings, open_light, read_rest, rest_of, section
 from .tracing import ProgressCallback, TraceProgress, trace
 from .transfer import ReweightWarning, Transfer

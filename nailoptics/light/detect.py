@@ -133,7 +133,7 @@ def read_rest(
         result, unmet = _rest_by_volpath(scene, options, progress)
     else:
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
-        result = _rest_of(transfer)
+        result = rest_of(transfer)
     cpu, begin = time.process_time() - cpu, time.perf_counter() - begin
     return unless_cut_off(replace(result, cpu_seconds=cpu, wall_seconds=begin), unmet)
 
@@ -302,7 +302,7 @@ def _unmet(traced: Sequence[StateReadings]) -> NotReachedError | None:
     return next(short, None)
 
 
-def _rest_of(transfer: Transfer) -> RestReadings:
+def rest_of(transfer: Transfer) -> RestReadings:
     """The readings of a trace at rest."""
     rest = transfer.at()
     _warn_of_few_photons(rest, "detected too few photons to estimate a standard error")

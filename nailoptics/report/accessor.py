@@ -26,7 +26,7 @@ KINDS = {
     "SceneCheck": "scene.CHECK",
     "Subject": "force.SUBJECT",
     "Tradeoff": "tradeoff.TRADEOFF",
-    "Transfer": "trace.TRACE",
+    "Transfer": "trace.TRANSFER",
     "Validation": "validate.VALIDATION",
     "nailoptics: a person's sensor, calibrated": "force.CALIBRATION",
     "nailoptics: batch": "sweep.SWEEP",

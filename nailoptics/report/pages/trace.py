@@ -1,17 +1,19 @@
 """The page of a trace: what each photodiode detects of each LED, in one state of the blood or in several."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
-from ...light import Transfer
+from ...light import Transfer, rest_of
 from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, table
 from ..maps import led_name
 from ..numbers import aligned, with_error
+from ..readings import rest_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,8 +71,13 @@ def _rows(result: Transfer | xr.Dataset) -> list[dict[str, str]]:
 TRACE = Report(
     ("trace.nc", "trace.html"),
     page,
-    lambda result: {"readings": _table(result).to_dict("records")} | run_summary(_readings(result).attrs),
-    lambda result, _: aligned(_rows(result)),
+    lambda readings: {"readings": _table(readings).to_dict("records")} | run_summary(readings.attrs),
+    lambda readings, _: aligned(_rows(readings)),
     {"readings": draw},
-    lambda result: {"trace.nc": result.at() if isinstance(result, Transfer) else result},
+)
+TRANSFER = replace(
+    TRACE,
+    summary=lambda transfer: rest_of(transfer).as_dict(),
+    lines=lambda transfer, _: rest_lines(rest_of(transfer)),
+    others=lambda transfer: {"trace.nc": transfer.at()},
 )
