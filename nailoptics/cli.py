@@ -522,13 +522,10 @@ def figures(
         people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and check what the paper says of people;
             their light is traced, a minute of processor time.
     """
-    from .paper.claims import as_rows
+    from .report.pages.paper import PAPER
     from .report.pages.paper import figures as study
-    from .report.pages.paper import lines
 
-    claims_by_set, pictures = study(output, sets, colour=colour, people=people)
-    claims = {"claims": as_rows(claims_by_set), "pictures": list(map(str, pictures))}
-    _finish(claims, [*lines(claims_by_set), *pictures], {}, json_)
+    _show(PAPER, study(output, sets, colour=colour, people=people), {}, json_)
 
 
 @app.command

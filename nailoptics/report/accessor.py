@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 KINDS = {
     "Exploration": "explore.page.EXPLORATION",
     "Explanation": "explain.EXPLANATION",
+    "PaperFigures": "paper.PAPER",
     "Scene": "scene.SCENE",
     "SceneCheck": "scene.CHECK",
     "Subject": "force.SUBJECT",

@@ -129,6 +129,13 @@ def figure(drawing: "Figure", caption: str, *, narrow: bool = False) -> Html:
     return Html(f'<figure{kind}><div class="scroll">{svg}</div><figcaption>{escaped(caption)}</figcaption></figure>')
 
 
+def image(data: bytes, caption: str) -> Html:
+    """A picture inside the page."""
+    source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
+    alt = escaped(caption)
+    return Html(f'<figure><img alt="{alt}" src="{source}"><figcaption>{alt}</figcaption></figure>')
+
+
 def table(rows: Sequence[Mapping[str, object]], *, kind: str = "", groups: Sequence[str] | None = None) -> Html:
     """A table of records with the same keys, which are the heads, units below; the first cell of each heads its row.
 

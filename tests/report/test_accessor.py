@@ -79,6 +79,14 @@ def test_an_exploration_shows_itself():
     assert list(all_shown(explored)) == ["board"]
 
 
+def test_the_papers_figures_show_themselves(tmp_path):
+    shown = nail.figures(tmp_path, ["subject"], colour=False)
+    assert list(all_shown(shown)) == ["picture"] and len(shown.nail.plot(name="fig15").axes[0].images) == 1
+    with pytest.raises(nail.InputError, match="does not hold"):
+        shown.nail.plot(name="fig99")
+    assert {row["figure"] for row in shown.nail.summary()["claims"]} and shown.nail.report().count("<img") > 1
+
+
 def test_every_title_of_a_study_has_its_report():
     """Expected: a Dataset of a public study is shown, and KINDS names no report that does not exist."""
     found = set()

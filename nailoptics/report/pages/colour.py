@@ -1,6 +1,5 @@
 """The page of a nail's colour under force, and its figures."""
 
-import base64
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +12,7 @@ from ...scene import Scene, parse_scene
 from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
-from ..html import Html, document, escaped, figure, section, small, table, texts
+from ..html import document, figure, image, section, small, table, texts
 from ..numbers import aligned, estimated, plain, range_of, significant
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
     ]
     strip = strip_figure(result)
     captions = ("At rest.", f"A{words[1:]}.")
-    photos = [_image(data, caption) for data, caption in zip(photographs, captions, strict=False)]
+    photos = [image(data, caption) for data, caption in zip(photographs, captions, strict=False)]
     seen = figure(strip, TEXTS["strip"]), table(_by_force(result)), small(TEXTS["middle"])
     body = [
         section("The nail under force", *seen),
@@ -90,13 +89,6 @@ def _unknowns(result: xr.Dataset) -> str:
         row = {"Prior": str(prior.prior.item()), "Range": shown}
         rows.append(row | _lab(prior, "prior_lab_spread"))
     return section("Uncertainty over the priors", table(rows), small(TEXTS["priors"]))
-
-
-def _image(data: bytes, caption: str) -> Html:
-    """A picture inside the page."""
-    source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
-    alt = escaped(caption)
-    return Html(f'<figure><img alt="{alt}" src="{source}"><figcaption>{alt}</figcaption></figure>')
 
 
 # Rays for Fig. 2 of `nailoptics figures`: enough for the eye.

@@ -3,6 +3,7 @@
 import logging
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ... import hemodynamics, tissue
+from ...display import Displayed
 from ...io import make_folder
 from ...light import backend as backends
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
@@ -19,6 +21,8 @@ from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
 from .. import style
+from ..files import Report
+from ..html import Html, document, escaped, image, section
 from ..numbers import aligned
 from .colour import draw_fig2
 
@@ -36,10 +40,16 @@ _SIDES = ("proximal", "distal")
 _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
 
 
-def figures(
-    folder: Path, sets: Sequence[str] = (), *, colour: bool = True, people: bool = False
-) -> tuple[dict[str, list[Claim]], list[Path]]:
-    """Draw the paper's figures into a folder and evaluate its claims; returns the claims by set, and the pictures.
+@dataclass(frozen=True)
+class PaperFigures(Displayed):
+    """The paper's claims by set of parameters, evaluated, and its figures as files."""
+
+    claims: dict[str, list[Claim]]
+    pictures: list[Path]
+
+
+def figures(folder: str | Path, sets: Sequence[str] = (), *, colour: bool = True, people: bool = False) -> PaperFigures:
+    """Draw the paper's figures into a folder and evaluate its claims.
 
     sets : names of parameter sets; all if none is given.
     colour : whether Fig. 2 is traced.
@@ -48,7 +58,7 @@ def figures(
     Raises: InputError.
     """
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
-    make_folder(folder)
+    make_folder(folder := Path(folder))
     claims_by_set, pictures = {}, []
     for name, parameters in named.items():
         responses = simulate_responses(parameters)
@@ -64,7 +74,7 @@ def figures(
         pictures += [draw_fig2(nail, folder, name=name) for name in named if is_shown_by(name, "2")]
     elif colour:
         log.warning("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
-    return claims_by_set, pictures
+    return PaperFigures(claims_by_set, pictures)
 
 
 def lines(claims_by_set: Mapping[str, list[Claim]]) -> list[str]:
@@ -275,3 +285,30 @@ def draw_haemoglobins(directory: Path) -> Path:
     path = directory / "haemoglobin_fig4.png"
     style.write_figure(figure, path)
     return path
+
+
+@style.drawing()
+def _picture(result: PaperFigures, name: str = "") -> "Figure":
+    """The first picture whose file has these words in its name."""
+    from matplotlib.image import imread
+
+    drawing, axes = style.panels(9.6, 5.0)
+    axes.imshow(imread([path for path in result.pictures if name in path.stem][0]))
+    axes.set_axis_off()
+    return drawing
+
+
+def _page(result: PaperFigures) -> str:
+    claims = Html(f"<pre>{escaped(chr(10).join(lines(result.claims)))}</pre>")
+    drawn = [image(path.read_bytes(), path.stem) for path in result.pictures]
+    body = [section("Its claims", claims), section("Its figures", *drawn)]
+    return document(kicker="paper", title="The paper's figures and claims", lead="", body=body, attributes={})
+
+
+PAPER = Report(
+    ("claims.html",),
+    _page,
+    lambda result: {"claims": as_rows(result.claims), "pictures": [*map(str, result.pictures)]},
+    lambda result, _: [*lines(result.claims), *result.pictures],
+    {"picture": _picture},
+)
