@@ -156,11 +156,6 @@ def named_rows(axes: "Axes", names: Sequence[object]) -> None:
     axes.set_ylim(len(names) - 0.5, -0.5)
 
 
-def remark(axes: "Axes", text: str) -> None:
-    """A few words at the right above a panel, beside its title."""
-    axes.set_title(text, loc="right", fontsize=8, fontweight="normal", color=MUTED)
-
-
 def plain_log(axis: "Axis") -> None:
     """Plain numbers at all ticks of a logarithmic axis that have one, whether they are powers of ten or between."""
     from matplotlib.ticker import LogFormatter

@@ -85,21 +85,16 @@ def recording_page(result: xr.Dataset) -> str:
     """The page of a recording that was read."""
     summary = recording_summary(result)
     best = summary["readings"][summary["best"]]
-    cards = [("unknown", "SpO2: no window without motion")]
+    known = "unknown: no window without motion"
     if best["spo2"] is not None:
-        cards = [
-            (f"{significant(best['spo2'], 3)} %", "SpO2, the middle of all still windows"),
-            (f"{significant(best['spo2_low'], 3)} to {significant(best['spo2_high'], 3)} %", "its 95 % interval"),
-        ]
-    if best["rate_per_min"] is not None:
-        cards.append((significant(best["rate_per_min"], 3), "beats a minute"))
+        spo2, low, high = (significant(best[f"spo2{end}"], 3) for end in ("", "_low", "_high"))
+        known = f"{spo2} % (95 % interval {low} to {high} %), the middle of all still windows"
     caption = f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time are left out."
-    moved = f"motion in {100 * best['motion']:.0f} % of the time"
     return document(
         kicker="pulse oximeter",
         title="Oxygen from a recording",
-        lead=f"{result.sizes['time']} windows of {result.attrs['window_s']:g} s; {moved}.",
-        cards=cards,
+        lead=f"SpO2 {known}; {result.sizes['time']} windows of {result.attrs['window_s']:g} s, motion in "
+        f"{100 * best['motion']:.0f} % of the time.",
         body=[
             section("Over time", figure(_over_time_figure(result), caption)),
             section("Photodiodes", table(_recorded(summary))),

@@ -148,10 +148,10 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
     return style.beside_models(thin.time.values, traced, stderr, models, named=named, **labels)
 
 
-def _thin(result: xr.Dataset, samples: int = SAMPLES) -> xr.Dataset:
+def _thin(result: xr.Dataset) -> xr.Dataset:
     """At most so many times, the first and the last among them."""
     count = result.sizes["time"]
-    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, samples)).round().astype(int)))
+    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
 
 
 def _largest(rows: Iterable[xr.DataArray]) -> float:
