@@ -50,7 +50,7 @@ def figure_of(quantity: Mapping[str, Any]) -> Html:
     return figure(draw(quantity), caption, narrow=True)
 
 
-def row(quantity: Mapping[str, Any]) -> dict[str, object]:
+def row(quantity: Mapping[str, Any]) -> dict[str, str]:
     """A quantity of a summary as a row of a table."""
     low, high = quantity["accepted"]
     return {
@@ -112,13 +112,8 @@ def lines(summary: Mapping[str, Any]) -> list[str]:
     """Every quantity's verdict for the terminal, what disagrees first."""
     rows = []
     for name, quantity in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
-        line = {"quantity": name, "basis": quantity["basis"]}
-        for side in ("people", "model"):
-            values = np.atleast_1d(quantity[side]["middle"])
-            line[side] = f"{values.min():.3g}" + (f" to {values.max():.3g}" if len(values) > 1 else "")
-        rows.append(
-            line | {"statistic": _statistic(quantity), "verdict": "agrees" if quantity["agrees"] else "DISAGREES"}
-        )
+        rows.append(row(quantity) | {"Quantity": name})
+        del rows[-1]["Accepted"]
     return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
 
 
