@@ -34,6 +34,7 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
+NO_ROOM = "no room"
 TOLERATED = (
     f"Change in percent of what the best is ranked by if board or photodiode lies {STEP_MM:g} mm off, the board is "
     f"turned by {TURN_DEG:g} degrees, or an LED is {100 * POWER:.0f} % off its power."
@@ -196,13 +197,15 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
 def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
     """The same in words."""
     kinds = (*MOVED, *TURNED, *POWERED)
-    return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
+    rows = [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
+    # Another place of the board is traced, as long as there is time.
+    return [rows[0] | {kind: f"{no} or time" for kind, no in rows[0].items() if no == NO_ROOM}, *rows[1:]]
 
 
 def _change(change: dict[str, float] | None) -> str:
     """A change with its standard error; of what has no room or saturates, in words."""
     if change is None:
-        return "no room"
+        return NO_ROOM
     percent = 100 * change["value"]
     return "over ten times" if percent > MOST_PERCENT else with_error(percent, 100 * change["stderr"], sign=True)
 
