@@ -365,7 +365,7 @@ def priors() -> str:
 
 
 def validation() -> str:
-    """What was measured on people beside the model, what disagrees first: counts, a table, and a figure each."""
+    """What was measured on people beside the model, what disagrees first: a table, and figures of curves."""
     made = json.loads((HERE / "validation.json").read_text(encoding="utf-8"))
     ranked = sorted(made["tables"].values(), key=lambda one: one["agrees"])
     rows = [validation_page.row(one) for one in ranked]
@@ -378,7 +378,7 @@ def validation() -> str:
 
 
 def _compared(one: Mapping[str, Any]) -> str:
-    """A heading and the figure of one quantity."""
+    """A heading and the statistic of one quantity, of a curve below its figure."""
     # A blank line would end the HTML.
     figure = re.sub(r"\n\s*\n", "\n", validation_page.figure_of(one))
     name = one["quantity"] if one["quantity"][1] == "*" else one["quantity"][0].upper() + one["quantity"][1:]

@@ -42,12 +42,14 @@ def page(result: Validation) -> str:
 
 
 def figure_of(quantity: Mapping[str, Any]) -> Html:
-    """The figure of a quantity of a summary with its statistic, what was fitted, and its source."""
+    """The statistic of a quantity of a summary, what was fitted, and its source; of a curve below its figure."""
     agrees = "agrees" if quantity["agrees"] else "disagrees"
     counted = f" of {quantity['counted']}" if "counted" in quantity else ""
     fit = f"{quantity['basis'].capitalize()}: {quantity['fit']}"
     caption = f"{_statistic(quantity)}{counted}: {agrees}. {fit}. People: {quantity['source']}"
-    return figure(draw(quantity), caption, narrow=True)
+    if quantity.get("over"):
+        return figure(draw(quantity), caption, narrow=True)
+    return small("{} Intervals are, of people, {}, and of the model, {}.".format(caption, *quantity["bands"]))
 
 
 def row(quantity: Mapping[str, Any]) -> dict[str, str]:
@@ -89,21 +91,14 @@ def _range(ends: np.ndarray) -> str:
 
 @style.drawing()
 def draw(quantity: Mapping[str, Any]) -> "Figure":
-    """People and model with their intervals: side by side, or over what the quantity is measured over."""
-    over, units = quantity.get("over", {}), _units(quantity).strip(" []")
-    drawing, axes = style.panels(5.5, 3.0 if over else 1.3)
+    """People and model with their intervals over what the quantity is measured over."""
+    ((x_label, x),) = quantity["over"].items()
+    drawing, axes = style.panels(5.5, 3.0)
     for k, (side, colour) in enumerate({"people": style.MUTED, "model": style.ZONES[0]}.items()):
-        (low, middle, high), label = _ends(quantity, side), f"{side}: {quantity['bands'][k]}"
-        if over:
-            ((x_label, x),) = over.items()
-            axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
-            axes.plot(x, middle, color=colour, label=label)
-            axes.set(xlabel=x_label, ylabel=units)
-        else:
-            axes.plot([*low, *high], [k, k], color=colour, lw=2.2)
-            axes.plot(middle, k, "o", color=colour, label=label)
-            axes.set_yticks([0, 1], ["people", "model"])
-            axes.set(ylim=(1.6, -0.6), xlabel=units)
+        low, middle, high = _ends(quantity, side)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(x, middle, color=colour, label=f"{side}: {quantity['bands'][k]}")
+    axes.set(xlabel=x_label, ylabel=_units(quantity).strip(" []"))
     style.legend_above(drawing, axes, ncols=1)
     return drawing
 
@@ -130,9 +125,10 @@ def summary(result: Validation) -> dict[str, Any]:
 
 
 def _figure(result: Validation, quantity: str = "") -> "Figure":
-    """One quantity, the first that disagrees if none is named."""
-    tables = sorted(summary(result)["tables"].items(), key=lambda item: (item[0] != quantity, item[1]["agrees"]))
-    return draw(tables[0][1])
+    """One quantity that is a curve, the first that disagrees if none is named."""
+    tables = sorted(summary(result)["tables"].items(), key=lambda item: item[1]["agrees"])
+    curves = {name: one for name, one in tables if one.get("over")}
+    return draw(curves[quantity or next(iter(curves))])
 
 
 VALIDATION = Report(("validation.html",), page, summary, lambda result, summary: lines(summary), {"quantity": _figure})
