@@ -195,8 +195,7 @@ def _factor_figure(factors: dict[str, dict[str, Any]]) -> "Figure":
     axes.axvline(1.0, color=style.MUTED, linewidth=0.8)
     axes.set(xscale="log", xlabel="factor on the scene's [1]; grey: known by the prior alone")
     style.plain_log(axes.xaxis)
-    axes.set_yticks(range(len(factors)), [style.plain(name.replace("_", " ")[:28]) for name in factors])
-    axes.invert_yaxis()
+    style.named_rows(axes, [name.replace("_", " ")[:28] for name in factors])
     return drawing
 
 
