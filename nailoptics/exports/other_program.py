@@ -17,6 +17,7 @@ from ..light.transfer.records import LedTrace
 from ..light.transfer.reweight import transmission
 from ..options import Requested
 from ..scene import Scene, parse_scene
+from ..statistics import stderr_or_nan
 
 # What an export's runner writes.
 FIELDS = ("photodiode", "path_mm", "photons", "led", "seed", "program", "scene")
@@ -59,6 +60,7 @@ class ProgramComparison:
 
     program : The other one.
     readings : Detected fraction by photodiode.
+    chi2 : Of the differences of the readings by their covariance, one degree of freedom each.
     unread : Photodiodes that too few photons of either program reached.
     total : Sum of the readings.
     changes : Relative change of that sum, by the blood fraction of all zones that it is read over to.
@@ -71,15 +73,11 @@ class ProgramComparison:
     photons: int
     their_photons: int
     readings: dict[str, Pair]
+    chi2: float
     unread: tuple[str, ...]
     total: Pair
     changes: dict[float, Pair]
     paths_mm: dict[str, Pair]
-
-    @property
-    def chi2(self) -> float:
-        """Sum of the squared differences of the readings in their standard errors, one degree of freedom each."""
-        return sum(pair.deviations**2 for pair in self.readings.values())
 
     @property
     def p_value(self) -> float:
@@ -93,7 +91,6 @@ class ProgramComparison:
         ratio, stderr = self.total.ratio
         return {
             **vars(self),
-            "chi2": self.chi2,
             "degrees_of_freedom": len(self.readings),
             "p_value": self.p_value,
             "ratio_of_sums": ratio,
@@ -179,7 +176,8 @@ def read_detected(path: Path) -> OtherDetection:
     ):
         if wrong:
             raise InputError(f"{path}: {why}; run the export again.")
-    trace = LedTrace(photons, np.zeros(absorbers), which, np.ones(len(which)), paths, {}, (seed,))
+    photon, weight = np.arange(len(which)), np.ones(len(which))
+    trace = LedTrace(photons, np.zeros(absorbers), photon, which, weight, paths, {}, (seed,))
     return OtherDetection(str(fields["program"]), scene, led, trace)
 
 
@@ -187,37 +185,33 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
     """Readings, their sum, its change with the blood and mean paths of one LED's light by two programs."""
     scene, both = theirs.scene, (ours, theirs.trace)
     wavelength, names = scene.leds[theirs.led].wavelength_nm, scene.layout.photodiode_names
-    weights = [_weights(trace, optics.absorption(scene, wavelength)) for trace in both]
+    at_rest = optics.absorption(scene, wavelength)
     regions = [*dict.fromkeys(absorber.region for absorber in optics.absorbing(scene))]
     columns = np.array([[a.region == region for region in regions] for a in optics.absorbing(scene)], np.float32)
-    each, total = [], []
-    for trace, weight in zip(both, weights, strict=True):
-        path_mm = trace.path_mm @ columns
-        each.append(moments_of(trace.photons, trace.photodiode, weight, path_mm, len(names)))
-        total.append(moments_of(trace.photons, np.zeros(len(weight), int), weight, path_mm, 1))
+    made = [(trace, _weights(trace, at_rest), trace.path_mm @ columns) for trace in both]
+    each = [moments_of(t.photons, t.photodiode, weight, path_mm, len(names)) for t, weight, path_mm in made]
+    covariances = np.stack([trace.covariance(at_rest, np.ones(1), count=len(names)) for trace in both])
     read = [i for i in range(len(names)) if all(m.effective_photons[i] >= LEAST_PHOTONS for m in each)]
     if not read:
         raise InputError(f"too few photons reached any photodiode in nailoptics or {theirs.program}; send more.")
+    off = (each[1].fraction - each[0].fraction)[read]
     changes = {}
     for factor in BLOOD_FACTORS:
         fraction = min(factor * scene.blood.rest_blood_fraction, 1.0)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=np.full(optics.zones(scene).count, fraction))
-        changes[fraction] = _pair(_change(w, _weights(t, mu_a)) for t, w in zip(both, weights, strict=True))
-    paths = [m.mean_path for m in total]
+        changes[fraction] = _pair(_ratio(t, _weights(t, mu_a) - w, w) for t, w, _ in made)
+    by_region = {name: [_ratio(t, w * path[:, r], w) for t, w, path in made] for r, name in enumerate(regions)}
     return ProgramComparison(
         program=theirs.program,
         led=scene.leds[theirs.led].name,
         photons=ours.photons,
         their_photons=theirs.trace.photons,
         readings={names[i]: _pair((m.fraction[i], m.stderr[i]) for m in each) for i in read},
+        chi2=float(off @ np.linalg.solve(covariances.sum(0)[np.ix_(read, read)], off)),
         unread=tuple(name for i, name in enumerate(names) if i not in read),
-        total=_pair((m.fraction[0], m.stderr[0]) for m in total),
+        total=_pair((m.fraction.sum(), np.sqrt(c.sum())) for m, c in zip(each, covariances, strict=True)),
         changes=changes,
-        paths_mm={
-            name: _pair((mean[0, r], stderr[0, r]) for mean, stderr in paths)
-            for r, name in enumerate(regions)
-            if all(stderr[0, r] > 0 for _, stderr in paths)
-        },
+        paths_mm={name: _pair(both) for name, both in by_region.items() if all(error > 0 for _, error in both)},
     )
 
 
@@ -230,7 +224,9 @@ def _weights(trace: LedTrace, mu_a: np.ndarray) -> np.ndarray:
     return np.asarray(trace.weight * transmission(trace.path_mm, mu_a - trace.mu_a, np.ones(1)))
 
 
-def _change(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
-    """Relative change of a sum over photons from weights to others, and its standard error: both share their noise."""
-    ratio = after.sum() / before.sum()
-    return ratio - 1, float(np.sqrt(np.square(after - ratio * before).sum()) / before.sum())
+def _ratio(trace: LedTrace, above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
+    """Ratio of two sums over the records, (n,) float each, and its standard error: both share their photons."""
+    ratio = above.sum() / below.sum()
+    added = np.bincount(np.unique(trace.photon, return_inverse=True)[1], above - ratio * below)
+    stderr = np.linalg.norm(added) / below.sum()
+    return float(ratio), float(stderr_or_nan(stderr, above.sum(), (above**2).sum()))

@@ -60,7 +60,7 @@ def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dic
     quick, quick_fit, _ = course(press(), QUICK_HZ)
     ends = states[[0, round(SLOW_HZ / CYCLE_HZ / 2)]]
     scenes = [at_value(scene, MELANIN, melanin) for melanin in skins]
-    read = [read_by_groups(transfer, skin, ends, SEED)[0, 0, here].sum(0) for skin in scenes]
+    read = [read_by_groups(transfer, skin, ends)[0, 0, here].sum(0) for skin in scenes]
     (rest, held), (dark_rest, dark_held) = read
     effect = np.array([dark_rest / rest, (dark_held / dark_rest - 1.0) / (held / rest - 1.0)]) - 1.0
     on, off = quick[: PHASE_S.size], quick[PHASE_S.size - 1 :]

@@ -329,10 +329,10 @@ def readings_over_priors(
     def retraced(varied: Scene) -> np.ndarray:
         plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
         light, _ = as_far_as_reached(trace, plain, progress=progress, spacing_mm=OWN_SPACING_MM, **how)
-        return _quantities(read_by_groups(light, varied, states(varied), options.seed))
+        return _quantities(read_by_groups(light, varied, states(varied)))
 
     def reread(varied: Scene) -> np.ndarray:
-        return _quantities(read_by_groups(transfer, varied, states(varied), options.seed))
+        return _quantities(read_by_groups(transfer, varied, states(varied)))
 
     result = over_priors(scene, evaluated, reread, retraced)
     return ReadingUncertainty(
@@ -360,11 +360,11 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))
 
 
-def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray, seed: int) -> np.ndarray:
+def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.ndarray:
     """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float."""
     by_led = []
     for i, led in enumerate(transfer.scene.leds):
         wavelength, _ = optics.spectrum(led)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=states)
-        by_led.append(read_replicates(transfer, i, mu_a, np.ones(len(wavelength)), seed=seed).reading)
+        by_led.append(read_replicates(transfer, i, mu_a, np.ones(len(wavelength))).reading)
     return np.stack(by_led, 1)

@@ -80,7 +80,7 @@ def simulate_from(
     scene = with_fitted_resistors(scene)
     ambient = ambient_in_readings(scene, options)
     result = course.merge(read_volts(scene, light, course, moved, ambient))
-    result = result.merge(_fit_reduced(result, light.transfer, options.seed)).assign(ambient)
+    result = result.merge(_fit_reduced(result, light.transfer)).assign(ambient)
     if ambient:
         volts_stderr = result.volts_stderr.values
         np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
@@ -128,7 +128,7 @@ def hold_end(result: xr.Dataset) -> int:
     return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
-def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr.Dataset:
+def _fit_reduced(result: xr.Dataset, transfer: Transfer | None) -> xr.Dataset:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
 
     transfer : whose photons' noise, shared by all samples, makes the constants' standard errors; NaN without it.
@@ -137,7 +137,7 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
     # One row for each zone, not for each photodiode.
     diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
     few = np.unique(np.linspace(0, result.sizes["time"] - 1, FIT_SAMPLES).astype(int))
-    replicates_v = None if transfer is None else _replicates_v(result.isel(time=few), transfer, seed)
+    replicates_v = None if transfer is None else _replicates_v(result.isel(time=few), transfer)
     notes = np.full(shape, "", dtype=object)
     data: Variables = {}
     for model, fit in REDUCED_OPTICS.items():
@@ -160,9 +160,9 @@ def _fit_reduced(result: xr.Dataset, transfer: Transfer | None, seed: int) -> xr
     return xr.Dataset(data)
 
 
-def _replicates_v(result: xr.Dataset, transfer: Transfer, seed: int) -> np.ndarray:
+def _replicates_v(result: xr.Dataset, transfer: Transfer) -> np.ndarray:
     """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float. [V]"""
-    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T, seed)
+    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T)
     read = np.moveaxis(read, 0, 2)
     with np.errstate(divide="ignore", invalid="ignore"):
         # Volts are proportional to the light, but for what is dark.

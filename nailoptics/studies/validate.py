@@ -31,7 +31,7 @@ from ..options import Requested, TraceOptions
 from ..scene import Body, Finger, Scene, load_scene
 from ..scene.base import USUAL_PULP_BLOOD_FRACTION
 from ..scene.priors import shipped_priors
-from ..statistics import Z95, jackknife, seed_of
+from ..statistics import Z95, jackknife
 from . import people_tables
 from .colour.adaptive_sampling import ALONG, patches_of
 from .colour.colorimetry import WAVELENGTHS_NM, Viewer, lab_of
@@ -280,7 +280,7 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
 def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback | None) -> tuple[Array, Array]:
     """Slope of the line of saturation over the ratio of ratios, its level at a ratio [percent], and logarithms of both
     perfusion indices in percent, with their errors, (4,) float each."""
-    scene, seed = _shipped_scene("pulse_oximeter"), seed_of(options.seed, 1)
+    scene = _shipped_scene("pulse_oximeter")
     red, infrared = scene.leds
     leds = red, infrared.model_copy(update={"wavelength_nm": MODULE_INFRARED_NM})
     scene = scene.model_copy(update={"leds": leds, "accuracy": type(scene.accuracy)()})
@@ -291,7 +291,7 @@ def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback
         """By photodiode, (1 + groups, 4, photodiodes) float."""
         beat = rest_beat(varied)
         light = replace(transfer, scene=varied)
-        curve = saturation_curve(light, (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1], seed=seed)
+        curve = saturation_curve(light, (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1])
         lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
         # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
         as_sine = np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1))

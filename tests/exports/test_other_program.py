@@ -26,19 +26,26 @@ def scene():
     return load_scene(data_dir("scenes") / "prototype.toml")
 
 
-def synthetic(seed: int, *, brighter: float = 1.0) -> LedTrace:
-    """Photons of a made-up finger: each photodiode sees its own share, with paths that spread."""
+def synthetic(seed: int, *, brighter: float = 1.0, shared: float = 0.0) -> LedTrace:
+    """Photons of a made-up finger: each photodiode sees its own share, with paths that spread, and a part of what its
+    neighbour sees."""
     random = np.random.default_rng(seed)
     shares = brighter * np.array([0.01, 0.02, 0.03, 0.04, 0.04, 0.03, 0.02, 0.01])
     count = random.multinomial(PHOTONS, [*shares, 1 - shares.sum()])[:-1]
     which = np.repeat(np.arange(8), count)
     paths = random.exponential([2.0, 1.0, 1.0, 0.1, 0.1, 0.0, 1.3, 0.0], (len(which), 8)).astype(np.float32)
-    return LedTrace(PHOTONS, np.zeros(8), which, np.ones(len(which)), paths, {}, (seed,))
+    photon = np.arange(len(which))
+    again = np.concatenate([photon, photon[random.random(len(photon)) < shared]])
+    which = np.concatenate([which, which[again[len(which) :]] ^ 1])
+    return LedTrace(PHOTONS, np.zeros(8), again, which, np.ones(len(which)), paths[again], {}, (seed,))
 
 
-def test_errors_are_true(scene):
-    """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly."""
-    found = [compared(synthetic(2 * k), OtherDetection("other", scene, 0, synthetic(2 * k + 1))) for k in range(150)]
+@pytest.mark.parametrize("shared", [0.0, 0.6])
+def test_errors_are_true(scene, shared):
+    """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly, also
+    where neighbouring photodiodes share photons."""
+    made = [synthetic(seed, shared=shared) for seed in range(300)]
+    found = [compared(a, OtherDetection("other", scene, 0, b)) for a, b in zip(made[::2], made[1::2], strict=True)]
     pairs = [list(f.readings.values()) + [f.total] for f in found]
     pairs = [row + list(f.changes.values()) + list(f.paths_mm.values()) for row, f in zip(pairs, found, strict=True)]
     apart = np.array([[pair.deviations for pair in row] for row in pairs])

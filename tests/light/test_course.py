@@ -34,6 +34,7 @@ def made_up(records: int = 20_000, *, path_mm: float = 8.0, blood: str = "") -> 
     trace = LedTrace(
         photons=10**6,
         mu_a=optics.absorption(varied, 800.0)[0],
+        photon=rng.permutation(10**6)[:records],
         photodiode=rng.integers(0, 2, records).astype(np.uint16),
         weight=rng.uniform(0.2, 1.0, records),
         path_mm=path,

@@ -96,6 +96,7 @@ def test_of_fewer_than_25_photons_no_standard_error_is_known(photons, known):
     trace = LedTrace(
         photons=1000,
         mu_a=optics.absorption(scene, 800.0)[0],
+        photon=np.arange(photons),
         photodiode=np.zeros(photons, np.uint16),
         weight=np.ones(photons),
         path_mm=path,

@@ -289,7 +289,7 @@ def test_photodiodes_at_one_distance_share_their_error_and_say_so(jit_backend):
     slab = layer(thickness=10.0, mu_a=0.05, mu_s=10.0, g=0.9)
     seen = reading(stack(slab, photodiodes=[SQUARE, beside]), photons=1 << 16)
     assert seen.detected_fraction[0] == pytest.approx(float(seen.detected_fraction[1]), rel=1e-6)
-    assert "share their error" in seen.detected_fraction_stderr.attrs["comment"]
+    assert "Transfer.covariance" in seen.detected_fraction_stderr.attrs["comment"]
     alone = reading(stack(slab, photodiodes=[SQUARE]), photons=1 << 12)
     assert "comment" not in alone.detected_fraction_stderr.attrs
 

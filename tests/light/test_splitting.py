@@ -86,7 +86,7 @@ def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototyp
     error, more = stderr_of_mean(sums, squares, total), stderr_of_mean(*plain, total)
     assert np.sum((sums / total - plain[0] / total) ** 2 / (error**2 + more**2)) < 45
     assert np.all(error[0] / sums[0] < 0.7 * more[0] / plain[0][0])
-    # What is farther off is chosen for more of its light, and all readings are known alike.
+    # Splitting on the way makes up for the distance: all readings are known alike.
     assert (error[0] / sums[0]).max() < 1.3 * (error[0] / sums[0]).min()
     spread = ours[:, 0].std(axis=0, ddof=1) / photons / np.sqrt(batches)
     assert np.all((spread / error > 0.6) & (spread / error < 1.5))

@@ -39,6 +39,7 @@ def small(weights: np.ndarray, paths: np.ndarray, *, photons: int = 1000, seeds:
     return LedTrace(
         photons=photons,
         mu_a=np.zeros(paths.shape[1]),
+        photon=np.arange(len(weights), dtype=np.uint16),
         photodiode=np.zeros(len(weights), np.uint16),
         weight=weights,
         path_mm=paths.astype(np.float32),

@@ -28,7 +28,8 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
         detected = int(rng.binomial(PHOTONS, PROBABILITY))
         weight = np.exp(spread * rng.normal(size=detected) - spread**2 / 2)
         path_mm = np.zeros((detected, 1), np.float32)
-        batch = LedTrace(PHOTONS, np.zeros(1), np.zeros(detected, np.uint16), weight, path_mm, {}, (number,))
+        photon, where = np.arange(detected), np.zeros(detected, np.uint16)
+        batch = LedTrace(PHOTONS, np.zeros(1), photon, where, weight, path_mm, {}, (number,))
         trigger.add(batch)
         number += 1
     trace = trigger.trace()

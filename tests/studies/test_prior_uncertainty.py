@@ -82,6 +82,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
     light = LedTrace(
         photons=4000,
         mu_a=optics.absorption(scene, 800.0)[0],
+        photon=np.arange(len(path)) % 4000,
         photodiode=np.repeat(np.arange(8), 400),
         weight=np.ones(len(path)),
         path_mm=path,
@@ -164,7 +165,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
     light, parts = traced.traces[0], 20
     whole = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
-    of = np.random.default_rng(3).integers(parts, size=len(light.weight))
+    of = np.random.default_rng(3).integers(parts, size=light.photons)[light.photon]
     each = []
     for k in range(parts):
         part = replace(light.select(of == k), photons=light.photons // parts)

@@ -26,7 +26,7 @@ class Moments:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Its standard error, (p,); photons are independent and each reaches a photodiode once.
+        """Its standard error, (p,); photons are independent and each has one record for a photodiode.
 
         NaN where it rests on fewer than 25 effective photons; so are those of mean paths and derivatives.
         """

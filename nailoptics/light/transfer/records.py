@@ -8,12 +8,12 @@ import numpy as np
 
 from ...errors import InputError
 from ...io import CorruptError
-from ...statistics import MIN_EFFECTIVE_TERMS, Z95, effective_count, stderr_of_mean, upper_limit_95
+from ...statistics import MIN_EFFECTIVE_TERMS, Z95, covariance_of_sums, effective_count, stderr_of_mean, upper_limit_95
 from .moments import Moments, moments_of
 from .reweight import transmission
 
-# What is recorded of each detected photon.
-COLUMNS = ("photodiode", "weight", "path_mm")
+# What is recorded of a photon for each photodiode that it, or a copy of it, reached.
+COLUMNS = ("photon", "photodiode", "weight", "path_mm")
 # Sums over all photons, of weights and of their squares, by name.
 SUMS = ("energy", "absorbed")
 # Where light may go.
@@ -35,7 +35,8 @@ class LedTrace:
 
     photons : How many were emitted.
     mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
-    photodiode : (n,) unsigned int. Which photodiode each recorded photon reached.
+    photon : (n,) unsigned int. Which photon each record is of; one has no more than one for each photodiode.
+    photodiode : (n,) unsigned int. Which photodiode it reached.
     weight : (n,) float. Its weight there, of 1 at emission.
     path_mm : (n, r) float32. Its path in each absorber. [mm]
     energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
@@ -46,6 +47,7 @@ class LedTrace:
 
     photons: int
     mu_a: np.ndarray
+    photon: np.ndarray
     photodiode: np.ndarray
     weight: np.ndarray
     path_mm: np.ndarray
@@ -58,10 +60,11 @@ class LedTrace:
         """Raise CorruptError unless what a file held can be such a trace."""
         count = len(self.weight)
         columns: dict[str, tuple[int, ...]] = {"mu_a": (absorbers,), "path_mm": (count, absorbers)}
-        columns |= dict.fromkeys(("photodiode", "weight"), (count,))
+        columns |= dict.fromkeys(("photon", "photodiode", "weight"), (count,))
         check_arrays(vars(self), columns)
-        if self.photodiode.dtype.kind != "u" or (self.photodiode >= photodiodes).any():
-            raise CorruptError("it names a photodiode that there is not")
+        for name, there in (("photon", self.photons), ("photodiode", photodiodes)):
+            if (column := getattr(self, name)).dtype.kind != "u" or (column >= there).any():
+                raise CorruptError(f"it names a {name} that there is not")
         # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
         if (self.weight < 0).any() or (self.path_mm < -1e-3).any():
             raise CorruptError("a weight or path is negative")
@@ -86,6 +89,13 @@ class LedTrace:
         weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
         return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
 
+    def covariance(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> np.ndarray:
+        """Covariance of what `count` photodiodes detect at a state, as `moments` has it, (count, count) float."""
+        weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
+        mean = np.bincount(self.photodiode, weight, minlength=count) / self.photons
+        square = covariance_of_sums(self.photon, self.photodiode, weight, count) / self.photons
+        return np.asarray((square - np.outer(mean, mean)) / (self.photons - 1))
+
     def fractions(self, sums: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         """Fractions of the light that it emitted, each with its standard error, from such sums.
 
@@ -108,10 +118,13 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
     if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
         raise InputError("these traces were made at different absorption; trace both at the same blood state.")
     together: dict[str, Any] = {name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS}
+    *before, photons = np.cumsum([0, *(trace.photons for trace in traces)])
+    photon = together["photon"] + np.repeat(before, [len(trace.photon) for trace in traces])
+    together["photon"] = photon.astype(np.promote_types(np.uint32, np.min_scalar_type(photons)))
     together |= {name: _added([getattr(trace, name) for trace in traces]) for name in SUMS}
     return replace(
         traces[0],
-        photons=sum(trace.photons for trace in traces),
+        photons=int(photons),
         seeds=tuple(seeds),
         events=sum(trace.events for trace in traces),
         **together,

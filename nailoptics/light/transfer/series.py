@@ -182,6 +182,8 @@ def _absorption(
 class Replicates:
     """One LED's readings in many states; in replicate 0 by all photons, in each other without one group of them.
 
+    All records of a photon are in one group, so that what is made of several readings has its true error, too.
+
     reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighted by the photodiode's
         response relative to that at the LED's peak.
     mean_path_mm : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
@@ -192,14 +194,11 @@ class Replicates:
     mean_path_mm: np.ndarray
 
 
-def read_replicates(
-    transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray, *, seed: int
-) -> Replicates:
+def read_replicates(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray) -> Replicates:
     """Read one LED's trace in many states, with and without each group of its photons.
 
     mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
     blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state. [mm^-1]
-    seed : of the photons' groups.
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]
     wavelength, share = optics.spectrum(source)
@@ -209,7 +208,7 @@ def read_replicates(
     count = len(transfer.photodiodes)
     weight = np.zeros((count, GROUPS, len(mu_a)))
     path = np.zeros((count, GROUPS, len(zones)))
-    groups = np.random.default_rng(seed).integers(GROUPS, size=len(trace.weight))
+    groups = (trace.photon % GROUPS).astype(int)
     for j in range(count):
         mine = np.flatnonzero(trace.photodiode == j)
         for start in range(0, len(mine), GROUP_CHUNK):

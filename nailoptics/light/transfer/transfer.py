@@ -26,10 +26,10 @@ from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 400.0
-# Of a phantom's photodiodes, whose standard errors alone would not say it.
+# What the photodiodes' standard errors alone do not say.
 SHARED_ERROR = (
-    "photodiodes share their error, wholly where they lie at one distance from the LED, because a phantom's light is "
-    "averaged over azimuth; the error of a difference or mean of readings follows from traces with several seeds"
+    "photodiodes share photons, and so their errors, wholly where a phantom's lie at one distance from the LED; the "
+    "error of a difference, ratio or mean of readings follows from Transfer.covariance"
 )
 # What a trace took, which adds up where traces are merged.
 EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
@@ -142,7 +142,7 @@ class Transfer(Displayed):
         names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
         text = "detected fraction of the emitted power"
         data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
-        if self.scene.phantom is not None and len(self.photodiodes) > 1:
+        if len(self.photodiodes) > 1:
             data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
         data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
         limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
@@ -167,6 +167,14 @@ class Transfer(Displayed):
             trace.moments(*self._mu_a(i, blood_fraction, so2, mu_a_per_mm), count=len(self.photodiodes))
             for i, trace in enumerate(self.traces)
         ]
+
+    def covariance(self, blood_fraction: ArrayLike | None = None, so2: ArrayLike | None = None) -> np.ndarray:
+        """Covariance of the readings of each LED at one state, as in `at`, (led, photodiode, photodiode) float.
+
+        Copies of one photon may reach several photodiodes. Readings of different LEDs are independent.
+        """
+        state, count = (blood_fraction, so2, None), len(self.photodiodes)
+        return np.stack([t.covariance(*self._mu_a(i, *state), count=count) for i, t in enumerate(self.traces)])
 
     def energy(self) -> dict[str, dict[str, float]]:
         """Where the light of all LEDs went, in equal parts, with standard errors; fractions of the power emitted."""
@@ -229,11 +237,16 @@ class Transfer(Displayed):
             header, arrays = io.unpack(path.read_bytes())
             scene = parse_scene(header["scene"], name="the stored scene")
             count = {"photodiodes": len(photodiode_names(scene)), "absorbers": len(optics.absorbers(scene))}
-            if len(header["leds"]) != len(scene.leds):
+            leds = header["leds"]
+            if len(leds) != len(scene.leds):
                 raise io.CorruptError("it is of other LEDs than its scene")
-            check_arrays({"mu_a": arrays["mu_a_per_mm"]}, {"mu_a": (len(scene.leds), count["absorbers"])})
-            traces, first = [], np.cumsum([0, *(led["records"] for led in header["leds"])])
-            for i, led in enumerate(header["leds"]):
+            check_arrays({"mu_a": arrays["mu_a_per_mm"]}, {"mu_a": (len(leds), count["absorbers"])})
+            if "photon" not in arrays:
+                # Before photons were numbered, each left one record: hardly two of these numbers are one.
+                numbers = [np.random.default_rng(0).integers(t["photons"], size=t["records"]) for t in leds]
+                arrays["photon"] = np.concatenate(numbers).astype(np.uint64)
+            traces, first = [], np.cumsum([0, *(led["records"] for led in leds)])
+            for i, led in enumerate(leds):
                 content: dict[str, Any] = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
                 content |= {name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS}
                 # Of 8 million photons or more 0.2.0 kept a sample, whose weights stand for all of them.

@@ -64,18 +64,22 @@ class FingerTracer:
         """Trace some photons of one LED."""
         if led not in self.reach:
             self.reach[led] = Reach(self.geometry, self.geometry.leds[led])
-        splitting = Splitting(self.reach[led], photons)
-        acceptance = sampling.acceptance_of(self.scene.photodiodes)
-        walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
+        reach, acceptance = self.reach[led], sampling.acceptance_of(self.scene.photodiodes)
+        while True:
+            splitting = Splitting(reach, photons, paths=self.paths)
+            walked = self.walk(led, photons=photons, seed=seed, splitting=splitting, acceptance=acceptance)
+            if splitting.fits():
+                break
         energy, absorbed = walked.energy(self.regions[led].absorbing, self.regions[led].swallows)
-        detected, photodiode, weight = splitting.records()
+        photon, photodiode, weight, paths = splitting.records(seed)
         return LedTrace(
             photons=photons,
             mu_a=optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0],
             seeds=(seed,),
+            photon=photon,
             photodiode=photodiode.astype(np.uint16),
             weight=weight,
-            path_mm=self.by_zone(walked.path_mm[:, detected]),
+            path_mm=self.by_zone(paths),
             energy=energy,
             absorbed=absorbed,
             events=walked.events,
@@ -183,15 +187,13 @@ class FingerWalk:
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
-                self.detect(photon, self.splitting, accepted)
+                self.splitting.add(photon, accepted)
                 forks = self.split(photon, forks, self.splitting, active)
             if photon.outcome > 0:
                 self.ends.record(photon, *self.tallied(region))
                 if self.splitting is None:
                     self.ends.record_path(photon)
                     dr.scatter(self.ends.cosine, photon.w.z, photon.index)
-                else:
-                    dr.scatter(self.splitting.score, photon.score, photon.index)
                 photon = self.launch(photon.rng, lane, photon.index + lanes_in_all)
                 count -= 1
             # Whoever ended has begun anew; so no loop carries this along.
@@ -314,17 +316,6 @@ class FingerWalk:
         """Where the absorption of a region is tallied, and whether it is."""
         place = dr.gather(mi.UInt32, self.regions.tally, region)
         return place, place < dr.width(self.regions.tally)
-
-    @dr.syntax
-    def detect(self, photon: FingerPhoton, splitting: Splitting, accepted: Any) -> None:
-        """Score a photon that reached a photodiode; of its copies one is kept, as likely as it counts."""
-        if photon.outcome >= DETECTED:
-            importance = dr.gather(mi.Float, splitting.importance, photon.outcome - DETECTED)
-            weight = photon.weight * remaining(photon.tau) * accepted * importance
-            photon.score += weight
-            if photon.rng.next_float32() * photon.score < weight:
-                dr.scatter(splitting.photodiode, photon.outcome - DETECTED, photon.index)
-                self.ends.record_path(photon)
 
     def split(self, photon: FingerPhoton, forks: list[Any], splitting: Splitting, active: Any) -> list[Any]:
         """Split a photon that comes within reach of a photodiode, and walk its copies one by one.

@@ -38,7 +38,6 @@ class FingerPhoton(Photon):
     arrivals : How often it has come to the board.
     copies : (levels) list. How many it stands for, walked one after the other, where it has been split; else 1.
     copies_left : (levels) list. Of these still to be walked after the present one.
-    score : Weight of all its copies that a photodiode detected, times how much light counts there.
     """
 
     p: Any
@@ -46,7 +45,6 @@ class FingerPhoton(Photon):
     arrivals: Any = starts(0)
     copies: list[Any]
     copies_left: list[Any]
-    score: Any = starts(0.0)
 
     def is_unsplit(self, level: int) -> Any:
         """Whether it is not split from a level on."""

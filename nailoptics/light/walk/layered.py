@@ -43,6 +43,7 @@ class LayeredTracer:
             photons=photons,
             mu_a=optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0],
             seeds=(seed,),
+            photon=photon.astype(np.uint32),
             photodiode=np.repeat(np.arange(len(detected), dtype=np.uint16), [len(reached) for reached, _ in detected]),
             weight=weight,
             path_mm=np.ascontiguousarray(walked.path_mm[:, photon].T),

@@ -64,7 +64,7 @@ def compare(
         slopes = _scattering_slopes(transfer, limited, progress)
     elif not unmet:
         unmet = "max_seconds ended the comparison before the bed's scattering was traced; its part is not known."
-    return unless_cut_off(compare_transfer(transfer, sweeps, slopes, options.seed), unmet)
+    return unless_cut_off(compare_transfer(transfer, sweeps, slopes), unmet)
 
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
@@ -107,15 +107,14 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
     return np.stack([(log[1] - log[0]) / span, np.sqrt(square[0] + square[1]) / span])
 
 
-def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.ndarray, seed: int) -> xr.Dataset:
+def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.ndarray) -> xr.Dataset:
     """Compare one trace with the formulas over every sweep.
 
     slopes : (2, led, photodiode) float. Slope of ln reading by ln of the bed's scattering, and its error.
-    seed : of the photons' groups, from which the standard errors come.
     """
     scene = transfer.scene
     zone = np.array(scene.zones_of_photodiodes)
-    errors = [[_led_errors(transfer, i, s, zone, slopes[:, i], seed) for s in sweeps] for i in range(len(scene.leds))]
+    errors = [[_led_errors(transfer, i, s, zone, slopes[:, i]) for s in sweeps] for i in range(len(scene.leds))]
     gathered = {name: np.stack([[row[name] for row in by_sweep] for by_sweep in errors]) for name in errors[0][0]}
     of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]
     estimates = {
@@ -152,14 +151,14 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
 
 
 def _led_errors(
-    transfer: Transfer, led: int, sweep: StateSweep, zone: np.ndarray, slopes: np.ndarray, seed: int
+    transfer: Transfer, led: int, sweep: StateSweep, zone: np.ndarray, slopes: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Results of one LED over one sweep, photodiode by photodiode."""
     scene = transfer.scene
     wavelength, share = optics.spectrum(scene.leds[led])
     wavelength_nm, share = scene.leds[led].wavelength_nm, share * wavelength / np.sum(share * wavelength)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
-    read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood, seed=seed)
+    read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
     over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
     assert scene.finger is not None

@@ -211,7 +211,7 @@ def effect_of(
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
-    mean, mean_stderr = weighted_mean(Estimates(ratio, error), base)
+    mean, mean_stderr = weighted_mean(differences._replace(value=ratio, stderr=error), base)
     of_signal = math.nan if paired.signal is None else float(paired.signal.bound.max())
     return Effect(
         **vars(change),
@@ -260,12 +260,14 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         slope = more / (1 + reading.value) / np.log(SCATTERING_FACTOR)
         error = np.hypot(slope * reading.stderr, signal * unit_stderr / unit)
         skew = np.abs(slope) * reading.skew
+        covariance = np.outer(slope, slope) * np.asarray(reading.covariance)
+        covariance += np.outer(signal, signal) * (unit_stderr / unit) ** 2
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
     change, none = (
         Change("blood's own scattering", False, text),
         Estimates(np.zeros_like(signal), np.zeros_like(signal)),
     )
-    paired = Difference(none, Estimates(signal, error, skew))
+    paired = Difference(none, Estimates(signal, error, skew, covariance))
     return effect_of(change, paired, base, tolerance=tolerance)
 
 
@@ -277,6 +279,7 @@ def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Ef
     outside_a = trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio, error = (np.where(base.level > 0, current / (base.level * full_a), np.inf) for current in outside_a)
-        paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
+        covariance = np.diag(error.ravel() ** 2) + np.outer(ratio, ratio) * base.relative_covariance
+        paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr), 0.0, covariance))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)

@@ -2,23 +2,23 @@
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
+from scipy.linalg import block_diag
 
 from ... import geometry
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
-from ...light.transfer.records import LedTrace
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import MIN_EFFECTIVE_TERMS, farther_end
+from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
@@ -69,6 +69,15 @@ class PairedReadings:
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
             return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
+
+    @cached_property
+    def relative_covariance(self) -> np.ndarray:
+        """Covariance of the levels of all LEDs' photodiodes, as parts of them, (r, r) float."""
+        count, blocks = len(self.transfer.photodiodes), []
+        for one, part, level in zip(self.transfer.traces, self.parts, self.level, strict=True):
+            share = part[:, 0] / level[one.photodiode]
+            blocks.append(covariance_of_sums(one.photon, one.photodiode, share, count))
+        return np.asarray(block_diag(*blocks))
 
     @cached_property
     def modulation_stderr(self) -> np.ndarray:
@@ -201,16 +210,24 @@ class Estimates(NamedTuple):
     """Values, (led, photodiode) float each, and their standard errors; NaN and inf where too little was detected.
 
     skew : third moment over the variance: as much as a single photon may carry of a value.
+    covariance : (r, r) float. Of all readings; None where their errors are independent.
     """
 
     value: np.ndarray
     stderr: np.ndarray
     skew: np.ndarray | float = 0.0
+    covariance: np.ndarray | None = None
+
+    @staticmethod
+    def of_replicates(replicates: np.ndarray) -> "Estimates":
+        """From all photons and without each group of them, (1 + groups, led, photodiode) float."""
+        moved = (replicates[1:] - replicates[1:].mean(0)).reshape(len(replicates) - 1, -1)
+        return Estimates(replicates[0], jackknife(replicates), 0.0, (1 - 1 / len(moved)) * moved.T @ moved)
 
     @property
     def bound(self) -> np.ndarray:
         """What no value exceeds, with 95 % confidence each."""
-        return farther_end(*self)
+        return farther_end(self.value, self.stderr, self.skew)
 
 
 class Difference(NamedTuple):
@@ -231,22 +248,26 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     them, and where none does, one that the difference takes away whole.
     """
     resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
-    unit, unit_stderr = base.largest_modulation
-    difference = np.array([_by_photodiode(base, other, led) for led in range(len(base.parts))])
-    (ratio, ratio_stderr, ratio_skew), swing = np.split(np.moveaxis(difference, 1, 0), 2)
-    value, stderr, skew = swing / unit
+
+    def estimates(of_leds: Sequence[tuple[np.ndarray, ...]], unit: float, unit_stderr: float) -> Estimates:
+        value, skew = (np.stack(column) / unit for column in (of_leds[0], of_leds[1]))
+        covariance = block_diag(*of_leds[2]) / unit**2 + np.outer(value, value) * (unit_stderr / unit) ** 2
+        stderr = np.sqrt(np.diag(covariance)).reshape(value.shape)
+        return Estimates(value, np.where(resolved, stderr, np.inf), skew, covariance)
+
+    by_led = [_by_photodiode(base, other, led) for led in range(len(base.parts))]
+    reading, swing = (list(zip(*of_leds, strict=True)) for of_leds in zip(*by_led, strict=True))
     with np.errstate(invalid="ignore"):
-        reading = Estimates(ratio, np.where(resolved, ratio_stderr, np.inf), ratio_skew)
-        stderr = np.hypot(stderr, value * unit_stderr / unit)
-        return Difference(reading, Estimates(value, np.where(resolved, stderr, np.inf), skew))
+        return Difference(estimates(reading, 1.0, 0.0), estimates(swing, *base.largest_modulation))
 
 
-def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.ndarray:
-    """Relative change, and change of the modulation, each with its error and skew, (6, photodiode)."""
-    photodiode, a, b = _side_by_side(base, other, led)
+def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> Sequence[tuple[np.ndarray, ...]]:
+    """Relative change, and change of the modulation, (p,) float, each with its skew and its covariance (p, p)."""
+    photon, photodiode, a, b = _side_by_side(base, other, led)
+    count = len(base.transfer.photodiodes)
 
     def total(values: np.ndarray) -> np.ndarray:
-        return np.bincount(photodiode, values, minlength=len(base.transfer.photodiodes))
+        return np.bincount(photodiode, values, minlength=count)
 
     with np.errstate(divide="ignore", invalid="ignore"):
         level_a, level_b = total(a[:, 0]), total(b[:, 0])
@@ -265,9 +286,10 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> np.
         undetected_swing = np.fmax(whole * scatter, total(carried**2) / total(carried))
         out = []
         for value, change, one_more in ((gain - 1, moved, undetected), (swing_b - swing_a, swung, undetected_swing)):
-            square = total(change**2)
-            out += [value, np.sqrt(square + (UNDETECTED * one_more) ** 2), np.nan_to_num(total(change**3) / square)]
-        return np.stack(out)
+            covariance = covariance_of_sums(photon, photodiode, change, count)
+            skew = np.nan_to_num(total(change**3) / np.diag(covariance))
+            out.append((value, skew, covariance + np.diag((UNDETECTED * one_more) ** 2)))
+        return out
 
 
 def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
@@ -288,39 +310,22 @@ def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(carriers * taken > 0, np.minimum(mean, 1), 1.0))
 
 
-def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every photon's photodiode and what it adds in both scenes, (n,), (n, 2), (n, 2): 0 where it did not come."""
+def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, ...]:
+    """Photons and photodiodes, (n,) int each, and what the one adds to the other in both scenes, (n, 2) float each.
+
+    A photon of one seed has the same random numbers in both scenes, and goes the same way up to where they differ.
+    """
     first, second = base.transfer.traces[led], other.transfer.traces[led]
     a, b = base.parts[led], other.parts[led]
     if first is second:
-        return first.photodiode, a, b
-    in_first, in_second = shared_photons(first, second)
-    alone = np.delete(np.arange(len(b)), in_second)
-    of_first = np.zeros_like(a)
-    of_first[in_first] = b[in_second]
-    photodiode = np.concatenate([first.photodiode, second.photodiode[alone]])
-    return photodiode, np.vstack([a, np.zeros((len(alone), 2))]), np.vstack([of_first, b[alone]])
-
-
-def shared_photons(first: LedTrace, second: LedTrace) -> tuple[np.ndarray, np.ndarray]:
-    """Indices in both traces of the photons that they share, pair by pair; none without a common seed.
-
-    In scenes that differ in one part, a photon that never meets that part goes the same way and counts the same, bit
-    for bit, if both traces have one seed and as many photons.
-    """
-    if (first.photons, first.seeds) != (second.photons, second.seeds):
-        return np.zeros(0, int), np.zeros(0, int)
-    _, in_first, in_second = np.intersect1d(_keys(first), _keys(second), assume_unique=True, return_indices=True)
-    return in_first, in_second
-
-
-def _keys(trace: LedTrace) -> np.ndarray:
-    """A number for each photon from all that is known of it, (n,) uint64."""
-    columns = np.column_stack([trace.photodiode, trace.weight, trace.path_mm]).astype(np.float32)
-    bits = pd.DataFrame(columns.view(np.uint32))
-    hashed = pd.util.hash_pandas_object(bits, index=False)
-    # Photons that met no absorber are all alike: they are counted through.
-    return pd.util.hash_pandas_object(hashed.groupby(hashed).cumcount(), index=False).values ^ hashed.values
+        return first.photon, first.photodiode, a, b
+    count = len(base.transfer.photodiodes)
+    own = 0 if (first.photons, first.seeds) == (second.photons, second.seeds) else first.photons
+    keys = [(t.photon.astype(np.int64) + more) * count + t.photodiode for t, more in ((first, 0), (second, own))]
+    every, at = np.unique(np.concatenate(keys), return_inverse=True)
+    both = np.zeros((2, len(every), 2))
+    both[0, at[: len(a)]], both[1, at[len(a) :]] = a, b
+    return every // count, every % count, *both
 
 
 def weighted_mean(estimates: Estimates, base: PairedReadings) -> tuple[float, float]:
@@ -328,11 +333,12 @@ def weighted_mean(estimates: Estimates, base: PairedReadings) -> tuple[float, fl
 
     The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
     """
-    if not (np.isfinite(estimates.value).all() and np.isfinite(estimates.stderr).all()):
+    weight = base.relative_stderr.ravel() ** -2.0
+    if not (np.isfinite(estimates.value).all() and np.isfinite(estimates.stderr).all() and weight.any()):
         return float("nan"), float("inf")
-    weight = base.relative_stderr**-2.0
     weight = weight / weight.sum()
-    return float((weight * estimates.value).sum()), float(np.linalg.norm(weight * estimates.stderr))
+    covariance = np.diag(estimates.stderr.ravel() ** 2) if estimates.covariance is None else estimates.covariance
+    return float(weight @ estimates.value.ravel()), float(np.sqrt(weight @ covariance @ weight))
 
 
 def check_study(scene: Scene, tolerance: float, study: str, why: str) -> None:

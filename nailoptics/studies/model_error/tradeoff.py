@@ -20,7 +20,6 @@ from ...light.tracing import unlit
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene
-from ...statistics import jackknife
 from ...variables import Variables, variable
 from ..prior_uncertainty import read_by_groups
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
@@ -211,7 +210,7 @@ def tradeoff(
     for led, photodiode in np.argwhere(~(base.level > 0)):
         raise NotReachedError(unlit(light.leds[led], light.photodiodes[photodiode], light.traces[led].photons))
     reference = measured(scene, REFERENCE, base, base)
-    levels = [reference, *formulas(scene, base, options.seed), *courses(scene, base, options.seed)]
+    levels = [reference, *formulas(scene, base), *courses(scene, base)]
     if any(led.fwhm_nm for led in full.leds):
         # The same photons, so the same cost, whatever the noise of its error.
         levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
@@ -273,12 +272,10 @@ def bias_of(base: PairedReadings, off: Estimates, *, shared: float = 0.0) -> Bia
     return Bias(mean, math.hypot(stderr, shared * mean, drift), bound)
 
 
-def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
+def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
     """Taylor (9) and Beer-Lambert (8), with constants from the mean paths of the reference.
 
     The reading at rest is the trace's, at what that costs; it is the signal that they may miss.
-
-    seed : of the groups of photons, from which errors come.
     """
     full = base.transfer.scene
     ends, depths, traced = end_states(full), [], []
@@ -286,23 +283,19 @@ def formulas(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
-        read = read_replicates(base.transfer, i, mu_a, blood, seed=seed)
+        read = read_replicates(base.transfer, i, mu_a, blood)
         mean = float(np.average(blood, weights=share * wavelength))
         depths.append(read.mean_path_mm @ ((ends[1] - ends[0]) * mean))
         traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
     unit, stderr = base.largest_modulation
     for name, change in FORMULAS.items():
-        values = (change(np.stack(depths)) - np.stack(traced)) / unit
-        errors = np.stack([jackknife(value) for value in values])
-        signal = bias_of(base, Estimates(values[:, 0], errors), shared=stderr / unit)
+        off = (change(np.stack(depths, 1)) - np.stack(traced, 1)) / unit
+        signal = bias_of(base, Estimates.of_replicates(off), shared=stderr / unit)
         yield replace(measured(scene, f"{name}, traced", base, base), signal=signal)
 
 
-def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
-    """Blood with walls of mass, and of fewer samples: signals where blood, linear between samples, is off most.
-
-    seed : of the groups of photons, from which errors come.
-    """
+def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
+    """Blood with walls of mass, and of fewer samples: signals where blood, linear between samples, is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
     fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
     usual, usual_s = _timed_course(full)
@@ -315,12 +308,12 @@ def courses(scene: Scene, base: PairedReadings, seed: int) -> Iterator[Level]:
         other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
         farthest = int(np.abs(other - blood).max(0).argmax())
         states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
-        rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states, seed), -1, 0)
+        rest, right, wrong = np.moveaxis(read_by_groups(base.transfer, full, states), -1, 0)
         off = (wrong - right) / rest / unit
         level = measured(scene, name, base, base)
         yield replace(
             level,
-            signal=bias_of(base, Estimates(off[0], jackknife(off)), shared=stderr / unit),
+            signal=bias_of(base, Estimates.of_replicates(off), shared=stderr / unit),
             setup_seconds=level.setup_seconds + seconds - usual_s,
             changes=level.changes | changes,
             call="" if changes else f'nailoptics.hemodynamics.for_scene.blood_over_touch(scene, model="{model}")',
@@ -339,8 +332,4 @@ def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Lev
     changes: Changes = {"blood": {"zones": 8 if two else None, "zone_edges_mm": (0.0,)}}
     other = tracer.trace(revised(base.transfer.scene, changes))
     level = measured(scene, "eight zones" if two else "two zones", base, other)
-    # They share no photons with the reference.
-    unit, stderr = base.largest_modulation
-    off = Estimates((other.modulation - base.modulation) / unit, base.modulation_stderr / unit)
-    signal = bias_of(base, off, shared=stderr / unit)
-    return replace(level, reading=Bias(0.0, 0.0, 0.0), signal=signal, changes=level.changes | changes)
+    return replace(level, reading=Bias(0.0, 0.0, 0.0), changes=level.changes | changes)

@@ -43,7 +43,6 @@ class CalibratedOximeter:
     so2: Array
     curve: Array
     nominal: Pulsation
-    seed: int
 
     def bias(self, ratio: Array) -> tuple[Array, Array]:
         """Bias of SpO2 and its standard error, (photodiodes, n) each. [percent]
@@ -65,7 +64,7 @@ class CalibratedOximeter:
         out = []
         for scene, beat in changes:
             light = replace(self.transfer, scene=scene)
-            out.append(read_pulsations(light, self.leds, [(scene.blood.so2, beat)], seed=self.seed).ratio)
+            out.append(read_pulsations(light, self.leds, [(scene.blood.so2, beat)]).ratio)
         return np.concatenate(out, -1)
 
 

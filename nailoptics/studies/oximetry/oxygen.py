@@ -31,7 +31,7 @@ from .recording import light_of_touch
 SO2 = np.linspace(0.5, 1.0, 51)
 # Part of one slot's light that may be left in the next.
 MOST_CROSSTALK = 0.01
-_GROUPS, _LEAKAGE = 51, 52
+_LEAKAGE = 52
 
 
 def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -48,10 +48,10 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
     """
     cpu, begin = time.process_time(), time.perf_counter()
     options, leds = TraceOptions(**requested), oximeter_leds(scene)
-    states, groups = [(scene.blood.so2, rest_beat(scene))], seed_of(options.seed, _GROUPS)
+    states = [(scene.blood.so2, rest_beat(scene))]
 
     def error_of(light: Transfer) -> float:
-        value, error = jackknifed(read_pulsations(light, leds, states, seed=groups).ratio[..., 0])
+        value, error = jackknifed(read_pulsations(light, leds, states).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
     how = {"max_seconds": accuracy(scene, options).max_seconds, "progress": progress}
@@ -63,18 +63,18 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
 
 def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     """What `oximeter` returns, from light that is already traced."""
-    scene, leds, seed = transfer.scene, oximeter_leds(transfer.scene), seed_of(options.seed, _GROUPS)
+    scene, leds = transfer.scene, oximeter_leds(transfer.scene)
     beat = rest_beat(scene)
-    curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0, seed=seed)
-    oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2), seed)
+    curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0)
+    oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2))
     sources = (scene.ambient or LAMP, SUN)
     outside_a = trace_ambient(scene, sources, options, seed=seed_of(options.seed, _LEAKAGE))
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = outside_a
     front_end = front_end_of(scene, leds, ambient_a)
-    path_ratio = path_length_ratios(transfer, leds, beat, seed=seed)
+    path_ratio = path_length_ratios(transfer, leds, beat)
     calibrations = _calibrations(curve(FIT_SO2).ratio)
     slope = np.abs(calibrations["linear"][1][:, 1])
-    volts = _volts(transfer, leds, beat, front_end, seed)
+    volts = _volts(transfer, leds, beat, front_end)
     time_s, light = light_of_touch(scene, transfer, leds)
     data = calibrations | volts | _error_variables(oximeter, slope, front_end, volts)
     data |= described(
@@ -121,12 +121,10 @@ def _calibrations(ratio: Array) -> Variables:
     return data
 
 
-def _volts(
-    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end: SampledFrontEnd, seed: int
-) -> Variables:
+def _volts(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end: SampledFrontEnd) -> Variables:
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
     states = [(transfer.scene.blood.so2, beat.resting, beat.pulse)]
-    light = np.stack([read_states(transfer, led, states, seed=seed) for led in leds])
+    light = np.stack([read_states(transfer, led, states) for led in leds])
     slots, full = front_end.slot_volts(np.swapaxes(light, 2, 3))
     volts = np.einsum("ls,sgtj->gljt", front_end.weights, slots)
     return described(

@@ -117,41 +117,38 @@ def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, p
     return out
 
 
-def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, Array]], *, seed: int) -> Array:
+def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, Array]]) -> Array:
     """One LED's readings in states of the blood, (1 + groups, photodiodes, all rows of all pulses) float.
 
     states : saturation, resting blood and pulse of each, as in `absorption`.
     """
     wavelength, _ = optics.spectrum(transfer.scene.leds[led])
     mu_a = np.concatenate([absorption(transfer.scene, wavelength, *state) for state in states])
-    return read_replicates(transfer, led, mu_a, np.ones(len(wavelength)), seed=seed).reading
+    return read_replicates(transfer, led, mu_a, np.ones(len(wavelength))).reading
 
 
-def read_pulsations(
-    transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]], *, seed: int
-) -> Pulsation:
+def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]]) -> Pulsation:
     """Pulsation in some states, each a saturation and a beat.
 
     leds : numbers of the red and the infrared LED.
-    seed : of the groups of photons.
     """
     rows = []
     for so2, beat in states:
         rows.append((so2, beat.resting, np.vstack([np.zeros_like(beat.resting), beat.extremes])))
-    read = np.stack([read_states(transfer, led, rows, seed=seed) for led in leds], 1)
+    read = np.stack([read_states(transfer, led, rows) for led in leds], 1)
     read = read.reshape(*read.shape[:3], len(states), 3)
     return Pulsation(ac=read[..., 1] - read[..., 2], dc=read[..., 0])
 
 
 def saturation_curve(
-    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, low: float, high: float, seed: int
+    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, low: float, high: float
 ) -> Callable[[ArrayLike], Pulsation]:
     """Pulsation at every saturation in a range, (n,) float in parts of 1, for no more photons.
 
     It is interpolated between Chebyshev nodes.
     """
     box = ChebyshevBox([low], [high], [NODES])
-    at_nodes = read_pulsations(transfer, leds, [(float(so2), beat) for (so2,) in box.nodes], seed=seed)
+    at_nodes = read_pulsations(transfer, leds, [(float(so2), beat) for (so2,) in box.nodes])
 
     def at(so2: ArrayLike) -> Pulsation:
         weights = box.weights(so2).T
@@ -160,14 +157,14 @@ def saturation_curve(
     return at
 
 
-def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, seed: int) -> Array:
+def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat) -> Array:
     """Mean path of red light in the pulsatile blood over that of infrared, (1 + groups, photodiodes) float."""
     scene, paths = transfer.scene, []
     swing = np.ptp(beat.extremes, axis=0)
     for led in leds:
         wavelength, _ = optics.spectrum(scene.leds[led])
         mu_a = absorption(scene, wavelength, scene.blood.so2, beat.resting, np.zeros((1, len(swing))))
-        read = read_replicates(transfer, led, mu_a, np.ones(len(wavelength)), seed=seed)
+        read = read_replicates(transfer, led, mu_a, np.ones(len(wavelength)))
         paths.append(read.mean_path_mm @ swing / swing.sum())
     return _quotient(*paths)
 

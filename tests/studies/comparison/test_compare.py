@@ -54,6 +54,7 @@ def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> T
     trace = LedTrace(
         photons=10 * n,
         mu_a=optics.absorption(scene, scene.leds[0].wavelength_nm)[0],
+        photon=np.random.default_rng(seed).permutation(10 * n)[: 8 * n],
         photodiode=np.repeat(np.arange(8), n),
         weight=np.ones(8 * n),
         path_mm=path,
@@ -64,7 +65,7 @@ def made_up(own_mm, other_mm, *, seed: int = 0, scene: Scene | None = None) -> T
 
 
 def judged(transfer: Transfer, *over: Over, slopes: np.ndarray = NO_SCATTERING):
-    return compare_transfer(transfer, [state_sweep(transfer.scene, one) for one in over], slopes, 0)
+    return compare_transfer(transfer, [state_sweep(transfer.scene, one) for one in over], slopes)
 
 
 def per_blood(scene: Scene) -> float:
@@ -216,7 +217,7 @@ def test_replicates_know_the_noise_of_the_count():
     """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
     transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
-    read = read_replicates(transfer, 0, mu_a, np.array([0.4]), seed=1)
+    read = read_replicates(transfer, 0, mu_a, np.array([0.4]))
     assert read.reading.shape == (1 + GROUPS, 8, 1) and np.allclose(read.reading[0], 0.1)
     assert np.allclose(jackknife(read.reading) / 0.1, 0.01, rtol=0.5)
 

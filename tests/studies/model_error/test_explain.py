@@ -250,6 +250,7 @@ def made_up(scene: Scene, paths_mm: tuple[float, float], weight: float, photons:
     light = LedTrace(
         photons=photons,
         mu_a=optics.absorption(scene, 800.0)[0],
+        photon=np.arange(len(path)),
         photodiode=np.repeat(np.arange(count), 1000),
         weight=np.full(len(path), weight),
         path_mm=path,

@@ -26,7 +26,7 @@ def drawn(draw: np.random.Generator, *, arrive: float, carry: float, depth: floa
     pressed = weight * np.exp(-0.05 * draw.exponential(size=len(weight)))
     left = np.exp(-depth * draw.exponential(size=len(weight))) if np.isfinite(depth) else 0.0
     left = np.where(draw.random(len(weight)) < carry, left, 1.0)
-    traces = SimpleNamespace(photodiode=photodiode, photons=PHOTONS)
+    traces = SimpleNamespace(photon=np.arange(len(photodiode)), photodiode=photodiode, photons=PHOTONS, seeds=(0,))
     transfer = cast(Transfer, SimpleNamespace(traces=(traces,), photodiodes=tuple(map(str, range(DIODES)))))
     parts = np.column_stack([weight, pressed]) / PHOTONS
     return difference(PairedReadings(transfer, (parts,)), PairedReadings(transfer, (parts * left[:, None],)))

@@ -96,10 +96,10 @@ def test_the_pulse_dims_infrared_more_than_red(found):
 @pytest.mark.long
 def test_interpolated_saturations_agree_with_those_read_directly(light):
     beat = beat_at(shipped(), 0.0)
-    curve = saturation_curve(light, (0, 1), beat, low=0.5, high=1.0, seed=3)
+    curve = saturation_curve(light, (0, 1), beat, low=0.5, high=1.0)
     many = curve(np.linspace(0.5, 1.0, 100)).ratio
     for k in (0, 37, 99):
-        one = read_pulsations(light, (0, 1), [(np.linspace(0.5, 1.0, 100)[k], beat)], seed=3).ratio
+        one = read_pulsations(light, (0, 1), [(np.linspace(0.5, 1.0, 100)[k], beat)]).ratio
         assert np.allclose(many[..., k], one[..., 0], rtol=1e-6)
 
 
@@ -109,7 +109,7 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
         other = trace(shipped(), photons=1 << 15, seed=100 + seed)
-        value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)], seed=1).ratio[..., 0])
+        value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)]).ratio[..., 0])
         values.append(value[0])
         errors.append(error[0])
     assert 0.5 < np.std(values, ddof=1) / np.mean(errors) < 2.0
@@ -137,7 +137,7 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
     fresh = ratio(read)
     fresh_error = jackknife(np.stack([fresh, *(ratio(np.delete(read, k, 0)) for k in range(pairs))]))
     ours, beat = trace(middle, photons=1 << 20, seed=1), BloodBeat(np.arange(2.0), np.array([[low, high]] * 2))
-    both = np.stack([read_states(ours, led, [(so2, beat.resting, beat.pulse)], seed=1) for led in (0, 1)], 1)
+    both = np.stack([read_states(ours, led, [(so2, beat.resting, beat.pulse)]) for led in (0, 1)], 1)
     logs = np.log(both[..., 0] / both[..., 1])
     estimated, estimated_error = jackknifed(logs[:, 0] / logs[:, 1])
     error = np.hypot(estimated_error, fresh_error)
