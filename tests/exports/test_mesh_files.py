@@ -33,7 +33,7 @@ def test_ply_has_each_face_once_with_both_regions(geometry, tmp_path):
 
 def test_other_endings_and_impossible_folders_are_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"\.glb, \.ply or \.kicad_pcb"):
+    with pytest.raises(InputError, match=r"\.glb, \.ply, \.kicad_pcb"):
         export(load_scene("prototype"), tmp_path / "finger.stl")
     with pytest.raises(InputError, match="cannot be written"):
         write_mesh(load_scene("prototype"), tmp_path / "file" / "finger.glb")
