@@ -34,8 +34,8 @@ NAMES: tuple[Name, ...] = ("cuda", "llvm", "metal", "scalar")
 ENGINES = ("photons", "volpath")
 VARIANTS: dict[Name, str] = {name: f"{name}_ad_mono" for name in NAMES} | {"scalar": "scalar_rgb"}
 ADVICE = (
-    "the scalar backend is slow; to trace much faster install libLLVM 15 or newer (Debian, Ubuntu: apt install libllvm19; "
-    "Linux on x86-64: pip install 'nailoptics[llvm]'), or set DRJIT_LIBLLVM_PATH to one"
+    "the scalar backend is slow; to trace much faster install libLLVM 15 or newer (Debian, Ubuntu: apt install "
+    "libllvm19; Linux on x86-64: pip install 'nailoptics[llvm]'), or set DRJIT_LIBLLVM_PATH to one"
 )
 VOLPATH_ADVICE = (
     "volpath traces with the slow scalar backend, because this libLLVM compiles the photons engine only; to trace much "
