@@ -136,6 +136,9 @@ def test_every_study_shows_itself(chosen_jit):
         nail.colour(quiet("nail_colour"), **how),
         nail.place(quiet("placement"), **how),
         nail.explore(prototype, **how),
-        nail.sweep(prototype, {"blood.so2": [0.9, 0.97]}, workers=1, **how),
     ):
         all_shown(result)
+    swept = nail.sweep(prototype, {"blood.so2": [0.9, 0.97]}, workers=1, **how)
+    assert swept.nail.plot().axes[0].get_xlabel().startswith("so2") and "2 scenes" in swept.nail.report()
+    with pytest.raises(nail.InputError, match="does not hold"):
+        swept.nail.plot("photographs")
