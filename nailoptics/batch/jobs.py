@@ -21,7 +21,7 @@ from ..errors import InputError, NailopticsError, WriteError
 from ..io import pack, write_bytes
 from ..light import ReweightWarning
 from ..light import backend as backends
-from ..light.identity import light_digest
+from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
@@ -87,22 +87,23 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """One scene of a batch: its digest, and the key of its light."""
+    """One scene of a batch: its digest, the key of its light, and what is traced in its place."""
 
     digest: str
     key: str
     scene: Scene
+    traced: Scene | None = None
 
 
 def jobs_of(sweep: Sweep, settings: Settings) -> list[Job]:
     """A job for every scene, in the sweep's order."""
     jobs, study = [], settings.study
-    for scene in sweep.scenes:
+    for scene, traced in zip(sweep.scenes, traced_absorption(sweep.scenes), strict=True):
         # Another study of the same scene is another result.
         scene_id = digest(scene)
         scene_id = scene_id if study == "simulate" else hashlib.sha256(f"{study} {scene_id}".encode()).hexdigest()
-        key = f"{light_digest(scene)}{study if STUDIES[study].own_light else ''}"
-        jobs.append(Job(scene_id, key, scene))
+        key = f"{light_digest(traced or scene)}{study if STUDIES[study].own_light else ''}"
+        jobs.append(Job(scene_id, key, scene, traced))
     return jobs
 
 
@@ -224,7 +225,7 @@ def _result(job: Job, settings: Settings) -> tuple[dict[str, Any], dict[str, np.
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ReweightWarning)
         options = settings.options_of(job.scene)
-        dataset, photons, reached = STUDIES[settings.study].run(job.scene, options, stores)
+        dataset, photons, reached = STUDIES[settings.study].run(job.scene, options, stores, job.traced)
     worst = relative_error(dataset)
     header, arrays = to_record(dataset)
     return {

@@ -25,12 +25,13 @@ Answer = tuple[xr.Dataset, int, bool]
 class Study:
     """One study.
 
-    run : its answer for a scene, with options and stores in which its light is looked for and, in the first, stored.
+    run : its answer for a scene, with options, stores in which its light is looked for and, in the first, stored, and
+        the phantom that is traced in its place, if any.
     rows : the dimensions over which the table of a sweep has rows.
     own_light : whether scenes of the same light share it with those of this study alone.
     """
 
-    run: Callable[[Scene, TraceOptions, Sequence[LightStore]], Answer]
+    run: Callable[[Scene, TraceOptions, Sequence[LightStore], Scene | None], Answer]
     rows: tuple[str, ...] = PAIR
     own_light: bool = False
 
@@ -45,21 +46,21 @@ def relative_error(dataset: xr.Dataset) -> float:
     return float(np.max(stderr / fraction, initial=0.0))
 
 
-def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """The simulated touch of a finger, or the readings of a phantom."""
     if scene.phantom is not None:
-        return _trace(scene, options, stores)
+        return _trace(scene, options, stores, traced)
     from ..hemodynamics.for_scene import blood_over_touch
     from ..studies.simulate import simulate_from
 
-    transfer, photons, reached = _transfer(scene, options, stores)
+    transfer, photons, reached = _transfer(scene, options, stores, None)
     result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), options=options)
     return _summarised(result), photons, reached
 
 
-def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Readings at rest, mean paths and where the light ended."""
-    transfer, photons, reached = _transfer(scene, options, stores)
+    transfer, photons, reached = _transfer(scene, options, stores, traced)
     rest, energy = transfer.at(), transfer.energy()
     names = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")
     fraction, pair = rest.variables["detected_fraction"], {"ancillary_variables": "detected_fraction_rest_stderr"}
@@ -73,16 +74,18 @@ def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) ->
             **variable("energy", "part", value, "share of the emitted power", stderr=stderr),
         },
         coords={"part": list(energy)} | {name: rest.variables[name] for name in ("led", "photodiode", "absorber")},
-        attrs=rest.attrs,
+        attrs=rest.attrs | ({"traced_mu_a_per_mm": transfer.traces[0].mu_a.tolist()} if traced else {}),
     )
     return dataset, photons, reached
 
 
-def _transfer(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> tuple[Transfer, int, bool]:
+def _transfer(
+    scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None
+) -> tuple[Transfer, int, bool]:
     """A scene's light, its photons per LED, and whether it is as accurate as required."""
     if scene.light.engine == "volpath":
         raise InputError('light.engine = "volpath": a batch needs the photons engine; use simulate or trace.')
-    transfer, unmet = as_far_as_reached(trace, scene, stores=stores, **options.fields)
+    transfer, unmet = as_far_as_reached(trace, scene, stores=stores, traced=traced, **options.fields)
     if unmet and options.max_seconds is None:  # more time would not help
         raise unmet
     return transfer, min(led.photons for led in transfer.traces), not unmet
@@ -108,7 +111,7 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
     )
 
 
-def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Colours of the nail under each force, and a photograph of each."""
     from ..studies.colour.nail_colour import colour, photographs
 
@@ -124,7 +127,7 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -
     return answer.assign_attrs(result.attrs), int(result.attrs["photons"]), not unmet
 
 
-def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore]) -> Answer:
+def _oximeter(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
     """Calibration, perfusion and errors of an oximeter; what runs over time or saturation is left out."""
     from ..studies.oximetry.oxygen import oximeter
 

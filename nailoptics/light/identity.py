@@ -1,6 +1,9 @@
 """What decides where light goes: scenes that agree in it share a trace, whatever dims or reads the light."""
 
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from ..geometry.build import LED_LIGHT
 from ..scene import Scene, digest
@@ -43,6 +46,34 @@ def light_scene(scene: Scene) -> Scene:
         layers = tuple(layer.model_copy(update={"name": usual_layer_name(i)}) for i, layer in named)
         update["phantom"] = scene.phantom.model_copy(update={"layers": layers})
     return scene.model_copy(update=update)
+
+
+def traced_absorption(scenes: Sequence[Scene]) -> list[Scene | None]:
+    """For each scene, the one of these whose trace gives its readings, too; None where that is its own.
+
+    A trace is read at more absorption with no more variance per photon, but its photons walk longer. So phantoms that
+    differ in absorption alone share the trace of the one that absorbs least in every layer, if there is one, and if
+    the others have at most ten times as much in each.
+    """
+    groups: dict[str, list[int]] = {}
+    for i, scene in enumerate(scenes):
+        if scene.phantom is not None:
+            clear = tuple(layer.model_copy(update={"mu_a_per_mm": 0.0}) for layer in scene.phantom.layers)
+            phantom = scene.phantom.model_copy(update={"layers": clear})
+            groups.setdefault(light_digest(scene.model_copy(update={"phantom": phantom})), []).append(i)
+    traced: list[Scene | None] = [None] * len(scenes)
+    for group in groups.values():
+        mu_a = np.array([[layer.mu_a_per_mm for layer in scenes[i].phantom.layers] for i in group])  # type: ignore[union-attr]
+        least = np.min(mu_a, 0, where=mu_a > 0, initial=np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            decade = np.where(mu_a > 0, np.maximum(np.ceil(np.log10(mu_a / least) - 1e-9), 1), 0)
+        for row in np.unique(decade, axis=0):
+            members = np.flatnonzero((decade == row).all(1))
+            lowest = np.flatnonzero((mu_a[members] == mu_a[members].min(0)).all(1))
+            if len(lowest) and np.ptp(mu_a[members], 0).any():
+                for member in members:
+                    traced[group[member]] = scenes[group[members[lowest[0]]]]
+    return traced
 
 
 def usual_layer_name(layer: int) -> str:

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import nailoptics as nail
-from nailoptics.light.identity import light_digest, light_scene
+from nailoptics.batch import run_batch
+from nailoptics.light.identity import light_digest, light_scene, traced_absorption
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.tracing.trigger import check_schedule
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.placement import Placement
 
-from .conftest import phantoms
+from .conftest import bits, phantoms
 
 
 def prototype():
@@ -92,3 +93,40 @@ def test_the_light_of_a_scene_is_its_own_light():
     for scene in (prototype(), parse_scene(nail.scene.to_toml(prototype()))):
         once = light_scene(scene)
         assert light_scene(once) == once
+
+
+@pytest.mark.jit
+def test_a_sweep_over_the_absorption_of_a_phantom_reads_one_trace(jit_backend, here, tmp_path):
+    """Readings and energy are those of a trace of each scene's own within their errors; resumed, they have the same
+    bits."""
+    more = {"path": "phantom.layers.slab.mu_a_per_mm", "low": 0.02, "high": 0.2, "accuracy": "photons = 200000"}
+    sweep, folder = phantoms(tmp_path, 4, **more), tmp_path / "b"
+    assert len(run_batch(sweep, folder, workers=1, backend=jit_backend.name).done) == 4
+    assert len([path for path in (folder / "light").iterdir() if path.is_dir()]) == 1
+    results = nail.open_results(folder)
+    for i, scene in enumerate(sweep.scenes):
+        alone, one = nail.trace(scene, photons=200_000, seed=99, backend=jit_backend.name), results.isel(mu_a_per_mm=i)
+        rest, energy = alone.at(), alone.energy()
+        pairs = [(one.detected_fraction_rest.item(), one.detected_fraction_rest_stderr.item())]
+        expected = [(rest.detected_fraction.item(), rest.detected_fraction_stderr.item())]
+        pairs += zip(one.energy.values, one.energy_stderr.values, strict=True)
+        expected += [(energy[part]["value"], energy[part]["stderr"]) for part in one.part.values]
+        pairs += zip(one.mean_path_mm.values.ravel(), one.mean_path_mm_stderr.values.ravel(), strict=True)
+        expected += zip(rest.mean_path_mm.values.ravel(), rest.mean_path_mm_stderr.values.ravel(), strict=True)
+        for (value, stderr), (own, own_stderr) in zip(pairs, expected, strict=True):
+            assert abs(value - own) < 4 * np.hypot(stderr, own_stderr) and stderr < 1.5 * own_stderr
+        assert one.energy.sum().item() == pytest.approx(1, abs=1e-6)
+    before = bits(folder)
+    (folder / "results" / sorted(before)[1]).unlink()
+    run_batch(sweep, folder, workers=1, backend=jit_backend.name)
+    assert bits(folder) == before
+
+
+def test_phantoms_share_a_trace_where_one_absorbs_least_and_none_far_more(tmp_path):
+    def traced(values):
+        scenes = [phantoms(tmp_path, 1, path="phantom.layers.slab.mu_a_per_mm", low=v).scenes[0] for v in values]
+        return [None if one is None else one.phantom.layers[0].mu_a_per_mm for one in traced_absorption(scenes)]
+
+    assert traced([0.1, 0.01, 0.05]) == [0.01] * 3
+    assert traced([0.0, 0.01, 0.05, 0.11, 0.2]) == [None, 0.01, 0.01, 0.11, 0.11]
+    assert traced([0.1, 0.1]) == [None] * 2

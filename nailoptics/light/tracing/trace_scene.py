@@ -17,7 +17,7 @@ from .. import backend as backends
 from .. import optics
 from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
-from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace
+from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
 from .store import LightStore, made_of, stored_or_made
 from .trigger import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 
@@ -29,6 +29,7 @@ def trace(
     scene: Scene,
     *,
     with_faces: Collection[str] = (),
+    traced: Scene | None = None,
     spacing_mm: float | None = None,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
@@ -38,6 +39,8 @@ def trace(
 
     with_faces : parts whose faces are there even where the scene leaves them out. So photons that never meet them go
         the same way, number by number, as in a scene that has them, which walks on other faces would not.
+    traced : a phantom that absorbs less and is else the same: it is traced, and read as the scene; where in the
+        phantom light is absorbed is then not known.
     spacing_mm : cells of a finger's grid of distances; wide ones are made sooner, for short traces. [mm]
     stores : where batches are looked for and, in the first, stored; that of the user if not given.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
@@ -49,7 +52,8 @@ def trace(
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)
-    engine = LightEngine(scene, chosen, with_faces=with_faces, spacing_mm=spacing_mm)
+    escaping = traced is not None
+    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=escaping, spacing_mm=spacing_mm)
     stores = LightStore.of_command(options) if stores is None else stores
     start, cpu = time.perf_counter(), time.process_time()
     traces, reused, complaint, interrupted = [], 0, None, False
@@ -102,6 +106,7 @@ class LightEngine:
     Until then Mitsuba is not even imported: light that is stored needs none.
 
     with_faces : the parts that it has although the scene leaves them out.
+    escaping : whether all light that leaves a phantom is recorded.
     spacing_mm : cells of the grid of distances, if not the usual ones. [mm]
     full : photons of a full batch.
     cpu_seconds, wall_seconds : what opening it took. [s]
@@ -113,14 +118,16 @@ class LightEngine:
         backend: backends.Backend,
         *,
         with_faces: Collection[str] = (),
+        escaping: bool = False,
         spacing_mm: float | None = None,
     ) -> None:
         self.scene, self.backend = light_scene(scene), backend
-        self.more: dict[str, Any] = {}
+        self.more: dict[str, Any] = {"escaping": True} if escaping else {}
         if faces := sorted({*with_faces} & {*scene.light.left_out}):
             self.more["with_faces"] = faces
         if spacing_mm is not None and scene.phantom is None:
             self.more["spacing_mm"] = spacing_mm
+        self.escaping = escaping
         self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -157,6 +164,7 @@ class LedSource:
     def batch(self, number: int, photons: int) -> LedTrace:
         """The batch of a number and its photons; both, with the light and the seed, determine its bits."""
         seed, count = seed_of(self.seed, self.led, number), len(photodiode_names(self.scene))
+        ends = 2 if self.engine.escaping else 0
 
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             batch = self.engine().batch(self.led, photons=photons, seed=seed)
@@ -167,11 +175,14 @@ class LedSource:
             columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS}
             columns |= {name: {part: (a, b) for part, (a, b) in about[name].items()} for name in SUMS}
             batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
-            batch.check(photodiodes=count, absorbers=len(self.mu_a))
+            batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))
             return batch
 
         batch, stored = stored_or_made(self.stored, f"{number}-{photons}", make, build)
         self.reused += photons * stored
+        if ends:
+            read_mu_a = optics.absorption(self.scene, self.scene.leds[self.led].wavelength_nm)[0]
+            return read_escaping(batch, count, read_mu_a - self.mu_a)
         # The light does not know the names of a phantom's layers.
         layers = self.scene.phantom.layers if self.scene.phantom else ()
         names = {usual_layer_name(i): layer.name for i, layer in enumerate(layers)}

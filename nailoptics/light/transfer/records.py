@@ -10,7 +10,7 @@ from ...errors import InputError
 from ...io import CorruptError
 from ...statistics import MIN_EFFECTIVE_TERMS, Z95, covariance_of_sums, effective_count, stderr_of_mean, upper_limit_95
 from .moments import Moments, moments_of
-from .reweight import transmission
+from .reweight import attenuation, transmission
 
 # What is recorded of a photon for each photodiode that it, or a copy of it, reached.
 COLUMNS = ("photon", "photodiode", "weight", "path_mm")
@@ -134,3 +134,18 @@ def joined(traces: Sequence[LedTrace]) -> LedTrace:
 def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
     names, none = dict.fromkeys(name for by_name in sums for name in by_name), (0.0, 0.0)
     return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
+
+
+def read_escaping(batch: LedTrace, photodiodes: int, mu_a: np.ndarray) -> LedTrace:
+    """A batch of a phantom that also holds all light that left its top and bottom, as of two more photodiodes, without
+    these, but with the energy at another absorption that they give; where light is absorbed is then not known.
+
+    mu_a : (r,) float. Absorption, less that for which the weights hold. [mm^-1]
+    """
+    end = batch.photodiode.astype(int) - photodiodes
+    weight = batch.weight * attenuation(batch.path_mm, mu_a)
+    energy = {name: (weight[end == i].sum(), (weight[end == i] ** 2).sum()) for i, name in enumerate(ENERGY[:2])}
+    total, square = (sum(sums) for sums in zip(*energy.values(), strict=True))
+    lost = batch.energy["lost"]
+    energy |= {"absorbed": (batch.photons - total - lost[0], batch.photons - 2 * total + square), "lost": lost}
+    return replace(batch.select(end < 0), energy=energy, absorbed={})

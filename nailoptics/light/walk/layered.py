@@ -21,8 +21,10 @@ TINY = 1e-12
 class LayeredTracer:
     """The photons engine for a phantom scene: walks the photons of its LEDs until each has ended."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, escaping: bool = False) -> None:
+        """escaping : whether all light that leaves is recorded, as that of two more photodiodes, top and bottom."""
         assert scene.phantom is not None
+        self.escaping = escaping
         self.scene, self.phantom = scene, scene.phantom
         self.apertures = [
             (x - dx / 2, x + dx / 2, y - dy / 2, y + dy / 2)
@@ -38,6 +40,9 @@ class LayeredTracer:
             share = arc_share(shift[top], start[top], aperture)
             photon = top[share > 0]
             detected.append((photon, share[share > 0] * walked.weight[photon]))
+        for end in (sampling.TOP, sampling.BOTTOM) if self.escaping else ():
+            left = np.flatnonzero(walked.outcome == end)
+            detected.append((left, walked.weight[left]))
         photon, weight = (np.concatenate(part) for part in zip((top[:0], walked.weight[:0]), *detected, strict=True))
         return LedTrace(
             photons=photons,

@@ -13,7 +13,6 @@ from ... import tissue
 from ...display import Displayed
 from ...errors import NotReachedError
 from ...hemodynamics.for_scene import blood_over_touch
-from ...hemodynamics.respond import Model
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.tracing import unlit
@@ -48,6 +47,8 @@ CHEAPER: dict[str, Changes] = {
     "no bone either": {"light": {"left_out": ["bone", "epidermis", "kapton"]}},
 }
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
+# Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
+COURSES: dict[str, dict[str, Any]] = {"walls with mass": {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
 FEWER_SAMPLES = 10
 # Relative change of a reading from the change of the optical depth along its path.
 FORMULAS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -295,16 +296,16 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
 
 
 def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
-    """Blood with walls of mass, and of fewer samples: signals where blood, linear between samples, is off most."""
+    """Blood with walls of mass, a looser tolerance, and fewer samples: signals where blood, linear between samples, is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
     fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
     usual, usual_s = _timed_course(full)
     blood = usual.blood_fraction.values
-    ways: dict[str, tuple[Model, Changes]] = {"walls with mass": ("inertial", {})}
+    ways: dict[str, tuple[dict[str, Any], Changes]] = {name: (way, {}) for name, way in COURSES.items()}
     if usual.sizes["time"] > 2 * FEWER_SAMPLES:
-        ways[f"1 of {FEWER_SAMPLES} samples"] = "massless", fewer
-    for name, (model, changes) in ways.items():
-        course, seconds = _timed_course(revised(full, changes), model)
+        ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
+    for name, (way, changes) in ways.items():
+        course, seconds = _timed_course(revised(full, changes), **way)
         other = np.stack([np.interp(usual.time, course.time, zone) for zone in course.blood_fraction.values])
         farthest = int(np.abs(other - blood).max(0).argmax())
         states = np.stack([blood[:, 0], blood[:, farthest], other[:, farthest]])
@@ -316,14 +317,14 @@ def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
             signal=bias_of(base, Estimates.of_replicates(off), shared=stderr / unit),
             setup_seconds=level.setup_seconds + seconds - usual_s,
             changes=level.changes | changes,
-            call="" if changes else f'nailoptics.hemodynamics.for_scene.blood_over_touch(scene, model="{model}")',
+            call="" if changes else f"nailoptics.hemodynamics.for_scene.blood_over_touch(scene, **{way})",
         )
 
 
-def _timed_course(scene: Scene, model: Model = "massless") -> tuple[xr.Dataset, float]:
+def _timed_course(scene: Scene, **way: Any) -> tuple[xr.Dataset, float]:
     """Blood over a touch, and its processor time. [s]"""
     begin = time.process_time()
-    return blood_over_touch(scene, model=model), time.process_time() - begin
+    return blood_over_touch(scene, **way), time.process_time() - begin
 
 
 def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Level:

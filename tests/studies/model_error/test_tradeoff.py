@@ -141,7 +141,7 @@ def test_blood_levels_move_the_signal_alone(found):
     assert 0.3 < by_name["1 of 10 samples"].signal.bound < 1.0
     assert by_name["eight zones"].signal.bound > 0.3
     usual = revised(prototype(), FULL)
-    for name in ("walls with mass", "1 of 10 samples", "eight zones"):
+    for name in ("walls with mass", "vessels to 1e-3", "1 of 10 samples", "eight zones"):
         # What selects it has the light of the full model, by which it was measured.
         scene = revised(prototype(), by_name[name].changes)
         assert (scene.light, scene.leds) == (usual.light, usual.leds)
