@@ -296,7 +296,7 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
 
 
 def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
-    """Blood with walls of mass, a looser tolerance, and fewer samples: signals where blood, linear between samples, is off most."""
+    """Blood with walls of mass, a looser tolerance, fewer samples: signals where blood between samples is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
     fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
     usual, usual_s = _timed_course(full)
