@@ -2,7 +2,9 @@
 
 import base64
 import html
+from collections.abc import Callable
 from importlib import import_module
+from inspect import signature
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,21 +64,27 @@ class Nail:
         known = max(filter(kind.startswith, KINDS), key=len, default=None)  # a sweep's title ends in its name
         if known is None:
             raise InputError(f'"{kind}" is no result that nailoptics can show; keep the attributes of its Dataset.')
-        module, _, name = KINDS[known].rpartition(".")
+        self._kind, (module, _, name) = kind, KINDS[known].rpartition(".")
         self._report: Report = getattr(import_module(f".pages.{module}", __package__), name)
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Names of the figures that `plot` draws, the most telling first."""
+        """Names of the figures of this kind of result, the most telling first; `plot` says what one of them lacks."""
         return tuple(self._report.figures)
 
     @property
     def scene(self) -> Scene:
-        """The scene of a result; of a placement that of its best layout."""
+        """The scene of a result: a placement's best, what an explanation requires; raises InputError if it has none."""
         from ..studies.placement.result import chosen
 
         result = self._result
-        return chosen(result) if "best_photodiode" in result.dims else parse_scene(str(result.attrs["scene"]))
+        if self._kind.startswith("nailoptics: layouts ranked"):
+            return self._shown("the best layout", chosen)
+        held = (getattr(result, name, None) for name in ("scene", "required"))
+        for scene in (getattr(result, "attrs", {}).get("scene"), result, *held):
+            if isinstance(scene, str | Scene):
+                return parse_scene(scene) if isinstance(scene, str) else scene
+        raise InputError(f'"{self._kind}" has no scene; take the one that it was made of.')
 
     def plot(self, figure: str | None = None, **which: Any) -> "Figure":
         """Draw a figure of the page as a matplotlib Figure.
@@ -84,16 +92,17 @@ class Nail:
         figure : one of `figures`; the first if not given.
         which : of several, such as led=1 where a page has one for each LED.
 
-        Raises: InputError for an unknown name, or where there is nothing to draw.
+        Raises: InputError for an unknown name or option, or where a result lacks what is drawn, as parts of one do.
         """
         drawings = self._report.figures
         if figure is not None and figure not in drawings:
             raise InputError(f'figure = "{figure}" is unknown; choose from {", ".join(drawings)}.')
         name = figure or next(iter(drawings))
-        try:
-            drawn = drawings[name](self._result, **which)
-        except (AttributeError, LookupError) as error:  # such as a section, which only simulate(picture=True) makes
-            raise InputError(f'figure = "{name}" shows what this result does not hold: {error}.') from error
+        what = ", ".join([f'figure = "{name}"', *(f"{option} = {value!r}" for option, value in which.items())])
+        options = [*signature(drawings[name]).parameters][1:]
+        if not which.keys() <= {*options}:
+            raise InputError(f"{what} is unknown; options of this figure: {', '.join(options) or 'none'}.")
+        drawn = self._shown(what, drawings[name], **which)
         vars(drawn)["_repr_png_"] = lambda: _png(drawn)  # a notebook shows figures of pyplot alone
         return drawn
 
@@ -102,11 +111,11 @@ class Nail:
 
         options : of the files, such as negate_x_on_bottom of a placement's.
 
-        Returns: the page, or the paths of what was written by their role. Raises: WriteError.
+        Returns: the page, or the paths of what was written by their role. Raises: WriteError, InputError.
         """
         if path is not None and Path(path).suffix != ".html":
-            return self._report.write(self._result, Path(path), **options)
-        page = Page(self._report.page(self._result))
+            return self._shown("the report", self._report.write, folder=Path(path), **options)
+        page = Page(self._shown("the report", self._report.page))
         if path is None:
             return page
         make_folder(Path(path).parent)
@@ -115,7 +124,14 @@ class Nail:
 
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers and texts, as the command prints them with --json."""
-        return self._report.summary(self._result)
+        return self._shown("the summary", self._report.summary)
+
+    def _shown(self, what: str, show: Callable[..., Any], **options: Any) -> Any:
+        """Call a function of the result; raises InputError for one that was cut or joined and lacks what is shown."""
+        try:
+            return show(self._result, **options)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise InputError(f"{what} needs what this does not hold; show the whole result, as returned.") from error
 
     def html(self) -> Html:
         """What a notebook shows: the lines of the terminal, and the first figure."""

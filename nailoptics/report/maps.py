@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ..errors import InputError
 from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..tissue import BloodZones
@@ -185,6 +186,8 @@ def _cut(result: xr.Dataset) -> xr.DataArray:
 @style.drawing()
 def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
+    if "section_region" not in result:
+        raise InputError('figure = "section" needs the paths of light: simulate(scene, picture=True).')
     leds = result.sizes["led"] if "path_density" in result else 1
     heights = [2.9] + [3.5] * leds
     figure, (whole, *views) = style.panels(9.2, 3.1 + 3.55 * leds, leds + 1, room_in=BESIDE, height_ratios=heights)

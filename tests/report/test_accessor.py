@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import made_sensor
+import numpy as np
 import pytest
 import xarray as xr
 from made_exploration import made_exploration
@@ -57,11 +58,65 @@ def test_what_a_result_does_not_hold_is_said(make):
     result = make(section=False).assign_attrs(TITLE)
     with pytest.raises(nail.InputError, match='figure = "spectrum" is unknown; choose from readings, touch'):
         result.nail.plot("spectrum")
-    with pytest.raises(nail.InputError, match='figure = "section" shows what this result does not hold'):
+    with pytest.raises(nail.InputError, match=r'"section" needs .* simulate\(scene, picture=True\)'):
         result.nail.plot("section")
     for other in (xr.Dataset(), xr.Dataset(attrs={"title": "mine"})):
         with pytest.raises(nail.InputError, match="no result that nailoptics can show"):
             _ = Nail(other)
+
+
+CUTS = {
+    "two of the photodiodes": lambda r: r.isel(photodiode=[0, 1]),
+    "one photodiode": lambda r: r.isel(photodiode=0),
+    "no time": lambda r: r.isel(time=[]),
+    "one time": lambda r: r.isel(time=0),
+    "no LED": lambda r: r.isel(led=[]),
+    "two runs": lambda r: xr.concat([r, r], "run"),
+    "one variable": lambda r: r[["volts"]],
+}
+
+
+@pytest.mark.parametrize("cut", CUTS.values(), ids=CUTS)
+def test_of_a_part_of_a_result_the_whole_is_named_as_what_is_needed(make, tmp_path, cut):
+    part = cut(make(leds=1).assign_attrs(TITLE)).nail
+    for show in (lambda: part.plot("volts"), part.report, lambda: part.report(tmp_path / "a.html")):
+        with pytest.raises(nail.InputError, match="show the whole result, as returned") as said:
+            show()
+        assert said.value.__cause__ and len(str(said.value)) < 150
+    assert not [*tmp_path.iterdir()]
+
+
+def test_options_are_those_of_the_figure(make):
+    shown = make(leds=1).assign_attrs(TITLE).nail
+    for options, line in (({"name": "touch"}, "is unknown; .*: none"), ({"led": 7}, "led = 7 is unknown")):
+        with pytest.raises(nail.InputError, match=line):
+            shown.plot("touch", **options)
+    with pytest.raises(nail.InputError, match='figure = "volts", led = 7 needs what this does not hold'):
+        shown.plot("volts", led=7)
+
+
+def sweep(**axes):
+    """Readings over axes in newtons, without light."""
+    shape = [*(len(values) for values in axes.values()), 1, 1]
+    of, volts = {"units": "V", "long_name": "voltage at rest"}, ((*axes, "led", "photodiode"), np.ones(shape))
+    data = {
+        "volts_start": (*volts, of),
+        "volts_start_stderr": (*volts, of),
+        "state": (tuple(axes), np.full(shape[:-2], "done")),
+    }
+    coords = {name: (name, values, {"units": "N", "long_name": name}) for name, values in axes.items()}
+    return xr.Dataset(data, coords | {"led": ["ir"], "photodiode": ["a"]}, {"title": "nailoptics: batch x"}).nail
+
+
+def test_a_sweep_of_one_value_is_a_point_and_another_axis_is_named():
+    (axes,) = sweep(force_n=[1.0]).plot().axes
+    assert axes.get_xlabel() == "force_n [N]" and [*axes.lines[0].get_xdata()] == [1.0]
+    (axes,) = sweep(rest_n=[0.1, 0.2], force_n=[1.0, 2.0]).plot().axes
+    assert axes.get_title("left") == "force_n = 2 N"
+    with pytest.raises(nail.InputError, match='"photographs" needs a sweep of study = "colour"'):
+        sweep(force_n=[1.0]).plot("photographs")
+    with pytest.raises(nail.InputError, match='"nailoptics: batch x" has no scene'):
+        _ = sweep(force_n=[1.0]).scene
 
 
 def test_a_persons_sensor_and_its_force_show_themselves(tmp_path):
@@ -69,12 +124,16 @@ def test_a_persons_sensor_and_its_force_show_themselves(tmp_path):
     assert list(all_shown(subject)) == ["factors"] and len(repr(subject)) < 120
     assert "&lt;Subject: 8 readings" in subject._repr_html_()
     recording = made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=3)
-    assert list(all_shown(nail.predict(subject, recording))) == ["force", "share"]
+    predicted = nail.predict(subject, recording)
+    assert list(all_shown(predicted)) == ["force", "share"]
+    with pytest.raises(nail.InputError, match='"force from volts" has no scene'):
+        _ = predicted.nail.scene
     assert nail.predict(nail.load_subject(subject.nail.report(tmp_path)["scene"]), recording).attrs["rms_n"] > 0
 
 
 def test_an_exploration_shows_itself():
     explored = made_exploration(nail.load_scene("prototype"))
+    assert explored.nail.scene == explored.scene
     explored.attributes.update(photons=1000, cpu_seconds=1.0, wall_seconds=1.0)
     assert list(all_shown(explored)) == ["board"]
 
@@ -103,6 +162,7 @@ def test_every_title_of_a_study_has_its_report():
 def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
     transfer = nail.trace(nail.load_scene("prototype"), photons=20_000, backend=jit_backend.name)
     assert list(all_shown(transfer)) == list(all_shown(transfer.at(so2=[0.9, 0.95]))) == ["readings"]
+    assert transfer.nail.scene == transfer.scene == transfer.at().nail.scene
     assert transfer.at(so2=[0.9, 0.95]).sizes["state"] == 2 and len(repr(transfer)) < 150
     detected = transfer.at().detected_fraction
     (row,) = [row for row in transfer.nail.summary()["readings"] if row["photodiode"] == "distal.3"]
@@ -140,5 +200,5 @@ def test_every_study_shows_itself(chosen_jit):
         all_shown(result)
     swept = nail.sweep(prototype, {"blood.so2": [0.9, 0.97]}, workers=1, **how)
     assert swept.nail.plot().axes[0].get_xlabel().startswith("so2") and "2 scenes" in swept.nail.report()
-    with pytest.raises(nail.InputError, match="does not hold"):
+    with pytest.raises(nail.InputError, match="needs a sweep of study"):
         swept.nail.plot("photographs")

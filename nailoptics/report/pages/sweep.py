@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ...batch import write_table
+from ...errors import InputError
 from ...io import write_text
 from .. import style
 from ..files import Report, run_summary
@@ -98,7 +99,7 @@ def _varied(results: xr.Dataset) -> list[str]:
 
 def _along_axis(results: xr.Dataset, axis: str = "") -> "Figure":
     """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
-    return _along(results, str(_quantity(results)), axis or _varied(results)[0])
+    return _along(results, str(_quantity(results)), axis or (_varied(results) or axes_of(results))[0])
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -107,9 +108,10 @@ def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
 
 
 def _held(results: xr.Dataset, name: str) -> str:
-    """The same in words: so2 = 0.85, force_n = 1."""
-    values = {d: results[d].values[i] for d, i in _others(results, name).items() if d in results.coords}
-    return ", ".join(f"{d} = {v:.4g}" if isinstance(v, float) else f"{d} = {v}" for d, v in values.items())
+    """The same in words: so2 = 0.85, force_n = 1 N."""
+    held = {d: results[d][i] for d, i in _others(results, name).items() if d in results.coords}
+    shown = {d: f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item()) for d, at in held.items()}
+    return ", ".join(f"{d} = {shown[d]} {at.attrs.get('units', '1')}".removesuffix(" 1") for d, at in held.items())
 
 
 @style.drawing()
@@ -134,6 +136,7 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
     unit = f" [{results[name].attrs['units']}]" if numeric else ""
     axes.set_xlabel(style.plain(f"{name}{unit}"))
+    axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
     if pairs:
@@ -153,6 +156,8 @@ def contact_sheet(results: xr.Dataset) -> "Figure":
 
     results : what `batch.open_results` returns for a sweep of colours.
     """
+    if "photograph" not in results:
+        raise InputError('figure = "photographs" needs a sweep of study = "colour".')
     places = list(np.ndindex(*results.state.shape))[:MOST_SCENES]
     scenes = [results.isel(dict(zip(results.state.dims, place, strict=True))) for place in places]
     count, high, wide = (results.sizes[name] for name in ("force", "row", "column"))

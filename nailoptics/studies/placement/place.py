@@ -46,7 +46,7 @@ def place(
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
 ) -> xr.Dataset:
-    """Rank layouts of a finger scene by the force that they resolve; `result.chosen` is the best as a scene.
+    """Rank layouts of a finger scene by the force that they resolve; `result.nail.scene` is the best.
 
     verify_with_mitsuba : also read the best layout by stock Mitsuba, for minutes past max_seconds; what an interrupted
         run has traced of this is taken from the store.
