@@ -477,10 +477,9 @@ def export(
         voxel_mm: Side of mcx's voxels; 0.1 if not given. [mm]
     """
     from .exports.formats import export as write
-    from .scene import load_scene
 
     try:
-        paths = write(load_scene(scene), output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent)
+        paths = write(scene, output, format=format_, voxel_mm=voxel_mm, folder=Path(scene).parent)
     except WriteError:
         raise
     except InputError as error:

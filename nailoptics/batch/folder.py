@@ -102,7 +102,8 @@ class Folder:
         path = self.root / "plan.json"
         try:
             if not path.exists():
-                why = "is not a batch folder (it has no plan.json); give the folder of a batch."
+                what = "it has no plan.json" if self.root.exists() else "no such file or folder"
+                why = f"is not a batch folder ({what}); give the folder of a batch."
                 raise PlanError(f"{self.root}: {why}")
             data = json.loads(path.read_text(encoding="utf-8"))
             if not isinstance(data, dict):

@@ -10,14 +10,14 @@ import xarray as xr
 
 from ..errors import as_far_as_reached, unless_cut_off
 from ..options import Requested
-from ..scene import Scene
+from ..scene import SceneIn
 from ..scene.sweep import StudyName, sweep_over
 from .folder import open_results
 from .run import BatchProgress, run_batch
 
 
 def sweep(
-    scene: Scene | str | Path,
+    scene: SceneIn,
     over: Mapping[str, Any],
     *,
     study: StudyName = "simulate",

@@ -86,8 +86,8 @@ def run_batch(
     Raises: InputError; NotReachedError, whose result is the Outcome, where scenes failed, missed their tolerance or
     were not reached.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"workers = {workers}; must be above 0.")
+    if workers is not None and not (isinstance(workers, int) and workers > 0):
+        raise InputError(f"workers = {workers!r}; must be a whole number above 0.")
     if workers is not None and scheduler is not None:
         raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
     options = TraceOptions(**requested)

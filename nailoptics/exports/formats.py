@@ -4,11 +4,12 @@ kicad_pcb is its board, spice its circuit."""
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Unpack, get_args
 
 from ..errors import InputError
 from ..io import check_writable
-from ..scene import Scene
+from ..options import Requested
+from ..scene import SceneIn, as_scene
 
 FormatName = Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"]
 
@@ -33,12 +34,13 @@ FILES: dict[FormatName, tuple[str, ...]] = {
 
 
 def export(
-    scene: Scene,
+    scene: SceneIn,
     path: str | Path,
     *,
     format: FormatName | None = None,
     voxel_mm: float | None = None,
     folder: str | Path | None = None,
+    **requested: Unpack[Requested],
 ) -> dict[str, Path]:
     """Write a finger scene for another program.
 
@@ -47,12 +49,15 @@ def export(
     voxel_mm : side of the voxels of the format mcx; 0.1 if not given. [mm]
     folder : where the board lies from which the scene's layout came, for kicad_pcb; the current one if not given.
 
-    The format spice traces the scene's light, as far as its [accuracy] requires.
+    requested : fields of `TraceOptions` for the format spice, which traces the light of the scene.
 
     Returns: what was written, by what it is.
 
     Raises: InputError for a phantom or an unknown format; WriteError where nothing can be written.
     """
+    scene = as_scene(scene)
+    if not isinstance(path, str | Path):
+        raise InputError(f"path = {path!r}: is no path; give a file or folder to write.")
     path = Path(path)
     ending, known = path.suffix.lower(), ", ".join(get_args(FormatName))
     name = next((one for one, endings in FILES.items() if ending in endings), None) if format is None else format
@@ -63,6 +68,8 @@ def export(
         raise InputError(f'format = "{name}" is unknown; choose from {known}.')
     if voxel_mm is not None and name != "mcx":
         raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
+    if requested and name != "spice":
+        raise InputError(f"{next(iter(requested))} belongs to the format spice, not to {name}; leave it out.")
     single = name in FILES
     if single and ending not in FILES[name]:
         raise InputError(f"{path}: a file in the format {name} ends in {' or '.join(FILES[name])}; rename it.")
@@ -79,7 +86,7 @@ def export(
         )
     module, function = WRITERS[name]
     write = getattr(import_module(f".{module}", __package__), function)
-    more: dict[str, Any] = {} if voxel_mm is None else {"voxel_mm": voxel_mm}
+    more: dict[str, Any] = {**requested} if voxel_mm is None else {"voxel_mm": voxel_mm}
     if name == "kicad_pcb":
         more["folder"] = Path(folder or ".")
     paths: dict[str, Path] = write(scene, path, **more)

@@ -3,12 +3,14 @@
 import logging
 from pathlib import Path
 from string import Template
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
 
 from ..errors import as_far_as_reached
 from ..io import make_folder, write_text
+from ..options import Requested
 from ..scene import Led, Scene
 from ..sensor import electronics
 from ..sensor.drift_motion import reading_gain
@@ -27,15 +29,15 @@ STAGE_BANDWIDTHS = 30.0
 NOISE_FROM, NOISE_TO = 1e-6, 1e2
 
 
-def write_spice(scene: Scene, path: Path) -> dict[str, Path]:
+def write_spice(scene: Scene, path: Path, **requested: Unpack[Requested]) -> dict[str, Path]:
     """Simulate a scene's touch and write its circuit for ngspice; returns the path by what it is.
 
-    Light is traced as far as the scene's [accuracy] requires, with seed 0.
+    requested : fields of `TraceOptions`; if not given, seed 0 and the scene's [accuracy].
 
     Raises: WriteError; InputError as `simulate`.
     """
     certain = scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
-    result, unmet = as_far_as_reached(simulate, certain)
+    result, unmet = as_far_as_reached(simulate, certain, **requested)
     if unmet:
         log.warning("%s", unmet)
     make_folder(path.parent)

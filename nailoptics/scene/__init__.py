@@ -1,7 +1,7 @@
 """WHAT THE USER WROTE: frozen models of a scene, read from and written to TOML."""
 
 from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
-from .files import digest, json_schema, load_scene, parse_scene, to_toml
+from .files import SceneIn, as_scene, digest, json_schema, load_scene, parse_scene, to_toml
 from .finger import Finger
 from .layout import Element, Layout
 from .models import Accuracy, Ambient, Electronics, Layer, Light, Phantom, Scene, Viewing

@@ -37,9 +37,11 @@ def with_value(item: Any, steps: Sequence[str | int], value: Any, path: str) -> 
     if not isinstance(item, tuple):
         raise InputError(f'path "{path}" goes on at {step!r} where the scene has a value; correct the path.')
     names = [_name(row) for row in item]
-    if step not in names and not (isinstance(step, int) and step < len(item)):
-        known = ", ".join([f"0 to {len(item) - 1}", *filter(None, names)])
-        raise InputError(short(f'path "{path}": there is no item {step} here; known: {known}', 300) + ".")
+    if step not in names and not (isinstance(step, int) and 0 <= step < len(item)):
+        array = str(step).rpartition(".")[0]
+        why = f"{step} is an element of the array {array}" if array in names else f"there is no item {step} here"
+        known = ", ".join(["0" if len(item) == 1 else f"0 to {len(item) - 1}", *filter(None, names)])
+        raise InputError(short(f'path "{path}": {why}; known: {known}', 300) + ".")
     i = step if isinstance(step, int) else names.index(step)
     return (*item[:i], with_value(item[i], rest, value, path), *item[i + 1 :])
 

@@ -12,7 +12,10 @@ from ..checks import explain
 from ..errors import InputError
 from .base import Table
 from .models import Scene
-from .text_files import is_there, parse_toml, read_text
+from .text_files import is_there, parse_toml, read_text, short
+
+# What studies take: a scene, its file, or the name of a shipped one.
+SceneIn = Scene | str | Path
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -22,6 +25,8 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises: InputError, one line that names the file, the field, the rule and the value.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f'scene = {short(repr(path))}: give a Scene, or the path or name of one, such as "prototype".')
     given, path = str(path), Path(path)
     if not is_there(path):
         path = shipped_scene(given) or path
@@ -29,6 +34,11 @@ def load_scene(path: str | Path) -> Scene:
             known = ", ".join(sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
             raise InputError(f"{given}: there is no such file and no shipped scene of that name; shipped: {known}.")
     return parse_scene(read_text(path, "the path of a scene file (TOML)"), folder=path.parent, name=str(path))
+
+
+def as_scene(scene: SceneIn) -> Scene:
+    """The scene, or that of a file or of a shipped scene's name; raises InputError for anything else."""
+    return scene if isinstance(scene, Scene) else load_scene(scene)
 
 
 def shipped_scene(name: str) -> Path | None:
@@ -60,11 +70,11 @@ def digest(scene: Scene) -> str:
     return hashlib.sha256(json.dumps(plain, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def to_toml(scene: Scene) -> str:
+def to_toml(scene: SceneIn) -> str:
     """The scene as TOML, complete: parts and recordings are written out."""
     import tomli_w
 
-    return tomli_w.dumps(scene.model_dump(mode="python", exclude_none=True))
+    return tomli_w.dumps(as_scene(scene).model_dump(mode="python", exclude_none=True))
 
 
 def json_schema() -> dict[str, Any]:

@@ -70,9 +70,11 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     _check_heights(board, leds, photodiodes)
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
+    unplaced = [f'leds "{led.name}"' for led in leds if "position_mm" not in led.model_fields_set]
     for (name, r), (other_name, other) in _side_by_side(parts):
         if (depth_mm := r.overlap_mm(other)) > ROUNDING_MM:
-            raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; move one of them")
+            cure = "move one of them" if name not in unplaced else "it was not given and is (0, 0), give it"
+            raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; {cure}")
     outline = _outline(board, parts, finger)
     _check_nail(outline, finger)
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()

@@ -382,8 +382,8 @@ class Scene(Displayed, Table):
         board = {"kicad": str(path), "parts": parts} | tables.pop("board", {})
         return cls(**{"finger": {}, "board": board} | tables)
 
-    def with_(self, **changes: Any) -> Self:
-        """The scene with other values at dotted paths, as of a sweep's axes: with_(**{"blood.so2": 0.9}).
+    def with_(self, values: Mapping[str, Any] | None = None, /, **changes: Any) -> Self:
+        """The scene with other values at dotted paths, as of a sweep's axes: with_({"blood.so2": 0.9}).
 
         Another part, digit or recording brings its own values along, but for those that differ from the old one's; a
         whole table or list replaces the old one, with_(touch={"profile": "hold"}), and None removes what is optional.
@@ -391,18 +391,18 @@ class Scene(Displayed, Table):
         Raises: InputError, a line for each fault, with the field, the rule and the value.
         """
         try:
-            return self._edited([(steps_of(path), value) for path, value in changes.items()])
+            return self._edited([(steps_of(path), value) for path, value in {**(values or {}), **changes}.items()])
         except ValueError as error:
             raise InputError(f"{error}.") from None
 
-    def with_led(self, name: str | int, **changes: Any) -> Self:
+    def with_led(self, name: str | int, /, **changes: Any) -> Self:
         """The scene with other values of one LED, by its name or number: with_led("ir", position_mm=(-2, 0)).
 
         Raises: InputError, as `with_`.
         """
         return self._edited([(["leds", name, field], value) for field, value in changes.items()])
 
-    def with_photodiode(self, name: str | int, **changes: Any) -> Self:
+    def with_photodiode(self, name: str | int, /, **changes: Any) -> Self:
         """The scene with other values of one photodiode, or of one array, by its name or number.
 
         Raises: InputError, as `with_`.
@@ -411,7 +411,8 @@ class Scene(Displayed, Table):
 
     def _edited(self, edits: Iterable[tuple[list[str | int], Any]]) -> Self:
         tables: dict[str, Any] = dict(self)
-        for steps, value in edits:
+        # An item is selected by its name until all else of it has changed.
+        for steps, value in sorted(edits, key=lambda edit: edit[0][-1] == "name"):
             tables = with_value(tables, steps, value, ".".join(map(str, steps)))
         return type(self)(**tables)
 

@@ -129,6 +129,8 @@ class SweepFile(Table):
             if not sampled and getattr(self, key) is not None:
                 raise ValueError(f'{key} belongs to combine = "latin_hypercube"; leave it out')
         for i, axis in enumerate(self.axes):
+            if self.combine == "product" and len({*map(str, axis.values or ())}) < len(axis.values or ()):
+                raise ValueError(f"axes[{i}]: {axis.path} has a value twice; leave one out")
             if axis.values is None and (axis.range is not None) != sampled:
                 raise ValueError(
                     f"axes[{i}]: a Latin hypercube takes range = [low, high] or values; "
@@ -186,8 +188,9 @@ def sweep_over(
 
     Raises: InputError.
     """
-    if not over:
-        raise InputError('over = {}: give fields and their values, such as {"blood.so2": [0.9, 0.97]}.')
+    if not over or not isinstance(over, Mapping):
+        example = '{"blood.so2": [0.9, 0.97]}'
+        raise InputError(f"over = {short(repr(over))}: give fields and their values, such as {example}.")
     reserved, last = _TAKEN | _TAKEN_BY.get(study, set()), {path: str(path).rpartition(".")[2] for path in over}
     axes = []
     for path, given in over.items():
@@ -221,6 +224,10 @@ def _build(file: SweepFile, path: Path) -> Sweep:
         raise InputError(f"axes make {math.prod(dims.values())} scenes; at most {MAX_SCENES}, use fewer values.")
     given = list(points(*(axis.values for axis in axes))) if axes else [()]
     bases = [_base(base, path) for base in file.scenes or [file.base]]
+    of_finger = {"blood", "touch", "body", "board", "colour", "priors", "placement"}
+    for axis in axes if all(tables.get("phantom") for _, tables, _ in bases) else ():
+        if steps_of(axis.path)[0] in of_finger:
+            raise InputError(f'path "{axis.path}" changes nothing of a [phantom]; give a field of it, or a [finger].')
     scenes = tuple(_scene(*base, axes, values) for base in bases for values in given)
     if file.scenes is not None:
         axes = (Axis("scene", "", tuple(Path(name).stem for name in file.scenes)), *axes)

@@ -30,7 +30,7 @@ DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ 
 MOST_BITS = 8192
 
 
-def read_text(path: Path, expected: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
+def read_text(path: str | Path, expected: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
     """The text of a file, with or without a byte order mark, which some editors and spreadsheets write.
 
     expected : what to give instead, for the message, such as "a position file".
@@ -40,7 +40,7 @@ def read_text(path: Path, expected: str, *, shown: str | None = None, any_encodi
     Raises: InputError.
     """
     with _reading(path, expected, shown or str(path)):
-        data = path.read_bytes()
+        data = Path(path).read_bytes()
         if not any_encoding:
             text = data.decode("utf-8-sig")
         elif data[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -60,10 +60,10 @@ def read_bytes(path: Path, expected: str) -> bytes:
 
 
 @contextmanager
-def _reading(path: Path, expected: str, name: str) -> Iterator[None]:
+def _reading(path: str | Path, expected: str, name: str) -> Iterator[None]:
     """InputError where the path is no ordinary file of bounded size, cannot be read, or holds no text."""
     try:
-        status = path.stat()
+        status = Path(path).stat()
         if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
             # A pipe would be waited for without end.
             raise InputError(f"{name}: is no ordinary file; give {expected}.")
@@ -74,7 +74,7 @@ def _reading(path: Path, expected: str, name: str) -> Iterator[None]:
         raise InputError(f"{short(name)}: cannot be read: {error.strerror}; give {expected}.") from None
     except UnicodeDecodeError:
         raise InputError(f"{name}: is not a text file; give {expected}.") from None
-    except ValueError:  # a path with a character that none may have
+    except (TypeError, ValueError):  # no path at all, or with a character that none may have
         raise InputError(f"{short(repr(name))}: is no path; give {expected}.") from None
 
 
@@ -86,13 +86,13 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def read_rows(path: Path, expected: str, *, shown: str | None = None) -> Rows:
+def read_rows(path: str | Path, expected: str, *, shown: str | None = None) -> Rows:
     """Rows of a CSV with their line numbers, one at a time, without empty lines and comments.
 
     Raises: InputError as `read_text`.
     """
     name = shown or str(path)
-    with _reading(path, expected, name), path.open(encoding="utf-8-sig") as file:
+    with _reading(path, expected, name), Path(path).open(encoding="utf-8-sig") as file:
         reader = csv.reader(file)
         try:
             for row in reader:
@@ -138,6 +138,8 @@ def number_columns(
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
+    if not isinstance(text, str):
+        raise InputError(f"{name}: {short(repr(text))} is no text; give TOML, as a file has it.")
     if len(text) > MOST_TOML_BYTES:
         raise InputError(
             f"{name}: has {len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}; shorten it."

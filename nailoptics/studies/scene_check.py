@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import BloodModel, blood_model
 from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
-from ..scene import Scene
+from ..scene import Scene, SceneIn, as_scene
 from ..scene.rectangles import area_mm2
 from ..sensor import electronics
 from ..sensor.ambient import ambient_bound_a
@@ -42,7 +42,7 @@ class SceneCheck(Displayed, dict[str, Any]):
         self.scene = scene
 
 
-def check(scene: Scene) -> SceneCheck:
+def check(scene: SceneIn) -> SceneCheck:
     """What a scene reads, lights and ignores, and what may not be as its author wants it.
 
     Returns: leds, photodiodes, pairs (distances between them, readings by a short trace, their noise by cause; none
@@ -50,6 +50,7 @@ def check(scene: Scene) -> SceneCheck:
 
     Raises: InputError for what simulate, trace, compare or place would refuse, with the field of the scene.
     """
+    scene = as_scene(scene)
     for led in range(len(scene.leds)):
         optics.check_line(scene, led)
     report = SceneCheck(scene, {"leds": [_led(led) for led in scene.leds], "warnings": _beyond_current(scene)})

@@ -12,7 +12,7 @@ from ..hemodynamics.for_scene import blood_model, blood_over_touch
 from ..light import DetectedLight, ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import OpticsFit, fit_beer_lambert, fit_taylor
-from ..scene import Scene
+from ..scene import Scene, SceneIn, as_scene
 from ..sensor.ambient import ambient_in_readings
 from ..sensor.drift_motion import MovedLight, worn_light
 from ..sensor.front_end import with_fitted_resistors
@@ -33,7 +33,7 @@ REDUCED_OPTICS: dict[str, Callable[..., OpticsFit]] = {"beer_lambert": fit_beer_
 
 
 def simulate(
-    scene: Scene, *, picture: bool = False, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+    scene: SceneIn, *, picture: bool = False, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> xr.Dataset:
     """Simulate a touch on a finger scene, from force to the volts of every photodiode.
 
@@ -46,6 +46,7 @@ def simulate(
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
+    scene = as_scene(scene)
     cpu, begin = time.process_time(), time.perf_counter()
     options = TraceOptions(**requested)
     if scene.finger is None:

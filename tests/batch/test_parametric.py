@@ -85,6 +85,9 @@ def test_fields_of_one_name_are_called_by_their_path():
     ("over", "more", "words"),
     [
         ({}, {}, "over = {}: give fields"),
+        ([0.9], {}, "over = [0.9]: give fields"),
+        ({"blood.so2": [0.9, 0.9]}, {}, "blood.so2 has a value twice"),
+        ({"blood.so2": [0.9]}, {"workers": 1.5}, "workers = 1.5; must be a whole number"),
         ({"blood.so2": 0.9}, {}, '"blood.so2" = 0.9 is no list'),
         ({"blood.so2": []}, {}, "is no list"),
         ({"digit": "ring"}, {}, "is no list"),
@@ -102,3 +105,10 @@ def test_mistakes_are_one_line_and_nothing_is_written(tmp_path, over, more, word
         nail.sweep("prototype", over, folder=tmp_path / "b", **more)
     assert words in str(caught.value) and "\n" not in str(caught.value)
     assert not (tmp_path / "b").exists()
+
+
+def test_a_field_without_effect_on_a_phantom_is_refused_and_zip_takes_a_value_twice():
+    with pytest.raises(InputError, match="blood.so2.* changes nothing of a .phantom."):
+        sweep_over(nail.load_scene("phantom"), {"blood.so2": [0.8, 0.9]})
+    over = {"blood.so2": [0.9, 0.9], "touch.force_n": [1.0, 2.0]}
+    assert len(sweep_over(nail.load_scene("prototype"), over, combine="zip").scenes) == 2

@@ -69,10 +69,23 @@ def test_another_recording_is_read(tmp_path, monkeypatch, scene):
     assert first.with_(**{"touch.profile": "hold", "touch.file": None}).touch.recorded_force_n is None
 
 
+def test_names_are_changed_last_and_paths_come_in_a_mapping(scene):
+    led = scene.with_led("ir", name="near", flux_mw=3.0).leds[0]
+    assert (led.name, led.flux_mw) == ("near", 3.0)
+    assert scene.with_photodiode(0, name="first").photodiodes[0].name == "first"
+    assert scene.with_({"blood.so2": 0.9}) == scene.with_(**{"blood.so2": 0.9}) != scene
+
+
+UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
+
+
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (lambda s: s.with_led("red", flux_mw=1), "leds.red.flux_mw.*no item red here; known: 0 to 0, ir"),
+        (lambda s: s.with_led("red", flux_mw=1), "leds.red.flux_mw.*no item red here; known: 0, ir"),
+        (lambda s: s.with_led(-1, flux_mw=1), "no item -1 here; known: 0, ir"),
+        (lambda s: s.with_photodiode("distal.3", feedback_ohm=1e5), "distal.3 is an element of the array distal"),
+        (lambda s: nail.Scene(**dict(s) | {"leds": UNPLACED}), "position_mm lies .*; it was not given and is "),
         (lambda s: s.with_led("ir", flux=1), r'leds\[0\].flux is not a known field; did you mean "flux_mw"'),
         (lambda s: s.with_led("ir", flux_mw=-1), r"leds\[0\].flux_mw = -1: must be greater than 0"),
         (lambda s: s.with_led("ir", position_mm=(0, -2)), "position_mm lies .* mm inside photodiode"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import NotReachedError
 from ...options import Requested, TraceOptions
-from ...scene import Accuracy, Scene
+from ...scene import Accuracy, Scene, SceneIn, as_scene
 from ...statistics import seed_of
 from .. import backend as backends
 from .. import optics
@@ -26,7 +26,7 @@ PHOTONS_ENGINE = "the photons engine"
 
 
 def trace(
-    scene: Scene,
+    scene: SceneIn,
     *,
     with_faces: Collection[str] = (),
     traced: Scene | None = None,
@@ -49,6 +49,7 @@ def trace(
     Raises: InputError; NotReachedError with `.result`, the Transfer as far as it got, when the tolerance was not met
     within max_seconds or the trace was interrupted.
     """
+    scene = as_scene(scene)
     begin, options = time.process_time(), TraceOptions(**requested)
     chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
     required = accuracy(scene, options)

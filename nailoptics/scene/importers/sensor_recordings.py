@@ -151,7 +151,7 @@ def _table(
 
     starts : whether a row is a header that may lie below lines of settings; else it is the first.
     """
-    name, rows = str(path), read_rows(Path(path), expected)
+    name, rows = str(path), read_rows(path, expected)
     first = list(islice(rows, PREAMBLE_LINES)) or [(0, [""])]
     place = next((k for k, (_, row) in enumerate(first) if starts is not None and starts(row)), 0)
     rows, header = chain(first[place + 1 :], rows), [cell.strip() for cell in first[place][1]]

@@ -20,7 +20,7 @@ from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
-from ...scene import Scene, Viewing
+from ...scene import Scene, SceneIn, Viewing, as_scene
 from ...scene.models import Illuminant, LightFrom, Observer
 from ...statistics import Array, seed_of
 from ...variables import described, jackknifed
@@ -51,7 +51,7 @@ class ColourRequested(Requested, total=False):
 
 
 def colour(
-    scene: Scene,
+    scene: SceneIn,
     *,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
@@ -68,6 +68,7 @@ def colour(
 
     Raises: InputError; NotReachedError, whose result is the Dataset so far, when time ends first.
     """
+    scene = as_scene(scene)
     given = {name: requested.pop(name) for name in Viewing.model_fields if name in requested}  # type: ignore[misc]
     options = TraceOptions(**requested)  # type: ignore[misc]
     if options.photons is None and options.max_seconds is None:

@@ -17,7 +17,7 @@ from ...hemodynamics.zones import capillary_zones
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
-from ...scene import Scene
+from ...scene import Scene, SceneIn, as_scene
 from ...statistics import Z95, seed_of
 from ...variables import Estimate, described
 from .formula_errors import MODELS, PARTS, TOLERANCES, WAYS, Over, StateSweep, TracedSweep, formula_errors
@@ -32,7 +32,7 @@ SURE = 0.95
 
 
 def compare(
-    scene: Scene,
+    scene: SceneIn,
     *,
     over: Sequence[Over] = ("force", "blood"),
     progress: ProgressCallback | None = None,
@@ -47,6 +47,7 @@ def compare(
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
+    scene = as_scene(scene)
     options = TraceOptions(**requested)
     if scene.finger is None:
         raise InputError("compare needs a [finger] scene; a [phantom] has no blood.")

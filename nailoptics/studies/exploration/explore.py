@@ -34,7 +34,7 @@ from ...light.tracing import Ending, StageProgress, run_until
 from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, stored_or_made
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
-from ...scene import Led, Scene, digest, to_toml
+from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2, photocurrents_a
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import seed_of
@@ -198,7 +198,7 @@ class ColourSums:
         return nodes, self.ambient_a * (AMBIENT_CELLS**2 / (r.area_mm2 * self.photons.sum()))
 
 
-def explore(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:
+def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> Exploration:
     """Trace what a page needs to show any layout on a finger scene's board.
 
     photons : of each of the scene's wavelengths; further ones get half as many.
@@ -208,6 +208,7 @@ def explore(scene: Scene, *, progress: ProgressCallback | None = None, **request
     blood zones; NotReachedError, whose result is the Exploration as far as it was made, if interrupted;
     KeyboardInterrupt if a wavelength has no photons by then.
     """
+    scene = as_scene(scene)
     options, cpu = TraceOptions(**requested), time.process_time()
     if options.relative_error is not None:
         raise InputError("explore knows no relative_error, as every layout has its own; give photons or max_seconds.")

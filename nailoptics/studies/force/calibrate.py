@@ -16,7 +16,7 @@ from ...hemodynamics.parameters import vessels
 from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
-from ...scene import Scene, digest, to_toml
+from ...scene import Scene, SceneIn, as_scene, digest, to_toml
 from ...scene.importers.sensor_recordings import Recording, read_sensor_recording
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
@@ -38,8 +38,8 @@ NO_SUBJECT = "interrupted; no subject was written."
 
 
 def calibrate(
-    scene: Scene,
-    recordings: Sequence[Recording | str | Path],
+    scene: SceneIn,
+    recordings: Recording | str | Path | Sequence[Recording | str | Path],
     *,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
@@ -55,15 +55,15 @@ def calibrate(
     Raises: InputError for recordings that cannot calibrate this board; NotReachedError, with the Dataset as result,
     where the trace falls short of what is required; KeyboardInterrupt if it was interrupted.
     """
-    read = [
-        recording if isinstance(recording, Recording) else read_sensor_recording(recording) for recording in recordings
-    ]
+    scene = as_scene(scene)
+    given = [recordings] if isinstance(recordings, Recording | str | Path) else recordings
+    read = [one if isinstance(one, Recording) else read_sensor_recording(one) for one in given]
     scene.require_blood("calibrate")
-    given = checked(read, scene)
-    (scene, table), unmet = as_far_as_reached(open_table, scene, progress=progress, **requested)
+    read = checked(read, scene)
+    (opened, table), unmet = as_far_as_reached(open_table, scene, progress=progress, **requested)
     if unmet and unmet.interrupted:
         raise KeyboardInterrupt(NO_SUBJECT)
-    result = calibrate_with(scene, table, given, progress=progress)
+    result = calibrate_with(opened, table, read, progress=progress)
     return unless_cut_off(result, unmet)
 
 

@@ -52,8 +52,9 @@ def predict(
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
-    proximal share and pressures with theirs, arterial pressure, normalized innovation squared (NIS) and outlier
-    of each sample, the regressions' forces; its attributes hold what `prediction_summary` prints.
+    proximal share and pressures with theirs, all NaN before the first reading; arterial pressure, normalized innovation
+    squared (NIS) and outlier of each sample, the regressions' forces; its attributes hold what `prediction_summary`
+    prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
@@ -64,9 +65,12 @@ def predict(
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
     estimates = estimate_pressures(subject, recording.time_s, recording.volts)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
-    estimated = estimator.of(estimates, recording.volts, since_s)
-    force_n = estimated[0].force_n
-    known_n = np.full(force_n.shape, np.nan) if recording.force_n is None else recording.force_n
+    estimated = force, filter_n, _ = estimator.of(estimates, recording.volts, since_s)
+    unread = np.logical_and.accumulate(estimates.count == 0)
+    for column in (*force, filter_n):
+        column[..., unread] = np.nan  # nothing is known before the first reading
+    force_n = force.force_n
+    known_n = np.where(unread, np.nan, np.nan if recording.force_n is None else recording.force_n)
     result = _dataset(subject, recording, estimates, estimated, known_n).assign(
         _event_variables(recording.time_s, force_n, known_n, press_n=press_n, release_n=release_n)
     )
@@ -140,17 +144,22 @@ def predict_live(
 
     subject : as for `predict`.
     samples : time [s] and volts of each reading by its name; NaN is a gap. Times rise; the finger is untouched at
-        first, and again after a gap of 5 s.
+        first, and again after a gap of 5 s. Before the first reading, forces are NaN.
 
     Raises: InputError for volts of other readings, or times out of order.
     """
-    subject, last_s = _subject(subject), None
+    subject, last_s, has_read = _subject(subject), None, False
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
-    for time_s, by_name in samples:
-        where = f"sample at time_s = {time_s:.15g}"
-        check_known([*by_name], names, where)
-        volts = np.array([by_name[name] for name in names], float)
-        if last_s is not None and time_s <= last_s:
+    for sample in samples:
+        try:
+            time_s, by_name = sample
+            where = f"sample at time_s = {time_s:.15g}"
+            check_known([*by_name], names, where)
+            volts = np.array([np.nan if by_name[name] is None else by_name[name] + 0.0 for name in names], float)
+        except (TypeError, ValueError):
+            example = (0.0, dict.fromkeys(names, 0.5))
+            raise InputError(f"sample {sample!r:.100}: give a time in s and numbers in V, as {example}.") from None
+        if last_s is not None and not time_s > last_s:
             raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
         if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
             raise InputError(f"{where} looks like a converter's counts; convert it to volts.")
@@ -159,7 +168,8 @@ def predict_live(
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
         last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
-        columns = (float(column[0]) for column in force[: len(FORCE_COLUMNS)])
+        has_read = has_read or estimate.count > 0
+        columns = (float(column[0]) if has_read else np.nan for column in force[: len(FORCE_COLUMNS)])
         yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
 
 

@@ -249,7 +249,7 @@ def subject_toml(subject: Subject) -> str:
 
 def load_subject(path: str | Path) -> Subject:
     """Read a subject file; raises InputError where it is none, or not complete."""
-    return parse_subject(read_text(Path(path), "a subject file that nailoptics calibrate wrote"), name=str(path))
+    return parse_subject(read_text(path, "a subject file that nailoptics calibrate wrote"), name=str(path))
 
 
 def parse_subject(text: str, *, name: str = "subject") -> Subject:

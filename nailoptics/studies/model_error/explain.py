@@ -15,7 +15,7 @@ from ...errors import NotReachedError
 from ...light import ProgressCallback, optics
 from ...light.identity import light_digest
 from ...options import Requested, TraceOptions
-from ...scene import Scene
+from ...scene import Scene, SceneIn, as_scene
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, trace_ambient
 from ...statistics import Z95
@@ -113,7 +113,7 @@ def needless(effects: Iterable[Effect]) -> list[Effect]:
 
 
 def explain(
-    scene: Scene,
+    scene: SceneIn,
     *,
     tolerance: float | None = None,
     progress: ProgressCallback | None = None,
@@ -134,6 +134,7 @@ def explain(
     Raises: InputError; NotReachedError, whose result is the Explanation as far as it was made, if interrupted or out
         of time.
     """
+    scene = as_scene(scene)
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
     check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()

@@ -18,7 +18,7 @@ from ...light import backend as backends
 from ...light.tracing import unlit
 from ...light.transfer.series import read_replicates
 from ...options import Requested, TraceOptions
-from ...scene import Scene
+from ...scene import Scene, SceneIn, as_scene
 from ...variables import Variables, variable
 from ..prior_uncertainty import read_by_groups
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
@@ -178,7 +178,7 @@ def fastest(levels: Iterable[Level], error: float) -> Level | None:
 
 
 def tradeoff(
-    scene: Scene,
+    scene: SceneIn,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     progress: ProgressCallback | None = None,
@@ -197,6 +197,7 @@ def tradeoff(
     Raises: InputError, also where no backend compiles kernels; NotReachedError where a photodiode saw nothing to
         compare levels by, or, if interrupted, with the Tradeoff as far as it was made as result.
     """
+    scene = as_scene(scene)
     check_study(scene, tolerance, "tradeoff", "has one level, itself")
     scene.require_blood("tradeoff")
     options, start = TraceOptions(**requested), time.perf_counter()

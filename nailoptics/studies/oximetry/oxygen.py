@@ -11,7 +11,7 @@ from ...hemodynamics.for_scene import BloodBeat, heart_rate_per_min, rest_beat
 from ...light import ProgressCallback, Transfer
 from ...light.tracing import accuracy
 from ...options import Requested, TraceOptions
-from ...scene import Oximeter, Scene
+from ...scene import Oximeter, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_end_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
@@ -34,7 +34,7 @@ MOST_CROSSTALK = 0.01
 _LEAKAGE = 52
 
 
-def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
+def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
     """R against saturation for every photodiode of a two-LED scene, from one trace per wavelength.
 
     relative_error, of the scene or as requested, is that of the ratio of ratios on the photodiode that knows the
@@ -46,6 +46,7 @@ def oximeter(scene: Scene, *, progress: ProgressCallback | None = None, **reques
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the light went.
     """
+    scene = as_scene(scene)
     cpu, begin = time.process_time(), time.perf_counter()
     options, leds = TraceOptions(**requested), oximeter_leds(scene)
     states = [(scene.blood.so2, rest_beat(scene))]

@@ -17,7 +17,7 @@ from ...light import backend as backends
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
-from ...scene import FingerCase, Placement, Scene, digest, load_scene
+from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
@@ -40,7 +40,7 @@ VERIFY_SHARE = 0.7
 
 
 def place(
-    scene: Scene,
+    scene: SceneIn,
     *,
     verify_with_mitsuba: bool = False,
     progress: ProgressCallback | None = None,
@@ -61,6 +61,7 @@ def place(
     the best was distinguished from the others or the tolerance was met; interrupted, the layouts so far are evaluated
     roughly.
     """
+    scene = as_scene(scene)
     boards.check_two_zones(scene, "place")
     options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
     photons = options.photons or accuracy.photons

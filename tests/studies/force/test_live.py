@@ -72,6 +72,10 @@ RIGHT = dict.fromkeys(NAMES, 0.5)
     [
         ([(0.0, {"other": 0.5})], "sample at time_s = 0: has no column 'proximal.6'"),
         ([(0.0, RIGHT | {"other": 0.5})], "column 'other' is no reading of this board"),
+        ([5], "sample 5: give a time in s and numbers in V"),
+        ([("a", RIGHT)], "give a time in s"),
+        ([(0.0, dict.fromkeys(NAMES, "0.5"))], "numbers in V"),
+        ([(0.0, RIGHT), (float("nan"), RIGHT)], "time_s = nan does not come after 0"),
         ([(0.0, RIGHT), (0.0, RIGHT)], "time_s = 0 does not come after 0"),
         ([(0.0, dict.fromkeys(NAMES, 3e4))], "looks like a converter's counts"),
     ],
@@ -80,6 +84,19 @@ def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: lis
     with pytest.raises(InputError) as caught:
         list(predict_live(subject, samples))
     assert message in str(caught.value)
+
+
+def test_before_the_first_reading_force_is_not_known(subject: Subject) -> None:
+    """Expected: NaN in both, and from the first reading on the same finite forces; scores leave out what is before."""
+    recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
+    recording.volts[:, :3], recording.volts[:, 6] = np.nan, np.nan
+    volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T[:12].tolist()]
+    live_n = [one[1:4] for one in predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
+    result = predict(subject, recording)
+    force_n = np.transpose([result[name][:12] for name in ("force_n", "force_low_n", "force_high_n")])
+    assert np.isnan(force_n[:3]).all() and np.isfinite(force_n[3:]).all()
+    assert np.array(live_n) == pytest.approx(force_n, nan_ok=True)
+    assert np.isnan(result.known_force_n[:3]).all() and np.isfinite(result.attrs["rms_n"])
 
 
 def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
