@@ -189,8 +189,7 @@ def sweep_over(
     Raises: InputError.
     """
     if not over or not isinstance(over, Mapping):
-        example = '{"blood.so2": [0.9, 0.97]}'
-        raise InputError(f"over = {short(repr(over))}: give fields and their values, such as {example}.")
+        raise InputError(f'over = {short(repr(over))}: give fields and values, such as {{"blood.so2": [0.9, 0.97]}}.')
     reserved, last = _TAKEN | _TAKEN_BY.get(study, set()), {path: str(path).rpartition(".")[2] for path in over}
     axes = []
     for path, given in over.items():

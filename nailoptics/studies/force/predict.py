@@ -52,9 +52,8 @@ def predict(
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
-    proximal share and pressures with theirs, all NaN before the first reading; arterial pressure, normalized innovation
-    squared (NIS) and outlier of each sample, the regressions' forces; its attributes hold what `prediction_summary`
-    prints.
+    proximal share and pressures with theirs, NaN before the first reading; arterial pressure, normalized innovation
+    squared (NIS), outlier, the regressions' forces; its attributes hold what `prediction_summary` prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
@@ -69,10 +68,9 @@ def predict(
     unread = np.logical_and.accumulate(estimates.count == 0)
     for column in (*force, filter_n):
         column[..., unread] = np.nan  # nothing is known before the first reading
-    force_n = force.force_n
     known_n = np.where(unread, np.nan, np.nan if recording.force_n is None else recording.force_n)
     result = _dataset(subject, recording, estimates, estimated, known_n).assign(
-        _event_variables(recording.time_s, force_n, known_n, press_n=press_n, release_n=release_n)
+        _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
     )
     above_n = estimator.open_above_n
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
