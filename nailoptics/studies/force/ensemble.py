@@ -40,21 +40,22 @@ class Features:
         self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
 
     def over_rest(self, ln_v: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
-        """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it.
+        """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it, or is 0.
 
         is_resting : (T,) bool. since_s : (T,) float. Time from sample to sample. [s]
         """
         out = np.empty_like(ln_v)
         for k, (now, rests, step_s) in enumerate(zip(ln_v.T, is_resting, since_s, strict=True)):
             if not self._zero.size or step_s > LONGEST_GAP_S:
-                self._zero = self._last = np.nan_to_num(now)
+                self._zero = self._last = np.full_like(now, np.nan)
                 self._rest_s = step_s = 0.0
+            self._zero = np.where(np.isfinite(self._zero), self._zero, now)
             self._last = np.where(np.isfinite(now), now, self._last)
             if rests:
                 self._rest_s += step_s
                 first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
                 self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S)) * (self._last - self._zero)
-            out[:, k] = self._last - self._zero
+            out[:, k] = np.nan_to_num(self._last - self._zero)
         return out
 
     def with_memory(self, over_rest: Array, pressure_n: Array, since_s: Array) -> Array:

@@ -114,3 +114,10 @@ def test_a_step_of_force_within_one_sample_is_not_overestimated(site):
     alone = parse_subject(made_sensor.subject())
     force_n = predict(alone, step).force_n.values
     assert 0.4 < force_n[-1] and force_n.max() < 1.15 * force_n[-1]
+
+
+def test_a_reading_that_begins_with_a_gap_is_compared_with_its_own_first_value():
+    """Expected: 0 as long as it is a gap, then its change since its first value, whatever the other readings do."""
+    ln_v = np.array([[-1.0, -1.0, -0.9, -0.8], [np.nan, np.nan, -2.0, -1.7]])
+    over_rest = Features(np.empty((0, 0))).over_rest(ln_v, np.zeros(4, bool), np.full(4, 0.1))
+    assert over_rest == pytest.approx(np.array([[0.0, 0.0, 0.1, 0.2], [0.0, 0.0, 0.0, 0.3]]))
