@@ -12,9 +12,9 @@ PAGE = (DOCS / "library.md").read_text(encoding="utf-8")
 EDITS = re.findall(r"^\| [^|]+ \| `(scene\.with.*)` \|$", PAGE, re.M)
 
 
-def block(text: str, option: str) -> str:
-    """The code block with an option."""
-    found = re.search(rf"^```\{{code-block\}} \w+\n:{option}\n(.*?)^```$", text, re.M | re.S)
+def block(text: str, begins: str) -> str:
+    """The code block whose first line after its language is this one."""
+    found = re.search(rf"^```\{{code-(?:block|cell)\}} \w+\n{begins}\n(.*?)^```$", text, re.M | re.S)
     assert found
     return found[1]
 
@@ -35,10 +35,10 @@ def test_the_ten_most_common_edits_are_there():
 def test_the_designers_notebook_runs(jit_backend, tmp_path, monkeypatch):
     """Rationale: what a newcomer copies first. Expected: it runs as it stands, here with a few photons in place of a
     minute of them, and leaves the board of the best layout, which is read again."""
-    code = block(PAGE, "name: designer")
+    code = block(PAGE, ":name: designer")
     assert len([line for line in code.splitlines() if line]) <= 15
     monkeypatch.chdir(tmp_path)
-    board = block((DOCS / "tutorials/kicad.md").read_text(encoding="utf-8"), "caption: sensor.kicad_pcb")
+    board = block((DOCS / "tutorials/kicad.md").read_text(encoding="utf-8"), "%%writefile sensor.kicad_pcb")
     Path("sensor.kicad_pcb").write_text(board, encoding="utf-8")
     made: dict = {}
     quick = re.sub(r"max_seconds=\d+", f'photons=3000, backend="{jit_backend.name}"', code)
