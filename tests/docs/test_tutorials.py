@@ -35,7 +35,7 @@ MANY = {"colour", "oximetry", "tradeoff"}
 FEW = {
     "colour.nail_colour.OWN_PHOTONS": 2000,
     # So many, on any machine, in place of as many as there is time for.
-    "model_error.paired.LEAST_PHOTONS": 1 << 16,
+    "model_error.paired.PILOT_PHOTONS": 1 << 16,
     "model_error.paired.PLANNED_SHARE": 0,
 }
 # Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
