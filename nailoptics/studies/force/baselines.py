@@ -30,6 +30,12 @@ class Baseline:
     coefficients_n: Numbers
     intercept_n: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
+    def __post_init__(self) -> None:
+        count = len(self.projection) if self.projection.ndim == 2 else 0
+        terms = {"cubic": 9 if count == 2 else 0}.get(self.shape, count)
+        if not count or self.shift.shape != (count,) or self.coefficients_n.shape != (terms,):
+            raise ValueError("projection, shift and coefficients_n do not fit one another")
+
     def force_n(self, over_rest: Array) -> Array:
         """Force (T,) for readings over those at rest (R, T), NaN where one has a gap; never below 0. [N]"""
         terms = _terms(self.shape, self.shift[:, None] + self.projection @ over_rest)
