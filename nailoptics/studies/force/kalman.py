@@ -61,6 +61,7 @@ class PressureEstimate(NamedTuple):
     arterial_pa : float. Deviation of P_H from its mean. [Pa]
     nis : float. Normalized innovation squared. count : int. Valid readings.
     outlier : bool. Whether the NIS exceeds the gate.
+    informed : bool. Whether a reading came since the filter began or restarted, without which all this is its prior.
     """
 
     touch_n_per_cm2: Array
@@ -69,6 +70,7 @@ class PressureEstimate(NamedTuple):
     nis: Any
     count: Any
     outlier: Any
+    informed: Any
 
 
 def stacked(estimates: Iterable[PressureEstimate]) -> PressureEstimate:
@@ -96,6 +98,7 @@ class KalmanFilter:
     state, covariance : merged over modes. mode_probability : (M,) float.
     mode_covariance : (M, size, size) float. Predicted, of each mode.
     relaxed_n_per_cm2 : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
+    informed : bool. Whether a reading came since the last restart.
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -105,6 +108,7 @@ class KalmanFilter:
     def restart(self) -> None:
         """Return to the prior of an untouched finger."""
         self.state, self.covariance = self.model.initial()
+        self.informed = False
         self.relaxed_n_per_cm2 = np.zeros(2)
         # Readings less drift, and their recent change. [V]
         self._blood_v, self._moved_v = self.model.measurement(self.state)[0], np.zeros(len(self.subject.rest_v))
@@ -120,6 +124,7 @@ class KalmanFilter:
         if since_s is not None:
             self.predict(since_s)
         valid = np.isfinite(volts)
+        self.informed |= bool(valid.any())
         variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
         nis = self._update(volts, valid, variance)
         self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
@@ -132,6 +137,7 @@ class KalmanFilter:
             nis=nis,
             count=int(valid.sum()),
             outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER_GATE),
+            informed=self.informed,
         )
 
     def predict(self, since_s: float) -> None:

@@ -52,8 +52,9 @@ def predict(
     press_n, release_n : the virtual switch closes above the first force and opens below the second. [N]
 
     Returns: Dataset over time: force_n with force_low_n and force_high_n (95 %; infinite where the vessels are closed),
-    proximal share and pressures with theirs, NaN before the first reading; arterial pressure, normalized innovation
-    squared (NIS), outlier, the regressions' forces; its attributes hold what `prediction_summary` prints.
+    proximal share and pressures with theirs, NaN before the first reading and the first after a gap of 5 s; arterial
+    pressure, normalized innovation squared (NIS), outlier, the regressions' forces; its attributes hold what
+    `prediction_summary` prints.
 
     Raises: InputError for readings of another board, or thresholds out of order.
     """
@@ -64,12 +65,10 @@ def predict(
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
     estimates = estimate_pressures(subject, recording.time_s, recording.volts)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
-    estimated = force, filter_n, _ = estimator.of(estimates, recording.volts, since_s)
-    unread = np.logical_and.accumulate(estimates.count == 0)
-    for column in (*force, filter_n):
-        column[..., unread] = np.nan  # nothing is known before the first reading
-    known_n = np.where(unread, np.nan, np.nan if recording.force_n is None else recording.force_n)
-    result = _dataset(subject, recording, estimates, estimated, known_n).assign(
+    force, filter_n, over_rest = estimator.of(estimates, recording.volts, since_s)
+    force, filter_n = force.where(estimates.informed), np.where(estimates.informed, filter_n, np.nan)
+    known_n = np.where(estimates.informed, np.nan if recording.force_n is None else recording.force_n, np.nan)
+    result = _dataset(subject, recording, estimates, (force, filter_n, over_rest), known_n).assign(
         _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
     )
     above_n = estimator.open_above_n
@@ -142,11 +141,11 @@ def predict_live(
 
     subject : as for `predict`.
     samples : time [s] and volts of each reading by its name; NaN is a gap. Times rise; the finger is untouched at
-        first, and again after a gap of 5 s. Before the first reading, forces are NaN.
+        first, and again after a gap of 5 s. Forces are NaN before the first reading, and the first after such a gap.
 
     Raises: InputError for volts of other readings, or times out of order.
     """
-    subject, last_s, has_read = _subject(subject), None, False
+    subject, last_s = _subject(subject), None
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
     for sample in samples:
         try:
@@ -166,8 +165,7 @@ def predict_live(
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
         last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
-        has_read = has_read or estimate.count > 0
-        columns = (float(column[0]) if has_read else np.nan for column in force[: len(FORCE_COLUMNS)])
+        columns = (float(column[0]) for column in force.where(estimate.informed)[: len(FORCE_COLUMNS)])
         yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
 
 

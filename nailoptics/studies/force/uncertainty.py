@@ -53,6 +53,10 @@ class ForceEstimate(NamedTuple):
     pressure_n_per_cm2: Array
     pressure_stderr_n_per_cm2: Array
 
+    def where(self, known: Array) -> "ForceEstimate":
+        """The same, NaN where not known (T,)."""
+        return ForceEstimate(*(np.where(known, column, np.nan) for column in self))
+
 
 class ForceInterval:
     """Forces with 95 % intervals of the filter's estimates, for one sample or many."""

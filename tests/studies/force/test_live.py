@@ -99,6 +99,20 @@ def test_before_the_first_reading_force_is_not_known(subject: Subject) -> None:
     assert np.isnan(result.known_force_n[:3]).all() and np.isfinite(result.attrs["rms_n"])
 
 
+def test_before_the_first_reading_after_a_gap_force_is_not_known(subject: Subject) -> None:
+    """Expected: NaN while samples after a gap of more than 5 s are empty, finite else, live as of a file."""
+    recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
+    recording.time_s[6:] += 6.0
+    recording.volts[:, 6:9] = np.nan
+    volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T[:12].tolist()]
+    live_n = [one[1:4] for one in predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
+    result = predict(subject, recording)
+    force_n = np.transpose([result[name][:12] for name in ("force_n", "force_low_n", "force_high_n")])
+    assert np.isnan(force_n).all(1).tolist() == [6 <= k < 9 for k in range(12)]
+    assert np.array(live_n) == pytest.approx(force_n, nan_ok=True)
+    assert np.isnan(result.known_force_n[6:9]).all() and np.isfinite(result.attrs["rms_n"])
+
+
 def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
     plain = list(live(subject, lines))
     windows = [
