@@ -4,6 +4,7 @@ import importlib
 import sys
 from typing import Any
 
+from .display import Displayed
 from .version import __version__ as __version__
 
 # Where each public name lives, as the stub for type checkers says, line by line: `import nailoptics` imports none.
@@ -11,6 +12,13 @@ with open(f"{__file__}i", encoding="utf-8") as _stub:
     _WORDS = [line.split() for line in _stub if line.startswith("from .") and "__version__" not in line]
 _HOMES = {name: home for _, home, _, name, *_ in _WORDS}
 __all__ = [*_HOMES]
+
+
+def _accessor(shown: object) -> Any:
+    return importlib.import_module(".report.accessor", __name__).Nail(shown)
+
+
+Displayed.accessor = _accessor
 
 
 def __getattr__(name: str) -> Any:

@@ -70,7 +70,8 @@ def statements(source: str) -> list[ast.AST]:
 
 
 def imported(source: str, module: list[str], *, package: bool) -> Iterator[str]:
-    """Absolute dotted names that a module imports anywhere, functions and type checking included."""
+    """Absolute dotted names that a module imports anywhere: functions, type checking and imports by name included."""
+    yield from re.findall(r"""import_module\(["'](nailoptics[\w.]*)["']""", source)
     for node in statements(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -129,6 +130,7 @@ def test_a_module_imports_only_from_rooms_before_its_own():
         ("from ..scene import Scene\nfrom .mesh import walk\nimport numpy", "nailoptics.light.tracing", False, []),
         ("from .files import digest", "nailoptics.scene", True, []),
         ("from ..cli import main", "nailoptics.scene", True, ["cli"]),
+        ('import_module("nailoptics.report.accessor").Nail', "nailoptics.display", False, ["report"]),
     ],
 )
 def test_the_order_is_seen_through_every_kind_of_import(source, module, package, found):
