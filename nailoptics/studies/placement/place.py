@@ -21,7 +21,7 @@ from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, lo
 from ...sensor.information import operating_point
 from . import boards, candidates, search
 from .candidates import CandidateLayout
-from .objective import JUDGE_SHARE, Objective, score_layouts, spo2_objective
+from .objective import JUDGE_SHARE, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import over_people, resolution_over_priors
@@ -91,14 +91,8 @@ def place(
     layouts, scores, unmet = score_layouts(layouts, ranking, photons=photons, **how)
     layouts = [replace(layout, scene=ranking.with_resistors(layout.scene, layout.board)) for layout in layouts]
     report_progress("check", 0.0, scores[0].relative_error)
-    checked, unchecked = _checked(
-        layouts, of_fingers.rules, ranking, report_progress, options if verify_with_mitsuba else None
-    )
-    stop = partial(report_progress.is_over, 1.0)
-    tolerated = tolerances(layouts[0], ranking, of_fingers, stop=stop)
-    checked = checked.merge(tolerated, combine_attrs="override")
-    if people:
-        checked = checked.merge(over_people(layouts, scores, ranking, stop), combine_attrs="override")
+    mitsuba = options if verify_with_mitsuba else None
+    checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
@@ -109,22 +103,26 @@ def place(
 
 def _checked(
     layouts: Sequence[CandidateLayout],
-    rules: Placement,
+    scores: Sequence[LayoutScore],
     cache: PhotonMapCache,
+    of_fingers: Objective,
     report_progress: StageProgress,
     mitsuba: TraceOptions | None,
 ) -> tuple[xr.Dataset, str | None]:
-    """The best layout by its own trace, on other fingers and, with options for it, by stock Mitsuba; and what of these
-    there was no time for, if any."""
+    """The best layout by its own trace, on other fingers, within its tolerances and, with options for it, by stock
+    Mitsuba; all for the people, if there are any; and what of the traces there was no time for, if any."""
     known, stop, spread = xr.Dataset(), partial(report_progress.is_over, 1.0), layouts[0].board.priors.spread
     if (left_s := report_progress.seconds_left) > CHECK_S:
         known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s, stop=stop)
     if spread and report_progress.seconds_left > CHECK_S:
-        known = known.merge(resolution_over_priors(layouts, rules, cache, stop=stop))
+        known = known.merge(resolution_over_priors(layouts, of_fingers.rules, cache, stop=stop))
     if mitsuba and "checked_fraction" in known and not report_progress.interrupted:
         on = layouts[0].scene, cache.conditions[0]
         known = known.merge(verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
         report_progress.interrupted = "mitsuba_ratio" not in known
+    known = known.merge(tolerances(layouts[0], cache, of_fingers, stop=stop), combine_attrs="override")
+    if cache.people:
+        known = known.merge(over_people(layouts, scores, cache, stop), combine_attrs="override")
     due = [("checked_fraction", True, "verified"), ("resolution_spread", spread, "evaluated on other fingers")]
     due += [("mitsuba_ratio", mitsuba is not None, "read by stock Mitsuba")]
     missing = [words for name, is_due, words in due if is_due and name not in known]
