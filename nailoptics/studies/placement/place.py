@@ -81,9 +81,7 @@ def place(
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched = _candidates(base, of_fingers, searching, people, report_progress)
-    # A search leaves little time to the user's layouts: these and its best are evaluated in any case.
-    listed = sum(layout.origin == "given" for layout in layouts)
-    least = len({digest(layout.board) for layout in layouts[: listed + 1]}) if searched else 0
+    least = _least_boards(layouts) if searched else 0
     ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
@@ -173,6 +171,12 @@ def _candidates(
             "have no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
         )
     return layouts, searched
+
+
+def _least_boards(layouts: Sequence[CandidateLayout]) -> int:
+    """Boards that are traced in any case, as a search leaves little time: those of the user's layouts and its best."""
+    listed = sum(layout.origin == "given" for layout in layouts)
+    return len({digest(layout.board) for layout in layouts[: listed + 1]})
 
 
 def _evaluated_enough(cache: PhotonMapCache, least: int, report_progress: StageProgress) -> bool:
