@@ -11,7 +11,7 @@ from ..assets import data_dir
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
-from .models import Scene
+from .scene import Scene
 from .text_files import is_there, parse_toml, read_text, short
 
 # What studies take: a scene, its file, or the name of a shipped one.

@@ -16,7 +16,7 @@ from ..errors import InputError
 from .base import Table
 from .edits import steps_of, with_value
 from .files import load_scene, scene_of, schema_of, shipped_scene
-from .models import Scene
+from .scene import Scene
 from .text_files import frozen, is_there, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, not_negative
 from ..errors import InputError
-from ..scene import Scene
+from ..scene import Electronics, Led, Photodiode, Scene
 from ..scene.base import PHOTON_NM_PER_V
-from ..scene.models import Electronics, Led, Photodiode
 
 Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
 Ohm: TypeAlias = Array | float | None

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...scene.models import Illuminant, Observer
+from ...scene.viewing import Illuminant, Observer
 from ...statistics import Array
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}

@@ -21,7 +21,7 @@ from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, Viewing, as_scene
-from ...scene.models import Illuminant, LightFrom, Observer
+from ...scene.viewing import Illuminant, LightFrom, Observer
 from ...statistics import Array, seed_of
 from ...variables import described, jackknifed
 from ..prior_uncertainty import only_absorbs, over_priors

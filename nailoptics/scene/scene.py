@@ -1,6 +1,5 @@
 """A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
 
-import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,192 +10,26 @@ from pydantic import Field, ValidationInfo, model_validator
 from ..assets import WAVELENGTH_RANGE_NM
 from ..display import Displayed
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, Fraction, Name, NonNegative, Positive, Table, check_unique
+from .base import MOST_PHOTODIODES, Table, check_unique
 from .body import Body
 from .edits import steps_of, with_value
+from .electronics import Ambient, Electronics
 from .finger import Finger
 from .importers.board_files import read_board_file
 from .layout import Layout, lay_out
 from .oximeter import DARK, Oximeter, two_leds
 from .parts import Board, Led, Photodiode
+from .phantom import Phantom
 from .placement import Placement
 from .priors import Prior, Priors
 from .text_files import short
-from .touch import Force, Touch
+from .touch import Touch
+from .tracing import Accuracy, Light
 from .vessels import Blood
+from .viewing import Viewing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Illuminant = Literal["D65", "A", "LED-B3"]
-Observer = Literal["2", "10"]
-LightFrom = Literal["sky", "lamp"]
-Pixels = Annotated[int, Field(ge=16, le=4096)]
-
-
-class Viewing(Table):
-    """Viewing conditions for the colour of the bare nail, for nailoptics colour."""
-
-    forces_n: Annotated[tuple[Force, ...], Field(min_length=1, max_length=20)] = (0.0, 0.3, 1.0, 2.0, 4.0)
-    """Forces, each held to the steady state; the first is the reference. [N]"""
-    illuminant: Illuminant = "D65"
-    """D65 is daylight, A an incandescent lamp, LED-B3 a white LED of 4103 K (CIE 015:2018)."""
-    observer: Observer = "2"
-    """Field of the standard observer, in degrees."""
-    lit_by: LightFrom = "sky"
-    """sky: diffuse illumination; lamp: at 45 degrees from all azimuths. Viewed from above."""
-    gloss: bool = False
-    """Whether specular reflection is included in the colour."""
-    tolerance: Positive = 0.3
-    """Required standard error of the colour at every position. [CIEDE2000]"""
-    change_tolerance: Positive = 0.05
-    """Required standard error of every change of colour with force. [CIEDE2000]"""
-    photograph_px: tuple[Pixels, Pixels] = (800, 600)
-    """Width and height of a photograph. [px]"""
-    camera_mm: tuple[float, float, float] = (-12.0, 38.0, 58.0)
-    """Camera position of a photograph, from the nail's centre: across, towards the tip, and above. [mm]"""
-
-
-# Beyond this a mean free path is below an atom, and single precision ends soon after. [mm^-1]
-Coefficient = Annotated[float, Field(ge=0, le=1e9)]
-
-
-class Layer(Table):
-    """One layer of a phantom, laterally infinite."""
-
-    name: Name
-    """Name of the layer, unique in the phantom."""
-    thickness_mm: Annotated[float, Field(gt=0, allow_inf_nan=True)]
-    """Thickness; inf closes the stack. [mm]"""
-    mu_a_per_mm: Coefficient
-    """Absorption coefficient. [mm^-1]"""
-    mu_s_per_mm: Coefficient
-    """Scattering coefficient. [mm^-1]"""
-    g: Annotated[float, Field(ge=-0.9999, le=0.9999)] = 0.0
-    """Anisotropy of Henyey-Greenstein scattering."""
-    n: Annotated[float, Field(ge=1, le=4)] = 1.0
-    """Refractive index."""
-
-
-class Phantom(Table):
-    """A laterally infinite stack of layers instead of the finger, its top face at z = 0."""
-
-    n_above: Annotated[float, Field(ge=1, le=4)] = 1.0
-    """Refractive index above the stack."""
-    n_below: Annotated[float, Field(ge=1, le=4)] = 1.0
-    """Refractive index below the stack."""
-    layers: Annotated[tuple[Layer, ...], Field(min_length=1, max_length=50)]
-    """The layers from the top down."""
-
-    @model_validator(mode="after")
-    def _layers_are_a_stack(self) -> Self:
-        check_unique([layer.name for layer in self.layers], "layers")
-        for layer in self.layers[:-1]:
-            if math.isinf(layer.thickness_mm):
-                raise ValueError(
-                    f'layers: "{layer.name}" has thickness_mm = inf but is not the last; only the last can be infinite'
-                )
-        return self
-
-
-class Electronics(Table):
-    """The transimpedance amplifier and the converter of each photodiode."""
-
-    feedback_ohm: Positive | Literal["auto"] = 1e6
-    """Feedback resistance of stages whose photodiode gives none: the gain from photocurrent to volts. auto: for each
-    photodiode the largest E24 value, up to 22 Mohm, at which its brightest reading has the headroom. [ohm]"""
-    headroom: Annotated[float, Field(ge=1, le=1000)] = 2.0
-    """Full scale over the brightest reading for "auto": room for other people and for light from outside beyond
-    [ambient]."""
-    bandwidth_hz: Positive = 100.0
-    """Noise bandwidth, whatever the feedback resistance. [Hz]"""
-    capacitance_pf: NonNegative = 50.0
-    """Capacitance at the amplifier's input. [pF]"""
-    noise_nv_per_rt_hz: NonNegative = 10.0
-    """Voltage noise density of the amplifier. [nV/sqrt(Hz)]"""
-    adc_bits: Annotated[int, Field(ge=1, le=32)] = 16
-    """Resolution of the converter."""
-    adc_range_v: Positive = 5.0
-    """Full scale of the converter. [V]"""
-    temperature_k: Positive = 305.0
-    """Temperature of the electronics. [K]"""
-    ambient_rejection: Literal["dark_slot", "lock_in"] | None = None
-    """How readings are freed of steady ambient light and dark current: dark_slot subtracts a sample with the LED off,
-    lock_in demodulates an LED that is lit half of the time. Neither removes their noise, nor saturation. An oximeter
-    has the slots of [oximeter] instead."""
-    switching_hz: Positive | None = None
-    """Rate at which the LED is lit and dark in turn for ambient_rejection; if not given 0.3 of bandwidth_hz for
-    dark_slot and ten times it for lock_in. [Hz]"""
-
-    @model_validator(mode="after")
-    def _switching_suits_the_bandwidth(self) -> Self:
-        if self.switching_hz is not None and self.ambient_rejection is None:
-            raise ValueError("switching_hz is for ambient_rejection; give that, too, or leave it out")
-        # A dark slot must settle, and a lock-in's low pass must leave the switching out.
-        part = self.rejection_hz / self.bandwidth_hz
-        if not {None: True, "dark_slot": part <= 1 / 3, "lock_in": part >= 2}[self.ambient_rejection]:
-            raise ValueError(
-                f"switching_hz = {self.rejection_hz:g}: must be at most a third of bandwidth_hz for dark_slot, and at "
-                "least twice it for lock_in"
-            )
-        return self
-
-    @property
-    def rejection_hz(self) -> float:
-        """Rate at which the LED is lit and dark in turn. [Hz]"""
-        return self.switching_hz or self.bandwidth_hz * (10.0 if self.ambient_rejection == "lock_in" else 0.3)
-
-
-class Ambient(Table):
-    """Light from outside on the finger, from all sides."""
-
-    kind: Literal["sun", "lamp", "led"] = "lamp"
-    """Spectrum: sun, a black body of 5778 K; lamp, an incandescent lamp, a black body of 2856 K; led, the white LED-B3
-    of CIE 015:2018, without infrared."""
-    illuminance_lux: Annotated[float, Field(ge=0, le=1e6)] | None = None
-    """Illuminance of the finger; full sun has 100 000, an office 500. Give this or irradiance_w_per_m2. [lux]"""
-    irradiance_w_per_m2: Annotated[float, Field(ge=0, le=1e4)] | None = None
-    """Irradiance of the finger over all wavelengths; full sun has some 1000. [W/m^2]"""
-    flicker: Fraction = 0.0
-    """Amplitude of its modulation, relative to its mean; 0 for a steady light."""
-    flicker_hz: Annotated[float, Field(gt=0, le=1e6)] = 100.0
-    """Frequency of the modulation; of lamps twice that of the mains. [Hz]"""
-
-    @model_validator(mode="after")
-    def _has_one_level(self) -> Self:
-        if (self.illuminance_lux is None) == (self.irradiance_w_per_m2 is None):
-            raise ValueError("[ambient] takes either illuminance_lux or irradiance_w_per_m2; give exactly one of them")
-        return self
-
-    @property
-    def words(self) -> str:
-        """The source and its level."""
-        lux = self.illuminance_lux
-        return f"{self.kind} of {self.irradiance_w_per_m2:g} W/m^2" if lux is None else f"{self.kind} of {lux:,g} lux"
-
-
-class Light(Table):
-    """How the light is traced."""
-
-    engine: Literal["auto", "photons", "volpath"] = "auto"
-    """photons: forward walk, one trace for every blood state; volpath: stock Mitsuba, reference and fallback."""
-    index_steps: bool = True
-    """Refraction and Fresnel reflection where the refractive index changes."""
-    similarity: bool = False
-    """Isotropic scattering with equal mu_s (1 - g) in a finger: ten times fewer scatterings, biased near the LED."""
-    left_out: tuple[Literal["bone", "epidermis", "kapton"], ...] = ()
-    """Parts with the optics of their surroundings: bone and epidermis those of the pulp, Kapton those of epoxy."""
-
-
-class Accuracy(Table):
-    """Required accuracy."""
-
-    relative_error: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Required relative standard error of every reading."""
-    max_seconds: Positive | None = None
-    """Wall time after which tracing stops. [s]"""
-    photons: Annotated[int, Field(ge=1, le=10_000_000_000)] | None = None
-    """Photons per LED wavelength, instead of a tolerance."""
 
 
 class Scene(Displayed, Table):
