@@ -433,25 +433,19 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
     Readings and their noise are those of a short trace, stored as any other; without a backend that compiles kernels
     they are left out.
     """
-    from .report.scene_description import blood_words, body_words, check_lines, touch_words
+    from .report.pages.scene import CHECK
     from .scene import load_scene
     from .studies.scene_check import check as study
 
     with terminal.collected_warnings() as warnings:
         loaded = load_scene(scene)
     try:
-        report: dict[str, Any] = {"scene": scene, "valid": True, **study(loaded)}
-        report["warnings"] = warnings + report["warnings"]
-        if loaded.finger is not None:
-            from .geometry import build
-
-            mesh = build(loaded)
-            report |= {"touch": touch_words(loaded), "blood": blood_words(loaded), "body": body_words(loaded)}
-            report |= {"vessels": loaded.blood.parameters, "regions": list(mesh.regions)}
-            report["triangles"] = len(mesh.triangles)
+        checked = study(loaded)
+        checked["warnings"] = warnings + checked["warnings"]
+        summary = {"scene": scene} | CHECK.summary(checked)
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    _finish(report, check_lines(report), {}, json_)
+    _finish(summary, CHECK.lines(checked, summary), {}, json_)
 
 
 @app.command

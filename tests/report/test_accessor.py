@@ -177,6 +177,7 @@ def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
     assert run(["check", "prototype", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert json.loads(json.dumps(check["leds"])) == printed["leds"] and len(check["pairs"]) == len(printed["pairs"])
+    assert {"scene", *check.nail.summary()} == printed.keys()
 
 
 @pytest.mark.long

@@ -1,15 +1,16 @@
 """A scene as a notebook shows it, its board on the nail and the section below it, and the page of its check."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
+from ...geometry import build
 from ...light import section as cut
 from ...scene import Scene
 from ...studies.scene_check import SceneCheck, check
 from .. import maps, style
 from ..files import Report
 from ..html import Html, document, escaped, figure, section
-from ..scene_description import check_lines
+from ..scene_description import blood_words, body_words, check_lines, touch_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +31,7 @@ def page(checked: SceneCheck) -> str:
     """The page of a check."""
     caption = "The board on the nail, and the section below it."
     drawn = figure(draw(checked.scene), caption) if checked.scene.finger else ""
-    lines = Html(f"<pre>{escaped(chr(10).join(check_lines(checked)))}</pre>")
+    lines = Html(f"<pre>{escaped(chr(10).join(check_lines(summary(checked))))}</pre>")
     return document(
         kicker="check",
         title=repr(checked.scene)[1:-1],
@@ -41,11 +42,22 @@ def page(checked: SceneCheck) -> str:
     )
 
 
+def summary(checked: SceneCheck) -> dict[str, Any]:
+    """What a check found; of a finger also its touch, blood and body in words, and the geometry."""
+    scene, made = checked.scene, {"valid": True, **checked}
+    if scene.finger is None:
+        return made
+    mesh = build(scene)
+    made |= {"touch": touch_words(scene), "blood": blood_words(scene), "body": body_words(scene)}
+    made |= {"vessels": scene.blood.parameters, "regions": [*mesh.regions], "triangles": len(mesh.triangles)}
+    return made
+
+
 CHECK = Report(
     ("check.html",),
     page,
-    dict,
-    lambda checked, _: check_lines(checked),
+    summary,
+    lambda _, summary: check_lines(summary),
     {"board": lambda checked: draw(checked.scene)},
 )
 SCENE = Report(
