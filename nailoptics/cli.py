@@ -397,13 +397,13 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
         output: TOML file for the scene with only what it requires; a page beside it.
         tolerance: Relative change of a reading that matters; the scene's error if not given.
     """
-    from .report.pages.explain import EXPLANATION, write_explanation
+    from .report.pages.explain import EXPLANATION
     from .studies.model_error.explain import explain as study
 
     _check_file(output, ".toml", "a scene file")
     loaded, _ = _load(scene, options)
     result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
-    paths = write_explanation(result, output) if output else {}
+    paths = EXPLANATION.write(result, output.parent, stem=output.stem) if output else {}
     _show(EXPLANATION, result, paths, options.json, unmet)
 
 

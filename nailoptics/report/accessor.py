@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 import xarray as xr
 
 from ..errors import InputError
-from ..io import make_folder, write_text
 from ..scene import Scene, parse_scene
-from .files import Report
+from .files import Report, write_files
 from .html import Html, escaped
 
 if TYPE_CHECKING:
@@ -118,9 +117,7 @@ class Nail:
         page = Page(self._shown("the report", self._report.page))
         if path is None:
             return page
-        make_folder(Path(path).parent)
-        write_text(Path(path), page)
-        return {"report": Path(path)}
+        return write_files(Path(path).parent, {Path(path).name: page})
 
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers and texts, as the command prints them with --json."""

@@ -39,12 +39,15 @@ class Report:
     figures: Mapping[str, Callable[..., "Figure"]]
     others: Callable[..., Mapping[str, Any]] | None = None
 
-    def write(self, result: Any, folder: Path, **options: Any) -> dict[str, Path]:
-        """Write a result into a folder; returns the main paths by their role. Raises WriteError."""
+    def write(self, result: Any, folder: Path, *, stem: str | None = None, **options: Any) -> dict[str, Path]:
+        """Write a result into a folder; returns the main paths by their role. Raises WriteError.
+
+        stem : what all files are called but for their endings, where the user names one.
+        """
         draw, others = next(iter(self.figures.values())), self.others(result, **options) if self.others else {}
         usual = {".nc": result, ".html": lambda _: self.page(result), ".png": lambda _: draw(result)}
-        names = ((name, Path(name).suffix) for name in self.files)
-        return write_files(folder, {name: others[name] if name in others else usual[end] for name, end in names})
+        contents = {Path(name): others[name] if name in others else usual[Path(name).suffix] for name in self.files}
+        return write_files(folder, {str(p.with_stem(stem or p.stem)): content for p, content in contents.items()})
 
 
 def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:

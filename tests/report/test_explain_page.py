@@ -9,7 +9,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.report.pages import explain
-from nailoptics.report.pages.explain import write_explanation
+from nailoptics.report.pages.explain import EXPLANATION
 from nailoptics.studies.model_error.explain import TOGETHER, Effect, Explanation
 
 
@@ -36,7 +36,7 @@ def found() -> Explanation:
 
 
 def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
-    paths = write_explanation(found, tmp_path / "required.toml")
+    paths = EXPLANATION.write(found, tmp_path)
     page = paths["report"].read_text(encoding="utf-8")
     head, body = page.split("</header>")
     assert "<h1>plate &lt;absorption&gt; changes ir proximal.6 by −62.0 ± 1.0\u00a0%</h1>" in head
@@ -51,7 +51,7 @@ def test_an_undecided_effect_is_no_headline_beside_a_significant_one(found, tmp_
     noisy = effect("forward scattering", -0.9, 0.4)
     assert noisy.matters == "undecided"
     for shown, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
-        page = write_explanation(replace(found, effects=shown), tmp_path / "required.toml")["report"]
+        page = EXPLANATION.write(replace(found, effects=shown), tmp_path)["report"]
         assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
 
 
@@ -65,7 +65,7 @@ def test_the_picture_names_every_effect_that_is_known(found):
 
 def test_what_ended_too_early_says_so_first(found, tmp_path):
     cut = replace(found, attributes={"cut_off": "max_seconds ended the study"}, effects=(), together=None)
-    paths = write_explanation(cut, tmp_path / "required.toml")
+    paths = EXPLANATION.write(cut, tmp_path)
     assert paths["scene"].read_text(encoding="utf-8").startswith("# Cut off: max_seconds ended the study\n")
     page = paths["report"].read_text(encoding="utf-8")
     assert "Cut off: max_seconds ended the study" in page.split("</header>")[0] and "Too few photons" in page

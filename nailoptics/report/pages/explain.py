@@ -1,7 +1,6 @@
 """The page of an explanation: by how much every effect and every unknown changes the readings."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from ...statistics import Z95
 from ...studies.model_error.changes import lines_of, merged
 from ...studies.model_error.explain import Effect, Explanation
 from .. import style
-from ..files import Report, scene_text, write_files
+from ..files import Report, scene_text
 from ..html import Html, document, escaped, figure, section, small, table, texts
 from ..numbers import aligned, significant, with_error
 
@@ -25,12 +24,6 @@ KINDS = {
     "in the scene": style.ZONES[0],
     "left out": style.ZONES[1],
 }
-
-
-def write_explanation(result: Explanation, path: Path) -> dict[str, Path]:
-    """Write the scene with only what it requires, and the page beside it; returns their paths. Raises WriteError."""
-    scene = scene_text(result.required, result.attributes)
-    return write_files(path.parent, {path.name: scene, path.with_suffix(".html").name: lambda _: page(result)})
 
 
 def page(result: Explanation) -> str:

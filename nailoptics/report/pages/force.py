@@ -14,7 +14,7 @@ from ...studies.force.predict import csv_rows
 from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import Subject, parse_subject, subject_toml
 from .. import style
-from ..files import Report, write_files
+from ..files import Report
 from ..html import Html, details, document, figure, section, small, table, texts
 from ..numbers import cells, estimated, significant, with_error
 
@@ -244,10 +244,8 @@ def _share_figure(result: xr.Dataset) -> "Figure":
 
 def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
     """Write a subject file and, beside it, its page; returns their paths. Raises WriteError."""
-    page = subject.with_suffix(".html")
-    files = {subject.name: result.attrs["subject"], page.name: lambda _: calibration_page(result)}
-    write_files(subject.parent, files)
-    return {"subject": subject, "report": page}
+    paths = CALIBRATION.write(result, subject.parent, stem=subject.stem)
+    return {"subject": paths["scene"], "report": paths["report"]}
 
 
 def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
