@@ -3,17 +3,18 @@
 import errno
 import json
 import logging
+import math
 import os
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from ..checks import explain
 from ..errors import InputError
@@ -75,6 +76,14 @@ class Plan(Table):
     scenes: tuple[Annotated[str, Field(pattern="^[0-9a-f]+$")], ...]
     required: tuple[Accuracy, ...]
     lights: int
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if not math.prod(self.dims.values()) == len(self.scenes) == len(self.required):
+            raise ValueError("its scenes do not fill its dims")
+        if any(len(axis.values) not in self.dims.values() for axis in self.axes):
+            raise ValueError("its axes do not fit its dims")
+        return self
 
 
 @dataclass(frozen=True)

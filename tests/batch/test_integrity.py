@@ -96,6 +96,9 @@ def test_without_its_plan_a_folder_serves_no_other_seeds_results(calm, used, dam
     "change",
     [
         {"dims": {"x": "many"}},
+        {"dims": {"x": 7}},
+        {"required": []},
+        {"axes": [{"name": "x", "values": [1.0, 2.0]}]},
         {"scenes": "abc"},
         {"made": {}},
         {"axes": [{"name": "x"}]},
