@@ -133,15 +133,17 @@ def test_the_chosen_level_is_within_the_tolerance(found):
 
 @pytest.mark.jit
 def test_blood_levels_move_the_signal_alone(found):
-    """Expected: walls' mass moves it by less than 0.2 %; samples that miss the step, and eight zones, on which the
-    distal pressure acts otherwise, by tens of percent."""
+    """Expected: walls' mass and a looser tolerance move it by less than 0.2 %; samples that miss the step, and eight
+    zones, on which the distal pressure acts otherwise, by tens of percent."""
     by_name = {one.name: one for one in found.levels}
     full = by_name[REFERENCE]
-    assert 0 < by_name["walls with mass"].signal.bound < 2e-3 and by_name["walls with mass"].call
+    courses = "walls with mass", "vessels to 1e-3"
+    for name in courses:
+        assert 0 < by_name[name].signal.bound < 2e-3 and by_name[name].call
     assert 0.3 < by_name["1 of 10 samples"].signal.bound < 1.0
     assert by_name["eight zones"].signal.bound > 0.3
     usual = revised(prototype(), FULL)
-    for name in ("walls with mass", "vessels to 1e-3", "1 of 10 samples", "eight zones"):
+    for name in (*courses, "1 of 10 samples", "eight zones"):
         # What selects it has the light of the full model, by which it was measured.
         scene = revised(prototype(), by_name[name].changes)
         assert (scene.light, scene.leds) == (usual.light, usual.leds)
