@@ -33,7 +33,7 @@ from .studies.oximetry.oxygen import oximeter as oximeter
 from .studies.placement.place import place as place
 from .studies.scene_check import check as check
 from .studies.simulate import simulate as simulate
-from .studies.validate import validate as validate
+from .studies.validation.validate import validate as validate
 from .version import __version__ as __version__
 
 __all__: list[str]

@@ -297,7 +297,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
         output: Folder for the page; results/validation if not given.
     """
     from .report.pages.validate import VALIDATION
-    from .studies.validate import validate as study
+    from .studies.validation.validate import validate as study
 
     folder = _results(output, "validation", VALIDATION)
     result, unmet = _traced(study, data=data, options=options)

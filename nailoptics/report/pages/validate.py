@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...studies.validate import Validation
+from ...studies.validation.validate import Validation
 from .. import style
 from ..files import Report
 from ..html import Html, document, figure, section, small, table, texts

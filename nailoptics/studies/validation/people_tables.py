@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..assets import asset_path
-from ..checks import Array
-from ..errors import InputError
+from ...assets import asset_path
+from ...checks import Array
+from ...errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,8 +12,9 @@ from nailoptics.assets import asset_path
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
-from nailoptics.studies import validate
-from nailoptics.studies.people_tables import COLUMNS, percentile, pooled, read_people, slope_within_days
+from nailoptics.studies.validation import appearance, validate
+from nailoptics.studies.validation.comparison import Comparison
+from nailoptics.studies.validation.people_tables import COLUMNS, percentile, pooled, read_people, slope_within_days
 
 DOCUMENTS = "README.md", "docs/trust.md", "docs/validation.md"
 PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
@@ -116,9 +117,9 @@ def test_one_ring_finger_is_compared_with_its_own_quartiles(tmp_path):
 
 def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):
     about = np.ones(6), np.ones(6)
-    shipped = validate._colours(read_people(PHOTOS), *about)["nail_L"]
+    shipped = appearance._colours(read_people(PHOTOS), *about)["nail_L"]
     assert shipped.texts["basis"] == "held out" and "53 people" in shipped.texts["quantity"]
-    theirs = validate._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
+    theirs = appearance._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
     assert (
         theirs.texts["basis"] == "prediction"
         and "160 people" in theirs.texts["quantity"]
@@ -142,36 +143,36 @@ def test_slopes_within_days_ignore_exposure_between_days():
 
 def test_nails_carried_over_to_measured_skin_are_pink():
     """Expected: medians of the 160 people as published with the table, by another computation: 62.4, 10.8, 8.8."""
-    lab = validate.nails_lab(read_people("nail_photos"))
+    lab = appearance.nails_lab(read_people("nail_photos"))
     assert np.median(lab, 0) == pytest.approx([62.4, 10.8, 8.8], abs=1.1)
     assert (lab[:, 1] < 3).mean() < 0.05
 
 
 def test_statistics_agree_and_disagree_where_they_should():
-    assert validate._z({}, (1.0, 0.1), (1.1, 0.1), 0.0).agrees
+    assert Comparison.by_standard_errors({}, (1.0, 0.1), (1.1, 0.1), 0.0).agrees
     # A spread over the priors is shown, and excuses nothing.
-    wide = validate._z({}, (1.0, 0.1), (1.5, 0.1), 3.0)
+    wide = Comparison.by_standard_errors({}, (1.0, 0.1), (1.5, 0.1), 3.0)
     assert not wide.agrees and wide.model[0, 0] < -4
     people, model = np.random.default_rng(2).normal(0, 1, 400), np.array([[-1.96], [0.0], [1.96]])
-    covered = validate._coverage({}, people, model)
+    covered = Comparison.by_coverage({}, people, model)
     assert covered.agrees and covered.value == pytest.approx(0.95, abs=0.03)
-    assert not validate._coverage({}, people + 2, model).agrees
+    assert not Comparison.by_coverage({}, people + 2, model).agrees
     # An interval that holds everybody states too much.
-    assert not validate._coverage({}, people, 10 * model).agrees
+    assert not Comparison.by_coverage({}, people, 10 * model).agrees
     # That it holds all of a few people is no sign of that.
-    assert not validate._coverage({}, people[:59] / 10, model).agrees
-    assert validate._coverage({}, people[:58] / 10, model).agrees
+    assert not Comparison.by_coverage({}, people[:59] / 10, model).agrees
+    assert Comparison.by_coverage({}, people[:58] / 10, model).agrees
 
 
 def test_a_w_that_is_too_deep_disagrees():
     """Expected: from medians of two groups, 1.041 and 1.029, a model of 1.14 is many standard errors off."""
     fingers = read_people(SKIN)[lambda t: t.place == "ring finger"]
-    (deep,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2).values()
+    (deep,) = appearance._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2).values()
     assert deep.people[1, 0] == pytest.approx(1.035, abs=1e-3)
     assert deep.value > 10 and not deep.agrees and deep.model[0, 0] < 1.01
-    (flat,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2).values()
+    (flat,) = appearance._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2).values()
     assert flat.agrees
-    assert not validate._w_depth("w_of_ring_finger", fingers[fingers.group == "JP"], [np.ones(3)])
+    assert not appearance._w_depth("w_of_ring_finger", fingers[fingers.group == "JP"], [np.ones(3)])
 
 
 def test_waves_and_pulse_without_light_agree_with_people():
@@ -186,14 +187,16 @@ def test_waves_and_pulse_without_light_agree_with_people():
 def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
     """Expected: a line of one of the wavelengths, 5 nm apart, counts for a third there, and none 10 nm off."""
     spectrum = np.zeros((1, 77))
-    spectrum[0, validate.WAVELENGTHS_NM == 560] = 1.0
-    monkeypatch.setattr(validate._Skin, "__init__", lambda self: None)
-    monkeypatch.setattr(validate._Skin, "read", lambda self, scene, rays, gloss: spectrum)
-    (measured,) = validate._Skin().spectrum(None)
-    assert measured[validate.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and measured.sum() == pytest.approx(100 / 3)
+    spectrum[0, appearance.WAVELENGTHS_NM == 560] = 1.0
+    monkeypatch.setattr(appearance.Skin, "__init__", lambda self: None)
+    monkeypatch.setattr(appearance.Skin, "read", lambda self, scene, rays, gloss: spectrum)
+    (measured,) = appearance.Skin().spectrum(None)
+    assert measured[appearance.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and measured.sum() == pytest.approx(
+        100 / 3
+    )
     # A level part of a spectrum, and its ends, are what they are.
     spectrum[:] = 0.5
-    assert validate._Skin().spectrum(None) == pytest.approx(50.0)
+    assert appearance.Skin().spectrum(None) == pytest.approx(50.0)
 
 
 @pytest.mark.long
@@ -222,7 +225,7 @@ def test_validation_shows_disagreement_first(chosen_jit, tmp_path):
 
 def test_the_documents_state_the_results_of_the_documentation():
     """Expected: counts of the README, and of trust.md and validation.md how much of skin and nails agrees."""
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     words = {name: " ".join((root / name).read_text(encoding="utf-8").split()) for name in DOCUMENTS}
     made = json.loads((root / "docs/validation.json").read_text(encoding="utf-8"))
     (n, count), (fitted, of_fitted) = made["counts"]["unfitted"], made["counts"]["fitted"]
