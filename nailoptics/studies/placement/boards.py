@@ -89,7 +89,7 @@ def worn_on(scene: Scene, case: FingerCase | Person, *, light_only: bool = False
         scene = worn_on(scene, case.first)
         for field, value in case.values.items():
             scene = at_value(scene, field, value)
-        return cut_to(scene, nail_mm(scene))
+        return cut_to(scene, room_mm(scene))
     assert scene.finger is not None
     optics = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
     finger = scene.finger if case.digit is None else Finger(digit=case.digit, **optics)
@@ -110,22 +110,25 @@ def base_board(scene: Scene) -> Scene:
     The outline is that of [placement], else of [board], else the smallest of the fingers' nails.
     """
     board, gap_mm = scene.board, scene.board.barrier_gap_mm
+    room = room_mm(*(worn_on(scene, case) for case in fingers(scene)))
     if scene.placement and scene.placement.outline_mm is not None:
-        center, size = _on_the_nail(scene.placement.outline_mm, _smallest_nail_mm(scene))
+        center, size = _on_the_nail(scene.placement.outline_mm, room)
     elif board.size_mm is None and board.outline_mm is not None:
         # What of the board's own file lies on the nail.
         center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
     elif board.size_mm is not None:
         center, size = board.center_mm, board.size_mm
     else:
-        center, size = (0.0, 0.0), _smallest_nail_mm(scene)
+        center, size = (0.0, 0.0), room
     return _with_edges(scene, center, size, rules(scene).bond_wire_mm if board.barrier and gap_mm is None else gap_mm)
 
 
-def nail_mm(scene: Scene) -> Point:
-    """Width and length of the scene's nail. [mm]"""
-    assert scene.finger is not None
-    return scene.finger.nail_width_mm, scene.finger.nail_length_mm
+def room_mm(*scenes: Scene) -> Point:
+    """Width and length of a board for which the nails of all these scenes have room. [mm]"""
+    widths, lengths = zip(
+        *((f.nail_width_mm, f.nail_length_mm) for scene in scenes if (f := scene.finger)), strict=True
+    )
+    return min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM
 
 
 def fits(scene: Scene) -> bool:
@@ -136,25 +139,19 @@ def fits(scene: Scene) -> bool:
         return False
 
 
-def _smallest_nail_mm(scene: Scene) -> Point:
-    """Size of what every finger's nail has room for. [mm]"""
-    widths, lengths = zip(*(nail_mm(worn_on(scene, case)) for case in fingers(scene)), strict=True)
-    return min(widths) - 2 * NAIL_MARGIN_MM, min(lengths) - 2 * NAIL_MARGIN_MM
-
-
-def cut_to(scene: Scene, nail_mm: Point) -> Scene:
-    """A board of explicit edges without what reaches over a nail of this size; parts stay where they are."""
-    board, margins = scene.board, 2 * NAIL_MARGIN_MM
+def cut_to(scene: Scene, size_mm: Point) -> Scene:
+    """A board of explicit edges without what of it lies outside this size of the nail; parts stay where they are."""
+    board = scene.board
     assert board.size_mm is not None
     corners = Rectangle.around("board", board.center_mm, board.size_mm).corners_mm
-    cut = _with_edges(scene, *_on_the_nail(corners, (nail_mm[0] - margins, nail_mm[1] - margins)), board.barrier_gap_mm)
+    cut = _with_edges(scene, *_on_the_nail(corners, size_mm), board.barrier_gap_mm)
     return bare_board(cut, side=board.barrier_side) if scene.photodiodes[0].name == SPECK else cut
 
 
-def _on_the_nail(corners: Sequence[Point], nail_mm: Point) -> tuple[Point, Point]:
+def _on_the_nail(corners: Sequence[Point], room: Point) -> tuple[Point, Point]:
     """Middle and size of what of an outline's box lies on the nail; raises InputError where that is hardly any. [mm]"""
     lows, highs = (tuple(edge(axis) for axis in zip(*corners, strict=True)) for edge in (min, max))
-    ends = [(max(low, -most / 2), min(high, most / 2)) for low, high, most in zip(lows, highs, nail_mm, strict=True)]
+    ends = [(max(low, -most / 2), min(high, most / 2)) for low, high, most in zip(lows, highs, room, strict=True)]
     if min(high - low for low, high in ends) < LEAST_BOARD_MM:
         middle = [round((low + high) / 2, 2) + 0.0 for low, high in zip(lows, highs, strict=True)]
         size = f"{highs[0] - lows[0]:.3g} x {highs[1] - lows[1]:.3g} mm"

@@ -154,7 +154,7 @@ def _candidates(
     paper = _paper_layout(base, cache.conditions) if of_paper else None
     straight = boards.searchable_board(base, rules)
     for person in people:
-        straight = boards.cut_to(straight, boards.nail_mm(boards.worn_on(base, person)))
+        straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
     searched = search.Search(straight, objective, cache).run(report_progress) if rules.search else []
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"

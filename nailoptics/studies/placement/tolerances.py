@@ -42,15 +42,16 @@ def tolerances(
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
     fingers = cache.conditions[: len(objective.points)]
     elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, stop=stop)
+    room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     changes: dict[tuple[str, str], Array] = {}
     for part, kind, vary in _varied(scene):
         try:
-            varied = vary()
-            candidates.check(varied, layout.name)
-            moved, light = replace(layout, scene=varied), cache
             if part == "board":
-                moved, light = candidates.candidate(layout.name, varied, ""), elsewhere
+                moved, light = candidates.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
                 light.extend(moved.board, JUDGE_PHOTONS)
+            else:
+                moved, light = replace(layout, scene=vary()), cache
+                candidates.check(moved.scene, layout.name)
             if light.of(moved.board).photons:
                 changes[part, kind] = score_layout(moved, light, objective).ranked / ranked - 1
         except InputError:
@@ -76,7 +77,7 @@ def _varied(scene: Scene) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
 
 
 def _glued(scene: Scene, *, du_mm: float = 0.0, dv_mm: float = 0.0, angle_deg: float = 0.0) -> Scene:
-    """The board glued aside, or turned about its middle, without what then reaches over the nail."""
+    """The board glued aside, or turned about its middle."""
     cos, sin, (u, v) = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)), scene.board.center_mm
     # Edges lie straight: those of a turned board are its box.
     width, length = scene.layout.outline.size_mm
@@ -88,4 +89,4 @@ def _glued(scene: Scene, *, du_mm: float = 0.0, dv_mm: float = 0.0, angle_deg: f
         return part.model_copy(update={"position_mm": (cos * x - sin * y, sin * x + cos * y), "rotation_deg": at_deg})
 
     parts = {kind: tuple(map(turned, getattr(scene, kind))) for kind in ("leds", "photodiodes")}
-    return boards.cut_to(scene.model_copy(update={"board": board} | parts), boards.nail_mm(scene))
+    return scene.model_copy(update={"board": board} | parts)

@@ -161,3 +161,18 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     assert abs(float(board.tolerance_ranking) - (fresh[0] - 1)) < 4 * error and error < 0.3
     turned = found.tolerance_ranking.sel(toleranced_part="board", deviation=["clockwise", "counterclockwise"])
     assert np.isfinite(turned).all() and np.isnan(led.tolerance_ranking.sel(deviation="left"))
+
+
+@pytest.mark.long
+def test_a_board_for_several_fingers_is_glued_with_what_of_it_every_nail_bears(chosen_jit):
+    """Expected: a board as large as the nail of the little finger has room beside its place, without its edge there."""
+    fingers = '[placement]\nfingers = [{ name = "index" }, { name = "little", digit = "little" }]\n'
+    scene = parse_scene(SCENE.replace("size_mm = [9.0, 9.0]\n", "").replace("[placement]\n", fingers, 1))
+    base, rules = boards.base_board(scene), boards.rules(scene)
+    conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(scene)]
+    layout, cache = place.given(base, rules)[0], cache_of(conditions)
+    cache.extend(layout.board, 1 << 15)
+    layout = replace(layout, scene=cache.with_resistors(layout.scene, layout.board))
+    found = tolerances(layout, cache, objective_of(rules, conditions), stop=lambda: False)
+    glued = found.tolerance_ranking.sel(toleranced_part="board", deviation=["left", "right", "proximal", "distal"])
+    assert np.isfinite(glued).all()
