@@ -74,16 +74,10 @@ class Nail:
     @property
     def scene(self) -> Scene:
         """The scene of a result: a placement's best, what an explanation requires; raises InputError if it has none."""
-        from ..studies.placement.result import chosen
-
-        result = self._result
-        if self._kind.startswith("nailoptics: layouts ranked"):
-            return self._shown("the best layout", chosen)
-        held = (getattr(result, name, None) for name in ("scene", "required"))
-        for scene in (getattr(result, "attrs", {}).get("scene"), result, *held):
-            if isinstance(scene, str | Scene):
-                return parse_scene(scene) if isinstance(scene, str) else scene
-        raise InputError(f'"{self._kind}" has no scene; take the one that it was made of.')
+        scene = self._shown("the scene", self._report.scene)
+        if not isinstance(scene, str | Scene):
+            raise InputError(f'"{self._kind}" has no scene; take the one that it was made of.')
+        return parse_scene(scene) if isinstance(scene, str) else scene
 
     def plot(self, figure: str | None = None, **which: Any) -> "Figure":
         """Draw a figure of the page as a matplotlib Figure.

@@ -20,6 +20,10 @@ ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv", ".
 RUN = ("engine", "backend", "photons", "cpu_seconds", "wall_seconds", "digest", "accuracy_reached")
 
 
+def _scene_of(result: Any) -> object:
+    return result.attrs.get("scene") if isinstance(result, xr.Dataset) else getattr(result, "scene", None)
+
+
 @dataclass(frozen=True)
 class Report:
     """A kind of result.
@@ -30,6 +34,7 @@ class Report:
     lines : of a result and its summary, for the terminal.
     figures : of a result, by their names, the most telling first.
     others : of a result, contents of its other files by their names, as `write_files` takes them.
+    scene : of a result, its scene, or that as TOML; None where it has none.
     """
 
     files: tuple[str, ...]
@@ -38,6 +43,7 @@ class Report:
     lines: Callable[[Any, dict[str, Any]], Iterable[object]]
     figures: Mapping[str, Callable[..., "Figure"]]
     others: Callable[..., Mapping[str, Any]] | None = None
+    scene: Callable[[Any], object] = _scene_of
 
     def write(self, result: Any, folder: Path, *, stem: str | None = None, **options: Any) -> dict[str, Path]:
         """Write a result into a folder; returns the main paths by their role. Raises WriteError.

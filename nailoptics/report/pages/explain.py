@@ -153,4 +153,5 @@ EXPLANATION = Report(
     lambda result, _: lines(result),
     {"effects": draw},
     lambda result: {"required.toml": scene_text(result.required, result.attributes)},
+    lambda result: result.required,
 )

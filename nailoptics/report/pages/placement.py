@@ -355,4 +355,5 @@ PLACEMENT = Report(
         "maps": lambda result, led=0: figures.map_figure(chosen(result), result, led=led),
     },
     _files,
+    chosen,
 )

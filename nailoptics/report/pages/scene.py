@@ -66,4 +66,5 @@ SCENE = Report(
     lambda scene: scene.model_dump(mode="json", exclude_none=True),
     lambda scene, _: [repr(scene)],
     {"board": draw},
+    scene=lambda scene: scene,
 )
