@@ -226,7 +226,8 @@ def _weights(trace: LedTrace, mu_a: np.ndarray) -> np.ndarray:
 
 def _ratio(trace: LedTrace, above: np.ndarray, below: np.ndarray) -> tuple[float, float]:
     """Ratio of two sums over the records, (n,) float each, and its standard error: both share their photons."""
+    photon = np.unique(trace.photon, return_inverse=True)[1]
+    above, below = (np.bincount(photon, values) for values in (above, below))
     ratio = above.sum() / below.sum()
-    added = np.bincount(np.unique(trace.photon, return_inverse=True)[1], above - ratio * below)
-    stderr = np.linalg.norm(added) / below.sum()
+    stderr = np.linalg.norm(above - ratio * below) / below.sum()
     return float(ratio), float(stderr_or_nan(stderr, above.sum(), (above**2).sum()))

@@ -280,7 +280,9 @@ def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Ef
     outside_a = trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio, error = (np.where(base.level > 0, current / (base.level * full_a), np.inf) for current in outside_a)
-        covariance = np.diag(error.ravel() ** 2) + np.outer(ratio, ratio) * base.relative_covariance
+        # All LEDs' readings of a photodiode have one photocurrent from outside.
+        one_photodiode = np.tile(np.eye(len(diodes)), [len(scene.leds)] * 2)
+        covariance = np.outer(error, error) * one_photodiode + np.outer(ratio, ratio) * base.relative_covariance
         paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr), 0.0, covariance))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)

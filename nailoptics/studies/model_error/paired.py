@@ -76,7 +76,7 @@ class PairedReadings:
         count, blocks = len(self.transfer.photodiodes), []
         for one, part, level in zip(self.transfer.traces, self.parts, self.level, strict=True):
             share = part[:, 0] / level[one.photodiode]
-            blocks.append(covariance_of_sums(one.photon, one.photodiode, share, count))
+            blocks.append(covariance_of_sums(one.photon, one.photodiode, share, count) - 1 / one.photons)
         return np.asarray(block_diag(*blocks))
 
     @cached_property
