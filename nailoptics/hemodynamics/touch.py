@@ -39,7 +39,7 @@ class Contact:
     distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
         its share, the proximal side carries all else. [N]
 
-    Raises: InputError if an area is not positive, or the share is not in 0..1.
+    Raises: InputError if an area or contact_force_n is not positive, or the share is not in 0..1.
     """
 
     contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2
@@ -51,7 +51,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         fraction("proximal_share", self.proximal_share)
-        for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2"):
+        for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2", "contact_force_n"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
 

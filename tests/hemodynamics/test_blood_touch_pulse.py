@@ -96,8 +96,8 @@ def test_a_touch_that_cannot_be_is_refused(arguments, name):
         Contact(*arguments[1:]).pressures(arguments[0])
 
 
-@pytest.mark.parametrize("name", ["proximal_area_mm2", "distal_area_mm2"])
-def test_an_area_of_a_side_must_be_positive(name):
+@pytest.mark.parametrize("name", ["proximal_area_mm2", "distal_area_mm2", "contact_force_n"])
+def test_an_area_of_a_side_and_the_force_of_a_contact_must_be_positive(name):
     with pytest.raises(InputError, match=name):
         Contact(**{name: 0.0})
 
