@@ -8,7 +8,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> None:
-    """Run the command line; processes that a batch spawns, which load this file too, do not."""
+    """Run the command line."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # A Ctrl-C while the program is loaded or ends makes no traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -31,7 +31,7 @@ def sweep(
     """Run a study of a scene over values of its fields, in several processes, as one dataset.
 
     Each field is a dimension, called as its last part, such as so2; its values, with their unit, are the coordinate.
-    Scenes that differ in absorption only share one trace. In a script, call it below `if __name__ == "__main__":`.
+    Scenes that differ in absorption only share one trace.
 
     scene : a scene, a scene file, or the name of a shipped scene.
     over : values by field, such as {"blood.so2": [0.9, 0.97], "leds.ir.flux_mw": [1.0, 2.0]}.

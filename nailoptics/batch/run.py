@@ -3,12 +3,14 @@
 import logging
 import multiprocessing
 import os
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent import futures
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import ModuleType
 from typing import TypeAlias, Unpack
 
 from ..errors import InputError, NailopticsError, NotReachedError, WriteError
@@ -124,13 +126,19 @@ class LocalSlots:
             for ready in [executor.submit(os.getpid) for executor in self.executors]:
                 ready.result()
         except futures.BrokenExecutor:
-            why = "in a script, run batches under if __name__ == '__main__': only"
-            raise NailopticsError(f"the worker processes die as they start; {why}.") from None
+            raise NailopticsError("the worker processes die as they start, for the reason that they print.") from None
 
     def _new(self) -> futures.Executor:
         # Mitsuba and forking do not mix.
         spawn = multiprocessing.get_context("spawn")
-        return futures.ProcessPoolExecutor(1, mp_context=spawn, initializer=prepare, initargs=(self.threads,))
+        executor = futures.ProcessPoolExecutor(1, mp_context=spawn, initializer=prepare, initargs=(self.threads,))
+        # The first call starts the process, which runs what is the main module then: no script of the user.
+        main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+        try:
+            executor.submit(os.getpid)
+        finally:
+            sys.modules["__main__"] = main
+        return executor
 
     def submit(self, slot: int, job: Job, settings: Settings) -> Result:
         """Give a slot a job."""
@@ -144,6 +152,10 @@ class LocalSlots:
         """Replace a slot whose worker died."""
         self.executors[slot].shutdown(wait=False, cancel_futures=True)
         self.executors[slot] = self._new()
+
+    def are_gone(self) -> bool:
+        """Whether no worker is left that could end a job."""
+        return False
 
     def close(self, *, now: bool) -> None:
         """Let the workers go; at once, with whatever they do, or when they are done."""
@@ -187,6 +199,10 @@ class ClusterSlots(LocalSlots):
 
     def renew(self, slot: int) -> None:
         """The scheduler does."""
+
+    def are_gone(self) -> bool:
+        """Whether the cluster has lost all its workers."""
+        return not self.client.nthreads()
 
     def close(self, *, now: bool) -> None:
         """Leave the cluster."""
@@ -256,6 +272,8 @@ class _Driver:
         while self.queue or self.running:
             if self.settings.is_late():
                 self.queue.clear()
+                if slots.are_gone():
+                    break
             while free and (job := self._next_job()):
                 self.queue.remove(job)
                 slot = free.pop(0)

@@ -130,6 +130,14 @@ def test_a_run_without_workers_goes_on_with_new_ones(calm, cluster, tmp_path):
 
 
 @pytest.mark.slow
+def test_max_seconds_ends_a_run_that_has_lost_all_workers(calm, cluster, tmp_path):
+    _, progress = once(0, lambda: [cluster.end(worker) for worker in cluster.workers])
+    with pytest.raises(NotReachedError, match="max_seconds ended the run") as caught:
+        run_batch(calm.sweep, tmp_path / "b", scheduler=cluster.address, max_seconds=5, progress=progress)
+    assert 0 < caught.value.result.unfinished <= 30
+
+
+@pytest.mark.slow
 def test_a_scene_that_kills_every_worker_of_a_cluster_fails_alone(jit_backend, cluster_with_nannies, tmp_path):
     cluster = cluster_with_nannies
     sweep = phantoms(tmp_path, 5)

@@ -1,11 +1,15 @@
 """A sweep from Python: the scenes, results and folder of a batch over the same values."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 import nailoptics as nail
 from nailoptics.batch import load_sweep, run_batch
 from nailoptics.errors import InputError, NotReachedError
+from nailoptics.scene import to_toml
 from nailoptics.scene.sweep import sweep_over
 
 from .conftest import FINGERS, bits, phantoms
@@ -36,6 +40,23 @@ def test_in_a_folder_a_sweep_goes_on(jit_backend, here, tmp_path):
     both = nail.sweep(scene, {field: np.array([0.5, 1.0, 2.0])}, **more)
     assert len(bits(folder)) == 3 and before.items() <= bits(folder).items()
     assert both.isel(thickness_mm=[0, 1]).equals(first)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("is_file", [True, False])
+def test_a_script_without_a_main_guard_is_run_once(jit_backend, tmp_path, is_file):
+    """Expected: from a file or the standard input, its worker processes do not run it again."""
+    (tmp_path / "slab.toml").write_text(to_toml(phantoms(tmp_path, 1).scenes[0]))
+    field = "phantom.layers.slab.thickness_mm"
+    text = f"""import nailoptics as nail
+print("run", flush=True)
+swept = nail.sweep("slab.toml", {{"{field}": [0.5, 1.0]}}, workers=2, backend="{jit_backend.name}")
+print(*swept.state.values)
+"""
+    (tmp_path / "script.py").write_text(text)
+    command, given = [sys.executable, "script.py" if is_file else "-"], None if is_file else text
+    done = subprocess.run(command, input=given, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout == "run\ndone done\n", done.stderr
 
 
 @pytest.mark.jit

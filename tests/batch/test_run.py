@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-import multiprocessing
+import multiprocessing.spawn
 import os
 import random
 import signal
@@ -27,7 +27,7 @@ from nailoptics.batch import (
 )
 from nailoptics.batch.folder import Folder, meets
 from nailoptics.batch.jobs import Settings, in_order, jobs_of, of_shard, plan_of, work
-from nailoptics.errors import InputError, NotReachedError
+from nailoptics.errors import InputError, NailopticsError, NotReachedError
 from nailoptics.light import backend
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Accuracy
@@ -114,6 +114,13 @@ def done_here(sweep: Sweep, settings: Settings) -> list[tuple[str, str]]:
     folder.make()
     folder.write_plan(plan_of(sweep, jobs, settings))
     return [work(job, settings) for job in in_order(jobs)]
+
+
+def test_workers_that_cannot_start_are_refused_in_a_line(jit_backend, tmp_path, monkeypatch):
+    monkeypatch.setattr(multiprocessing.spawn, "_python_exe", b"/bin/false")
+    with pytest.raises(NailopticsError, match="die as they start"):
+        run_batch(phantoms(tmp_path, 2), tmp_path / "b", workers=2)
+    assert not children()
 
 
 @pytest.mark.long
