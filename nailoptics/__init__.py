@@ -1,16 +1,15 @@
 """nailoptics: an optical sensor on a fingernail, simulated from touch force to photodiode volts."""
 
 import importlib
-import sys
 from typing import Any
 
-from .display import Displayed
+from .display import Displayed, show_datasets
 from .version import __version__ as __version__
 
 # Where each public name lives, as the stub for type checkers says, line by line: `import nailoptics` imports none.
 with open(f"{__file__}i", encoding="utf-8") as _stub:
     _WORDS = [line.split() for line in _stub if line.startswith("from .") and "__version__" not in line]
-_HOMES = {name: home for _, home, _, name, *_ in _WORDS}
+_HOMES = {name: home for _, home, _, name, *_ in _WORDS} | {"scene": "."}
 __all__ = [*_HOMES]
 
 
@@ -19,6 +18,7 @@ def _accessor(shown: object) -> Any:
 
 
 Displayed.accessor = _accessor
+show_datasets()
 
 
 def __getattr__(name: str) -> Any:
@@ -27,8 +27,6 @@ def __getattr__(name: str) -> Any:
     if _HOMES[name] == ".":
         return importlib.import_module(f".{name}", __name__)
     found = getattr(importlib.import_module(_HOMES[name], __name__), name)
-    if "xarray" in sys.modules:  # results show themselves by `result.nail`
-        importlib.import_module(".report.accessor", __name__)
     if not isinstance(found, type):
         from .options import spell_out
 

@@ -3,7 +3,6 @@
 from typing import Any
 
 from . import hemodynamics as hemodynamics
-from . import scene as scene
 from . import tissue as tissue
 from .batch import open_results as open_results
 from .batch import sweep as sweep
@@ -37,5 +36,6 @@ from .studies.validation.validate import validate as validate
 from .version import __version__ as __version__
 
 __all__: list[str]
+scene = load_scene  # called; the module has more
 
 def __getattr__(name: str) -> Any: ...

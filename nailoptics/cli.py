@@ -653,11 +653,11 @@ def schema(*, of: Literal["scene", "sweep"] = "scene") -> None:
     Args:
         of: Which file the schema is for.
     """
-    from . import scene
+    from .scene import json_schema
     from .scene.sweep import sweep_json_schema
 
     # As scenes/scene.schema.json is, byte for byte.
-    print(to_json(sweep_json_schema() if of == "sweep" else scene.json_schema(), indent=1))
+    print(to_json(sweep_json_schema() if of == "sweep" else json_schema(), indent=1))
 
 
 @app.command(name="store")

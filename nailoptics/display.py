@@ -1,6 +1,9 @@
 """What objects show of themselves in a notebook, by the report room, which lies above all that it shows."""
 
+import sys
 from collections.abc import Callable
+from importlib.abc import MetaPathFinder
+from importlib.machinery import PathFinder
 from typing import Any, ClassVar
 
 
@@ -17,3 +20,28 @@ class Displayed:
 
     def _repr_html_(self) -> str:
         return str(self.nail.html())
+
+
+class _XarrayFinder(MetaPathFinder):
+    """Registers `nail` once xarray has been imported, which `import nailoptics` does not wait for."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        spec = PathFinder.find_spec(name, path) if name == "xarray" else None
+        if spec and spec.loader:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: Any) -> None:
+                execute(module)
+                sys.meta_path.remove(self)
+                show_datasets()
+
+            vars(spec.loader)["exec_module"] = execute_and_register
+        return spec
+
+
+def show_datasets() -> None:
+    """Give Datasets their `nail`: now, or when somebody imports xarray."""
+    if "xarray" in sys.modules:
+        sys.modules["xarray"].register_dataset_accessor("nail")(Displayed.accessor)
+    else:
+        sys.meta_path.insert(0, _XarrayFinder())

@@ -9,8 +9,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import xarray as xr
-
 from ..errors import InputError
 from ..scene import Scene, parse_scene
 from .files import Report, write_files
@@ -53,7 +51,6 @@ class Page(Html):
         return f'<iframe srcdoc="{html.escape(self)}" width="100%" height="700" style="border: 0"></iframe>'
 
 
-@xr.register_dataset_accessor("nail")
 class Nail:
     """Figures, page and summary of a result: `result.nail`."""
 

@@ -1,4 +1,8 @@
-"""WHAT THE USER WROTE: frozen models of a scene, read from and written to TOML."""
+"""WHAT THE USER WROTE: frozen models of a scene, from and to TOML; called, the package reads one (`load_scene`)."""
+
+import sys
+from pathlib import Path
+from types import ModuleType
 
 from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
 from .electronics import Ambient, Electronics
@@ -16,3 +20,12 @@ from .touch import ForceStep, Touch
 from .tracing import Accuracy, Light
 from .vessels import Blood, Tuning
 from .viewing import Viewing
+
+
+class _Room(ModuleType):
+    def __call__(self, path: str | Path) -> Scene:
+        """Read a scene file, or the shipped scene of that name, as `load_scene` does."""
+        return load_scene(path)
+
+
+sys.modules[__name__].__class__ = _Room
