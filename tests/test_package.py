@@ -127,7 +127,7 @@ def test_datasets_show_themselves_whichever_is_imported_first(first):
     """
     command = [sys.executable, "-W", "error", "-c", code, first]
     done = subprocess.run(command, capture_output=True, text=True)
-    assert done.stdout == "True\n" and "mine\" is no result that nailoptics can show" in done.stderr
+    assert done.stdout == "True\n" and 'mine" is no result that nailoptics can show' in done.stderr
 
 
 def test_help_has_every_option_of_a_study():
