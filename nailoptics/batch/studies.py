@@ -51,10 +51,14 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     if scene.phantom is not None:
         return _trace(scene, options, stores, traced)
     from ..hemodynamics.for_scene import blood_over_touch
+    from ..sensor.ambient import scene_ambient_a
+    from ..sensor.worn_light import WornLight, with_fitted_resistors
     from ..studies.simulate import simulate_from
 
     transfer, photons, reached = _transfer(scene, options, stores, None)
-    result = simulate_from(scene, light_of(transfer), course=blood_over_touch(scene), options=options)
+    light = WornLight(with_fitted_resistors(scene), light_of(transfer), scene_ambient_a(scene, options))
+    course = blood_over_touch(scene, bandwidth_hz=scene.electronics.bandwidth_hz)
+    result = simulate_from(light, course=course, seed=options.seed)
     return _summarised(result), photons, reached
 
 

@@ -284,12 +284,15 @@ class BloodModel:
         oxygen, all_arterial = steady * so2 + (fraction - steady) * self.blood.so2, np.full(so2.shape, self.blood.so2)
         return np.clip(np.divide(oxygen, fraction, out=all_arterial, where=fraction > 0), 0.0, 1.0)
 
-    def over_touch(self, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
+    def over_touch(
+        self, *, model: Model = "massless", rtol: float = 1e-6, bandwidth_hz: float | None = None
+    ) -> xr.Dataset:
         """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
 
         The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
 
         model, rtol : as for `hemodynamics.respond`.
+        bandwidth_hz : of a stage, to have the `false_forces_n` at the end of the hold, too. [Hz]
         """
         course, moving = self.touch, self.body_waveforms()
         time_s, pressures = course.samples_s, course.waveforms()
@@ -332,7 +335,12 @@ class BloodModel:
             data["so2"] = hemodynamics.saturation(self.blood, fraction) if so2 is None else so2
         if len(fraction) > 2:
             data["white_band_mm"] = self.white_band_mm(fraction)
-        return run.assign(described(__package__, **data))
+        run = run.assign(described(__package__, **data))
+        hold_n = float(run.force_n[hold_end(run)])
+        if bandwidth_hz and (false_n := self.false_forces_n(hold_n, bandwidth_hz=bandwidth_hz)):
+            run = run.assign(described(__package__, false_force_n=list(false_n.values())))
+            run = run.assign_coords(described(__package__, disturbance=list(false_n)))
+        return run
 
 
 def blood_model(scene: Scene) -> BloodModel:
@@ -350,9 +358,15 @@ def blood_model(scene: Scene) -> BloodModel:
     )
 
 
-def blood_over_touch(scene: Scene, *, model: Model = "massless", rtol: float = 1e-6) -> xr.Dataset:
-    """What a scene's touch makes of its blood, as `BloodModel.over_touch`."""
-    return blood_model(scene).over_touch(model=model, rtol=rtol)
+def blood_over_touch(scene: Scene, **how: Any) -> xr.Dataset:
+    """What a scene's touch makes of its blood; how : of `BloodModel.over_touch`."""
+    return blood_model(scene).over_touch(**how)
+
+
+def hold_end(result: xr.Dataset) -> int:
+    """Index of the end of the hold: the last sample whose force is (nearly) as far from the first as any."""
+    departure = np.abs(result.force_n.to_numpy() - float(result.force_n[0]))
+    return int(np.flatnonzero(departure >= 0.995 * departure.max())[-1])
 
 
 def steady_blood(scene: Scene, force_n: ArrayLike) -> np.ndarray:

@@ -1,9 +1,9 @@
 """The photon map: every photon that arrives at the board's underside, read as any photodiode anywhere would read it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -19,12 +19,15 @@ from ..statistics import stderr_of_mean
 from ..variables import Variables, variable
 from . import backend as backends
 from . import optics
+from .identity import light_scene
 from .tracing.store import LightStore, made_of, stored_or_made
 from .transfer.records import FINGER_BATCH_PHOTONS
 from .transfer.reweight import attenuation
 
 if TYPE_CHECKING:
     from .walk.finger import FingerTracer
+
+T = TypeVar("T")
 
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
@@ -40,6 +43,7 @@ class Arrivals:
     weight : (n,) float. Weight at arrival of 1 at emission, at the traced absorption, as photodiodes count light that
         comes at its angle.
     path_mm : (n, r) float32. Path in each absorber. [mm]
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
     """
 
     photons: int
@@ -47,6 +51,7 @@ class Arrivals:
     place_mm: np.ndarray
     weight: np.ndarray
     path_mm: np.ndarray
+    mu_a: np.ndarray
 
     def stored(self, part: str = "") -> dict[str, np.ndarray]:
         """The same as arrays of numbers in single precision, in which they were traced; `part` begins their names."""
@@ -60,36 +65,45 @@ class Arrivals:
 
     def select(self, which: np.ndarray) -> "Arrivals":
         """Some of the arrivals of these photons, (n,) bool."""
-        columns = (getattr(self, name)[which] for name in ("photon", "place_mm", "weight", "path_mm"))
-        return Arrivals(self.photons, *columns)
+        names = ("photon", "place_mm", "weight", "path_mm")
+        return replace(self, **{name: getattr(self, name)[which] for name in names})
 
-    @classmethod
-    def joined(cls, batches: "Sequence[Arrivals]") -> "Arrivals":
+    @staticmethod
+    def joined(batches: "Sequence[Arrivals]") -> "Arrivals":
         """Batches of one LED as one, their photons counted on."""
         first = np.cumsum([0, *(batch.photons for batch in batches)])
         photon = np.concatenate([batch.photon + n for batch, n in zip(batches, first, strict=False)])
-        columns = (
-            np.concatenate([getattr(batch, name) for batch in batches]) for name in ("place_mm", "weight", "path_mm")
-        )
-        return cls(int(first[-1]), photon, *columns)
+        columns = {
+            name: np.concatenate([getattr(batch, name) for batch in batches])
+            for name in ("place_mm", "weight", "path_mm")
+        }
+        return replace(batches[0], photons=int(first[-1]), photon=photon, **columns)
 
     def thin(self, step: int, first: int) -> "Arrivals":
         """The arrivals of every so many photons, from one of the first on."""
         return replace(self.select(self.photon % step == first), photons=len(range(first, self.photons, step)))
 
-    @classmethod
-    def from_stored(cls, photons: int, arrays: dict[str, np.ndarray], part: str = "") -> "Arrivals":
-        """What such arrays were made of, bit for bit."""
-        photon, place, weight, path = (arrays[part + name] for name in ("photon", "place_mm", "weight", "path_mm"))
-        return cls(photons, photon.astype(np.int64), place.astype(float), weight.astype(float), path)
+    def from_outside(self, per_mm2: np.ndarray, mu_a: np.ndarray, *, area_mm2: float, n: float) -> np.ndarray:
+        """What each photon that left adds to what its photodiode collects of light from outside, (sources, n) float;
+        the sum over the photons that were emitted is all of it.
+
+        By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
+        n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun
+        in one place gives no part of the skin more than its irradiance, so that the same from all sides is no less, but
+        for the few percent by which steep light enters more easily. Scattering is that of the traced wavelength: at
+        shorter ones light scatters more and less of it comes in.
+
+        per_mm2 : (sources, q) float. What an area would collect without a finger, wavelength by wavelength. [mm^-2]
+        mu_a : (q, r) float. Absorption at each wavelength. [mm^-1]
+        area_mm2 : of the photodiode. n : index around it.
+        """
+        part = per_mm2 @ attenuation(self.path_mm.astype(float), mu_a - self.mu_a).T
+        return n**2 * area_mm2 * self.weight * part / self.photons
 
 
 class BoardTracer:
-    """Traces a finger scene's LEDs onto its board, whatever its photodiodes.
-
-    Give it `light_scene(scene)` for light that all scenes share which differ in blood, touch or electronics; who reads
-    it gives `blood_point` the scene that was traced.
-    """
+    """Traces a finger scene's LEDs onto its board, whatever its photodiodes: the light that all scenes share which
+    differ in blood, touch or electronics."""
 
     batch_photons = FINGER_BATCH_PHOTONS
 
@@ -110,7 +124,10 @@ class BoardTracer:
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
         self.backend = backends.choose_jit(backend, "a photon map")
-        self.scene, self.spacing_mm, self.store, self.seed = scene, spacing_mm, store, seed
+        # Its light knows no names.
+        self.photodiodes = scene.photodiodes
+        self.scene, self.spacing_mm, self.store, self.seed = light_scene(scene), spacing_mm, store, seed
+        self.mu_a = [optics.absorption(self.scene, led.wavelength_nm)[0] for led in self.scene.leds]
 
     @cached_property
     def tracer(self) -> "FingerTracer":
@@ -122,29 +139,39 @@ class BoardTracer:
         return FingerTracer(self.scene, spacing_mm=self.spacing_mm, with_faces=("kapton",))
 
     def _stored(
-        self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any
-    ) -> dict[str, np.ndarray]:
-        """Arrays of the store, or new ones.
+        self,
+        led: int,
+        name: str,
+        trace: Callable[[], dict[str, np.ndarray]],
+        build: Callable[[dict[str, np.ndarray]], T],
+        **more: Any,
+    ) -> T:
+        """What `build` makes of arrays of the store, or of new ones.
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
         lights = []
         if self.store is not None:
             made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
-            traced = optics.absorption(self.scene, self.scene.leds[led].wavelength_nm)[0]
-            made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": traced.tolist()}
+            made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": self.mu_a[led].tolist()}
             lights = [self.store.light(made)]
-        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
+        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: build(arrays))[0]
+
+    def _from_stored(self, led: int, photons: int, arrays: Mapping[str, np.ndarray], part: str = "") -> Arrivals:
+        """What arrivals were that are stored, bit for bit."""
+        photon, place, weight, path = (arrays[part + name] for name in ("photon", "place_mm", "weight", "path_mm"))
+        columns = photon.astype(np.int64), place.astype(float), weight.astype(float), path
+        return Arrivals(photons, *columns, self.mu_a[led])
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
-        check_one_response(self.scene.photodiodes)
+        check_one_response(self.photodiodes)
 
         def trace() -> dict[str, np.ndarray]:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
             return arrived.reweighted(self._accepted(0, cos)).stored()
 
-        return Arrivals.from_stored(photons, self._stored(led, f"arrivals{seed}-{photons}", trace))
+        return self._stored(led, f"arrivals{seed}-{photons}", trace, partial(self._from_stored, led, photons))
 
     def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
         """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED,
@@ -164,8 +191,10 @@ class BoardTracer:
                 arrived, left = (arrivals.reweighted(sent[arrivals.photon]) for arrivals in (arrived, left))
             return arrived.stored() | left.stored("left_")
 
-        arrays = self._stored(led, f"back{photodiode}_{seed}-{photons}", trace)
-        return Arrivals.from_stored(photons, arrays), Arrivals.from_stored(photons, arrays, "left_")
+        def build(arrays: dict[str, np.ndarray]) -> tuple[Arrivals, Arrivals]:
+            return self._from_stored(led, photons, arrays), self._from_stored(led, photons, arrays, "left_")
+
+        return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
 
     def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
@@ -174,7 +203,7 @@ class BoardTracer:
         like the scene's counts it there; the same as such a photodiode counts it where it starts, of an LED where it
         arrives; and light that leaves into the air, as it counts where it starts.
         """
-        check_one_response(self.scene.photodiodes)
+        check_one_response(self.photodiodes)
         face = underside(self.tracer.geometry)
         starts, sent = self.tracer.starts(face, photons=photons, seed=seed)
         arrived, cos, left = self._onto_board(led, face, photons, seed)
@@ -194,11 +223,11 @@ class BoardTracer:
         walked = self.tracer.walk(led, photons=photons, seed=seed, face=face, board=tally)
         photon, place, weight, paths, cos = tally.arrays()
         left = np.flatnonzero(walked.outcome == TOP)
-        nowhere = np.full((len(left), 2), np.nan)
+        nowhere, mu_a = np.full((len(left), 2), np.nan), self.mu_a[led]
         return (
-            Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths)),
+            Arrivals(photons, photon, place, weight, self.tracer.by_zone(paths), mu_a),
             cos,
-            Arrivals(photons, left, nowhere, walked.weight[left], self.tracer.by_zone(walked.path_mm[:, left])),
+            Arrivals(photons, left, nowhere, walked.weight[left], self.tracer.by_zone(walked.path_mm[:, left]), mu_a),
         )
 
     def _accepted(self, photodiode: int, cos: np.ndarray) -> np.ndarray:
@@ -218,12 +247,12 @@ class BoardTracer:
             walked = tracer.walk(led, photons=photons, seed=seed, acceptance=acceptance_of(self.scene.photodiodes))
             ended, count = np.flatnonzero(walked.outcome >= DETECTED), len(tracer.photodiodes)
             paths, nowhere = tracer.by_zone(walked.path_mm[:, ended]), np.zeros((len(ended), 2))
-            values = point.values(Arrivals(photons, ended, nowhere, walked.weight[ended], paths))
+            values = point.values(Arrivals(photons, ended, nowhere, walked.weight[ended], paths, self.mu_a[led]))
             by_column = [np.bincount(walked.outcome[ended] - DETECTED, column, minlength=count) for column in values.T]
             return {"means": np.stack(by_column, -1) / photons}
 
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
-        return self._stored(led, f"detected{seed}-{photons}", trace, blood=blood)["means"]
+        return self._stored(led, f"detected{seed}-{photons}", trace, lambda arrays: arrays["means"], blood=blood)
 
     def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
         """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail
@@ -247,21 +276,20 @@ class BloodPoint:
     """Absorption over an LED's line in one state, and how it changes with the blood of each zone.
 
     share : (q,) float. Weight of each wavelength times the photodiode's response relative to that at the peak.
-    mu_a, traced : (q, r), (r,) float. Absorption in this state, and when the light was traced. [mm^-1]
+    mu_a : (q, r) float. Absorption in this state. [mm^-1]
     slope : (q,) float. Absorption per blood fraction. [mm^-1]
     beds : Columns of the bed's zones.
     """
 
     share: np.ndarray
     mu_a: np.ndarray
-    traced: np.ndarray
     slope: np.ndarray
     beds: tuple[int, ...]
 
     def values(self, arrivals: Arrivals) -> np.ndarray:
         """What each arrival adds, (n, 2 + K): to the reading, to its part never in the bed, to d reading / d blood."""
         path = arrivals.path_mm.astype(float)
-        part = self.share * attenuation(path, self.mu_a - self.traced)
+        part = self.share * attenuation(path, self.mu_a - arrivals.mu_a)
         weight = arrivals.weight * part.sum(1)
         per_path = arrivals.weight * (part @ self.slope)
         bed = path[:, self.beds]
@@ -269,12 +297,9 @@ class BloodPoint:
         return np.column_stack([weight, direct, -per_path[:, None] * bed])
 
 
-def blood_point(
-    scene: Scene, led: int, *, traced: Scene | None = None, blood_fraction: ArrayLike | None = None
-) -> BloodPoint:
+def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = None) -> BloodPoint:
     """The absorption of a scene's blood state over the line of one of its LEDs.
 
-    traced : the scene whose light was traced, if another of the same shape and scattering.
     blood_fraction : (K,) float in 0-1; at rest if not given.
     """
     optics.check_line(scene, led)
@@ -286,7 +311,6 @@ def blood_point(
     return BloodPoint(
         share=share * wavelength / source.wavelength_nm,
         mu_a=mu_a,
-        traced=optics.absorption(traced or scene, source.wavelength_nm)[0],
         slope=np.asarray(blood.per_blood_fraction_per_mm, float),
         beds=beds,
     )

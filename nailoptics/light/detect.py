@@ -36,6 +36,8 @@ SECTION_PHOTONS = 1 << 15
 SECTION_FROM_Y_MM, SECTION_FROM_Z_MM = -14.0, -9.0
 # Air that it shows in front of the fingertip and above the board. [mm]
 AIR_BEYOND_TIP_MM, AIR_ABOVE_BOARD_MM = 0.5, 0.3
+# Photons of a rough trace, of all LEDs and, at least, of each: readings to some 5 %.
+ROUGH_PHOTONS, LEAST_ROUGH_PHOTONS = 1 << 16, 1 << 12
 # The stock integrator answers for states one by one, so it stops at this relative error even if less is required.
 VOLPATH_RELATIVE_ERROR = 0.05
 
@@ -183,6 +185,16 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
     made |= {"accuracy_reached": _reached(relative), "reused": int(transfer.reused)}
     paths = rest.mean_path_mm.values, rest.mean_path_mm_stderr.values, transfer.absorbers
     return DetectedLight(readings_at, *paths, attributes=transfer.attributes() | made, transfer=transfer)
+
+
+def rough_readings(scene: Scene, states: np.ndarray) -> ReadingSeries:
+    """Detected fractions of a finger scene in blood states (t, zones) by a short trace, the same for every command.
+
+    Raises: InputError without a backend that compiles kernels.
+    """
+    photons = max(ROUGH_PHOTONS // len(scene.leds), LEAST_ROUGH_PHOTONS)
+    transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
+    return light_of(transfer).readings_at(states)
 
 
 def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:

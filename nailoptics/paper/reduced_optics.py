@@ -1,6 +1,8 @@
 """The paper's reduced optics, Beer-Lambert (8) and Taylor (9), and the least-squares fit of their constants."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,12 +10,18 @@ from numpy.typing import ArrayLike
 from ..checks import Array, finite, not_negative
 from ..errors import InputError
 from ..statistics import jackknife
+from ..variables import Estimate, Variables, described
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # alpha D^2 at the largest D, between which it is searched: below, Beer-Lambert (8) is a straight line in D^2 to 1e-5 of
 # its slope; above, light is all gone.
 CURVATURES = np.geomspace(1e-4, 50.0, 21)
 # More readings than this are fitted as their means in so many narrow ranges of D^2: within one the curve is straight.
 MOST_READINGS, RANGES = 20_000, 4096
+# The errors of the fits' constants are taken at so many samples of a touch, evenly apart.
+FIT_SAMPLES = 64
 
 
 @dataclass(frozen=True)
@@ -201,6 +209,47 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
             )
             note = f"the readings are {low if curve.curvature < 1 else high} end of its range"
     return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
+
+
+# By the prefix of their variables.
+REDUCED_OPTICS: dict[str, Callable[..., OpticsFit]] = {"beer_lambert": fit_beer_lambert, "taylor": fit_taylor}
+
+
+def evenly_apart(samples: int) -> Array:
+    """Numbers of the samples of a touch at which errors of the constants are taken, (n,) int."""
+    return np.unique(np.linspace(0, samples - 1, FIT_SAMPLES).astype(int))
+
+
+def fit_reduced_optics(result: "xr.Dataset", few: Array, replicates_v: Array | None) -> Variables:
+    """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
+
+    result : volts over led, photodiode and time, capillary_diameter_m over zone and time, and zone_of_photodiode.
+    few : (n,) int. The samples of the replicates.
+    replicates_v : (led, photodiode, 1 + groups, n) float. Volts by all photons and without each group of them, whose
+        noise, shared by all samples, makes the constants' standard errors; NaN without it. [V]
+    """
+    shape = result.volts.shape[:2]
+    # One row for each zone, not for each photodiode.
+    diameter_m = [result.capillary_diameter_m.values[zone] for zone in result.zone_of_photodiode.values]
+    notes = np.full(shape, "", dtype=object)
+    data: Variables = {}
+    for model, fit in REDUCED_OPTICS.items():
+        fits = [[fit(*pair) for pair in zip(diameter_m, volts, strict=True)] for volts in result.volts]
+        rows = [[fit.predict(width_m) for fit, width_m in zip(of_led, diameter_m, strict=True)] for of_led in fits]
+        columns: dict[str, Any] = {f"volts_{model}": np.array(rows, result.volts.dtype)}
+        constants = list(fits[0][0].constants)
+        errors = np.full((*shape, len(constants)), np.nan)
+        for i, j in np.ndindex(shape):
+            if replicates_v is not None:
+                errors[i, j] = fits[i][j].stderr(diameter_m[j][few], replicates_v[i, j])
+            notes[i, j] = notes[i, j] or fits[i][j].remark(errors[i, j])
+        for k, name in enumerate(constants):
+            values = [[fit.constants[name] for fit in of_led] for of_led in fits]
+            columns[f"{model}_{name}"] = Estimate(values, errors[..., k])
+        for name in ("residual_rms_v", "residual_max_v"):
+            columns[f"{model}_{name}"] = [[getattr(fit, name) for fit in of_led] for of_led in fits]
+        data |= described(__package__, **columns)
+    return data | described(__package__, fit_note=notes.astype(str))
 
 
 def _beer_lambert_constants(curve: FittedCurve, scale_m2: float) -> tuple[dict[str, float], Array]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ..hemodynamics.for_scene import hold_end
 from ..scene import Scene
-from ..studies.simulate import hold_end
 from .files import run_summary
 from .maps import order_along_nail
 from .numbers import ASCII, aligned, prefix, quantity, significant, with_error, with_stderr

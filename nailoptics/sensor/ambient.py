@@ -9,14 +9,11 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..checks import Array
 from ..light import optics
-from ..light.board_map import Arrivals, BoardTracer
-from ..light.identity import light_scene
+from ..light.board_map import BoardTracer
 from ..light.tracing.store import LightStore
-from ..light.transfer.reweight import attenuation
 from ..options import TraceOptions
 from ..scene import Ambient, Photodiode, Scene
 from ..statistics import Z95, seed_of
-from ..variables import Estimate, Variables, described
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
@@ -72,34 +69,6 @@ def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> Array:
     return np.asarray(1e-6 * STEP_NM * spectral_irradiance(ambient, SILICON_NM) * responsivity)
 
 
-def collecting_area_mm2(escaping: ArrayLike, *, area_mm2: float, n: float) -> Array:
-    """Area that, without a finger, would collect as much isotropic light as a photodiode. [mm^2]
-
-    By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
-    n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun in
-    one place gives no part of the skin more than its irradiance, so that the same from all sides is no less, but for
-    the few percent by which steep light enters more easily.
-
-    escaping : fraction of that light, 0-1, any shape, that of the result. area_mm2 : of the photodiode. [mm^2]
-    n : index around it. [1]
-    """
-    return n**2 * area_mm2 * np.asarray(escaping, float)
-
-
-def photocurrents_a(escaped: Arrivals, change_per_mm: Array, a_per_mm2: Array, *, area_mm2: float, n: float) -> Array:
-    """What each photon that left adds to the photocurrent by light from outside, (n,) float; its sum over the photons
-    that were emitted is the photocurrent. [A]
-
-    Absorption is that of every wavelength, with the blood at rest, scattering that of the one traced: at shorter ones
-    light scatters more and leaks less.
-
-    change_per_mm : (q, r) float. Absorption at each wavelength of `INSIDE_NM` less that for which the weights hold.
-    a_per_mm2 : of `photocurrent_a_per_mm2`.
-    """
-    part = attenuation(escaped.path_mm.astype(float), change_per_mm) @ a_per_mm2
-    return collecting_area_mm2(escaped.weight * part / escaped.photons, area_mm2=area_mm2, n=n)
-
-
 def trace_ambient(
     scene: Scene,
     sources: Sequence[Ambient],
@@ -117,25 +86,21 @@ def trace_ambient(
 
     check_time : called before each trace; may raise.
     """
-    elements, light = scene.layout.photodiodes, light_scene(scene)
-    bare = [[photocurrent_a_per_mm2(source, element.photodiode) for source in sources] for element in elements]
-    led = int(np.argmax([led.wavelength_nm for led in scene.leds]))
-    traced_nm = scene.leds[led].wavelength_nm
-    change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(light, traced_nm)[0]
-    n = optics.index_around(scene, traced_nm)
+    elements, led = scene.layout.photodiodes, int(np.argmax([led.wavelength_nm for led in scene.leds]))
+    mu_a, n = optics.absorption(scene, INSIDE_NM), optics.index_around(scene, scene.leds[led].wavelength_nm)
     store = LightStore.of_user() if options.store else None
-    tracer = BoardTracer(light, spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
+    tracer = BoardTracer(scene, spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
     result = np.empty((3, len(sources), len(elements)))
     for j, element in enumerate(elements):
         check_time()
-        _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
         area_mm2 = element.area.area_mm2
-        for k, a_per_mm2 in enumerate(bare[j]):
-            currents_a = photocurrents_a(left, change_per_mm, a_per_mm2, area_mm2=area_mm2, n=n)
-            whole_a = area_mm2 * float(a_per_mm2.sum())
-            largest_a = float(currents_a.max(initial=0.0)) or whole_a / photons
-            total, square = float(currents_a.sum()), float((currents_a**2).sum())
-            result[:, k, j] = total, np.sqrt(max(square - total**2 / photons, largest_a**2)), whole_a
+        bare = np.stack([photocurrent_a_per_mm2(source, element.photodiode) for source in sources])
+        _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
+        currents_a, whole_a = left.from_outside(bare, mu_a, area_mm2=area_mm2, n=n), area_mm2 * bare.sum(1)
+        largest_a = currents_a.max(1, initial=0.0)
+        largest_a = np.where(largest_a > 0, largest_a, whole_a / photons)
+        total, square = currents_a.sum(1), (currents_a**2).sum(1)
+        result[..., j] = total, np.sqrt(np.maximum(square - total**2 / photons, largest_a**2)), whole_a
     if store is not None:
         store.close()
     return result
@@ -151,17 +116,9 @@ def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
     return np.asarray(current_a + Z95 * stderr_a)
 
 
-def ambient_in_readings(scene: Scene, options: TraceOptions) -> Variables:
-    """The scene's light from outside on its photodiodes, and what of it is in a reading; nothing without any."""
+def scene_ambient_a(scene: Scene, options: TraceOptions) -> Array | None:
+    """Photocurrents by a scene's [ambient]: estimate, standard error, and that of the bare photodiode, (3, photodiodes)
+    float; None without. [A]"""
     if scene.ambient is None:
-        return {}
-    current, error, bare = trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]
-    stage = scene.electronics
-    flicker = scene.ambient.flicker / np.sqrt(2) * electronics.flicker_gain(scene.ambient.flicker_hz, stage)
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
-    to_v, left = electronics.stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
-        factors = {"a": 1.0, "fraction": 1 / bare, "volts": to_v, "left_v": left * to_v, "flicker_v": flicker * to_v}
-        on_each = {f"ambient_{name}": Estimate(factor * current, factor * error) for name, factor in factors.items()}
-    shot_v2 = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
-    return described(__package__, **on_each, ambient_noise_v=np.sqrt(shot_v2))
+        return None
+    return trace_ambient(scene, [scene.ambient], options, seed=options.seed)[:, 0]

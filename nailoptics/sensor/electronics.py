@@ -11,6 +11,7 @@ from ..checks import Array, not_negative
 from ..errors import InputError
 from ..scene import Electronics, Led, Photodiode, Scene
 from ..scene.base import PHOTON_NM_PER_V
+from ..variables import Estimate, Variables, described
 
 Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
 Ohm: TypeAlias = Array | float | None
@@ -249,3 +250,19 @@ def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics
     """What all of an LED's light on a photodiode would give, or on each of several, by which changes and errors scale,
     () or (photodiodes,) float. [V]"""
     return np.asarray(photocurrent_a(1.0, led, photodiode) * stage_ohm(photodiode, amplifier))
+
+
+def ambient_in_readings(scene: Scene, current: Array, error: Array, bare: Array) -> Variables:
+    """The light from outside on a scene's photodiodes, and what of it is in a reading.
+
+    current, error, bare : (photodiodes,) float. Photocurrent, its standard error, and that in the open. [A]
+    """
+    stage, diodes = scene.electronics, [element.photodiode for element in scene.layout.photodiodes]
+    assert scene.ambient is not None
+    flicker = scene.ambient.flicker / np.sqrt(2) * flicker_gain(scene.ambient.flicker_hz, stage)
+    to_v, left = stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):  # of 0 lux
+        factors = {"a": 1.0, "fraction": 1 / bare, "volts": to_v, "left_v": left * to_v, "flicker_v": flicker * to_v}
+        on_each = {f"ambient_{name}": Estimate(factor * current, factor * error) for name, factor in factors.items()}
+    shot_v2 = read(0.0, scene.leds[0], diodes, stage, ambient_a=current).noise.ambient_v2
+    return described(__package__, **on_each, ambient_noise_v=np.sqrt(shot_v2))

@@ -7,46 +7,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array
-from ..errors import InputError, as_far_as_reached
+from ..errors import InputError
 from ..hemodynamics.for_scene import heart_rate_per_min
-from ..light import trace
-from ..light.detect import light_of
-from ..light.transfer.series import ReadingSeries
 from ..scene import Oximeter, Photodiode, Scene, Slot
 from ..scene.oximeter import DARK, two_leds
-from ..statistics import Z95
 from . import electronics
-from .ambient import LAMP, ambient_bound_a
+from .worn_light import with_fitted_resistors
 
 # A usual oximeter averages over so long. [s]
 AVERAGE_S = 8.0
-# Photons of the short trace to which resistors fit, of all LEDs and of each: readings to some 5 %.
-MOST_PHOTONS, LEAST_PHOTONS = 1 << 16, 1 << 12
 CAUSES = ("electronics", "converter", "ambient light")
-
-
-def rough_readings(scene: Scene, states: Array) -> ReadingSeries:
-    """Detected fractions of a finger scene in blood states (t, zones) by a short trace, the same for every command.
-
-    Raises: InputError without a backend that compiles kernels.
-    """
-    photons = max(MOST_PHOTONS // len(scene.leds), LEAST_PHOTONS)
-    transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
-    return light_of(transfer).readings_at(states)
-
-
-def with_fitted_resistors(scene: Scene) -> Scene:
-    """The scene with a resistor at every photodiode where it has "auto", the same for every command: fitted to the
-    upper end of the 95 % interval of the brightest LED through a bed without blood, beside [ambient] or a lamp."""
-    if scene.electronics.feedback_ohm != "auto":
-        return scene
-    read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))
-    bound = (read.fraction + Z95 * np.nan_to_num(read.stderr))[..., 0]
-    photodiodes = [element.photodiode for element in scene.layout.photodiodes]
-    lit_a = [
-        electronics.photocurrent_a(of_led, led, photodiodes) for of_led, led in zip(bound, scene.leds, strict=True)
-    ]
-    return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_bound_a(scene, usual=LAMP))
 
 
 @dataclass(frozen=True)

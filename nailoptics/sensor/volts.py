@@ -1,29 +1,27 @@
 """Light to volts over a touch: what every photodiode reads, with its standard error and noise, of a worn sensor."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import xarray as xr
 
-from ..light import DetectedLight
-from ..scene import Scene
-from ..variables import Estimate, Variables, described
+from ..checks import Array
+from ..light import Transfer
+from ..light.transfer.series import read_by_groups
+from ..variables import Estimate, described
 from . import electronics
-from .drift_motion import MovedLight, drift_and_motion, motion_artefact, reading_gain
+from .drift_motion import drift_and_motion, motion_artefact, reading_gain
+from .worn_light import WornLight
 
 
-def read_volts(
-    scene: Scene, light: DetectedLight, course: xr.Dataset, moved: Sequence[MovedLight], ambient: Variables
-) -> xr.Dataset:
-    """Detected fractions and volts over the course, with standard errors and noise, and the sensor's drift and motion.
+def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
+    """Detected fractions and volts over the course, with standard errors and noise, ambient light, and the sensor's
+    drift and motion.
 
-    course : of `blood_over_touch`. moved : the light under the sensor elsewhere, where the scene's body moves it.
-    ambient : the light from outside, of `ambient_in_readings`.
+    course : of `blood_over_touch`.
     """
-    blood = course.blood_fraction.values.T
+    scene, light, blood = lit.scene, lit.in_place, course.blood_fraction.values.T
     readings = light.over(scene, course)
     worn = drift_and_motion(scene, course.time.values)
-    motion, about_motion = motion_artefact(worn, readings, moved, blood)
+    motion, about_motion = motion_artefact(worn, readings, lit.moved, blood)
     # Only the light that arrives is moved light; what an LED or amplifier makes of it comes after.
     fraction, stderr, change_stderr = (
         np.multiply(motion, x, out=x) for x in (readings.fraction, readings.stderr, readings.change_stderr)
@@ -34,9 +32,9 @@ def read_volts(
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
-    ohm = electronics.stage_ohm(diodes, scene.electronics)
     saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
-    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(fraction.shape[1])
+    ambient = {} if lit.ambient_a is None else electronics.ambient_in_readings(scene, *lit.ambient_a)
+    ambient_a = np.zeros(fraction.shape[1]) if lit.ambient_a is None else lit.ambient_a[0]
     for i, j in np.ndindex(*fraction.shape[:2]):
         led, diode = scene.leds[i], diodes[j]
         read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
@@ -46,14 +44,15 @@ def read_volts(
         volts_stderr[i, j] = stderr[i, j] * per_fraction_v
         change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
         responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
-    data = about_motion | described(
+    data = ambient | about_motion
+    data |= described(
         __package__,
         detected_fraction=Estimate(fraction, stderr),
         volts=Estimate(volts, volts_stderr),
         volts_change=Estimate(change, change_stderr),
         volts_noise_rms=noise,
         saturated=saturated,
-        feedback_ohm=ohm,
+        feedback_ohm=electronics.stage_ohm(diodes, scene.electronics),
         responsivity_a_per_w=responsivity_a_per_w,
         mean_path_mm=Estimate(light.mean_path, light.mean_path_stderr),
         wavelength_nm=[led.wavelength_nm for led in scene.leds],
@@ -61,3 +60,17 @@ def read_volts(
     )
     names = {"led": [led.name for led in scene.leds], "photodiode": list(scene.layout.photodiode_names)}
     return xr.Dataset(data, names | {"absorber": list(light.absorbers)}).merge(worn)
+
+
+def replicates_v(result: xr.Dataset, transfer: Transfer) -> Array:
+    """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float. [V]
+
+    result : of `read_volts` and its course. transfer : the trace behind it.
+    """
+    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T)
+    read = np.moveaxis(read, 0, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Volts are proportional to the light, but for what is dark.
+        per_fraction = (result.volts_stderr / result.detected_fraction_stderr).values[:, :, None]
+        moved = (read / read[:, :, :1] - 1) * result.detected_fraction.values[:, :, None]
+    return np.asarray(result.volts.values[:, :, None] + per_fraction * moved)

@@ -11,9 +11,9 @@ import xarray as xr
 from pydantic import BaseModel
 
 from ..errors import as_far_as_reached
-from ..light import ProgressCallback, Transfer, optics, trace
+from ..light import ProgressCallback, Transfer, trace
 from ..light.identity import light_digest
-from ..light.transfer.series import read_replicates
+from ..light.transfer.series import read_by_groups
 from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..scene.priors import size_priors
@@ -358,13 +358,3 @@ def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
     change = np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1])
     scene_change = np.abs(np.expm1(base[..., 1]))
     return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))
-
-
-def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.ndarray:
-    """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float."""
-    by_led = []
-    for i, led in enumerate(transfer.scene.leds):
-        wavelength, _ = optics.spectrum(led)
-        mu_a = optics.absorption(scene, wavelength, blood_fraction=states)
-        by_led.append(read_replicates(transfer, i, mu_a, np.ones(len(wavelength))).reading)
-    return np.stack(by_led, 1)

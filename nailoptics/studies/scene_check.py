@@ -10,14 +10,15 @@ from ..errors import InputError
 from ..hemodynamics.for_scene import BloodModel, blood_model
 from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
+from ..light.detect import rough_readings
 from ..scene import Scene, SceneIn, as_scene
 from ..scene.rectangles import area_mm2
 from ..sensor import electronics
 from ..sensor.ambient import ambient_bound_a
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
-from ..sensor.front_end import rough_readings, with_fitted_resistors
 from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, scene_responses
+from ..sensor.worn_light import with_fitted_resistors
 from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the

@@ -107,7 +107,7 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     """Ten seconds at a higher rate: the vessels, the readings and the fits, without the photons."""
     from nailoptics.hemodynamics.for_scene import blood_over_touch
     from nailoptics.light import open_light
-    from nailoptics.options import TraceOptions
+    from nailoptics.sensor.worn_light import WornLight, with_fitted_resistors
     from nailoptics.studies.simulate import simulate_from
 
     scene = shipped(name)
@@ -116,7 +116,8 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     scene = scene.model_copy(update={"touch": touch})
     start = scene.model_copy(update={"touch": touch.model_copy(update={"sample_rate_hz": 10.0})})
     light = open_light(scene, states=blood_over_touch(start).blood_fraction.values.T, photons=FEW)
-    return lambda: simulate_from(scene, light, course=blood_over_touch(scene), options=TraceOptions(seed=1))
+    worn = WornLight(with_fitted_resistors(scene), light, None)
+    return lambda: simulate_from(worn, course=blood_over_touch(scene), seed=1)
 
 
 def scenes(count: int, *, opening: bool = False) -> Callable[[], object]:

@@ -136,7 +136,7 @@ def test_binned_map_and_records_agree_on_any_rectangle(scene, chosen_jit):
 def test_whole_outline_of_the_map_holds_every_arrival_once():
     rng = np.random.default_rng(1)
     place = rng.uniform([-1, -2], [1, 2], (1000, 2))
-    one = Arrivals(1000, np.arange(1000), place, np.ones(1000), np.zeros((1000, 3), np.float32))
+    one = Arrivals(1000, np.arange(1000), place, np.ones(1000), np.zeros((1000, 3), np.float32), np.zeros(3))
     binned = PhotonMap(Rectangle("o", -1, 1, -2, 2), values=1, blocks=10)
     binned.add(one, np.ones((1000, 1)))
     assert binned.over(np.array([[-1.0, 1.0, -2.0, 2.0]])).mean() == pytest.approx(1.0, rel=1e-12)
@@ -210,7 +210,9 @@ def test_a_turned_rectangle_of_a_map_holds_what_came_within_its_edges():
     """Light that falls off towards a corner, in points: strips on cells of 0.1 mm sum nearly what lies inside."""
     rng = np.random.default_rng(4)
     place = -4 + 8 * rng.random((200_000, 2)) ** 1.3
-    light = Arrivals(200_000, np.arange(200_000), place, np.ones(200_000), np.zeros((200_000, 1), np.float32))
+    light = Arrivals(
+        200_000, np.arange(200_000), place, np.ones(200_000), np.zeros((200_000, 1), np.float32), np.zeros(1)
+    )
     outline = Rectangle.around("board", (0.0, 0.0), (8.0, 8.0))
     summed = PhotonMap(outline, values=1)
     summed.add(light, light.weight[:, None])

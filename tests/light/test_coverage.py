@@ -153,10 +153,7 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         one = PhotonMap(outline, values=4, spacing_mm=1.0)
         for arrivals in several:
             one.add(arrivals, point.values(arrivals))
-        photons = several[0].photons
-        columns = [np.concatenate([getattr(a, name) for a in several]) for name in ("place_mm", "weight", "path_mm")]
-        numbers = np.concatenate([a.photon + i * photons for i, a in enumerate(several)])
-        together = Arrivals(photons * len(several), numbers, *columns)
+        together = Arrivals.joined(several)
         left = left_out(one.over(areas))
         volts = information.response(left, scene, 0, scene.photodiodes[0], at)
         resolution = information.force_resolution_n(information.fisher_information(volts).sum(-2), at)

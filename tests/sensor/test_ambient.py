@@ -18,9 +18,7 @@ from nailoptics.sensor.ambient import (
     INSIDE_NM,
     KELVIN,
     SOURCES,
-    collecting_area_mm2,
     photocurrent_a_per_mm2,
-    photocurrents_a,
     spectral_irradiance,
     trace_ambient,
 )
@@ -71,12 +69,11 @@ def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     """
     scene = parse_scene(covered(500)).model_copy()
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"index_steps": False})})
-    absorbers = len(optics.absorbers(scene))
-    all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), np.zeros((10, absorbers), np.float32))
+    no_path = np.zeros((10, len(optics.absorbers(scene))), np.float32)
+    all_left = Arrivals(10, np.arange(10), np.zeros((10, 2)), np.ones(10), no_path, no_path[0])
     perfect = scene.photodiodes[0].model_copy(update={"quantum_efficiency": 1.0})
-    change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(scene, 800.0)[0]
-    bare = photocurrent_a_per_mm2(SOURCES[0], perfect)
-    each = photocurrents_a(all_left, change_per_mm, bare, area_mm2=1.0, n=optics.index_around(scene, 800.0))
+    bare, mu_a = photocurrent_a_per_mm2(SOURCES[0], perfect)[None], optics.absorption(scene, INSIDE_NM)
+    each = all_left.from_outside(bare, mu_a, area_mm2=1.0, n=optics.index_around(scene, 800.0))
     assert each.sum() == pytest.approx(0.40e-3, rel=0.15)
 
 
@@ -90,16 +87,15 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     """
     scene = parse_scene(covered(cover))
     tracer = BoardTracer(scene)
-    each = []
-    for seed in range(4):
-        _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
-        each.append(left.weight.sum() / left.photons)
     shape = tracer.tracer.geometry
     found = optics.finger_media(scene, shape.regions, 800.0)
     n = found.n[shape.regions.index("epoxy")]
-    area = shape.photodiodes[0].area_mm2
-    ours = collecting_area_mm2(np.mean(each), area_mm2=area, n=n)
-    error = collecting_area_mm2(np.std(each, ddof=1) / 2, area_mm2=area, n=n)
+    area, mu_a = shape.photodiodes[0].area_mm2, optics.absorption(scene, 800.0)
+    each = []
+    for seed in range(4):
+        _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
+        each.append(left.from_outside(np.ones((1, 1)), mu_a, area_mm2=area, n=n).sum())
+    ours, error = np.mean(each), np.std(each, ddof=1) / 2
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
     bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))

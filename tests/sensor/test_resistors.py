@@ -6,11 +6,12 @@ import pytest
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import trace
+from nailoptics.light.detect import rough_readings
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Electronics, Led, Photodiode, Scene, load_scene, parse_scene, to_toml
 from nailoptics.sensor import electronics
 from nailoptics.sensor.ambient import LAMP, ambient_bound_a
-from nailoptics.sensor.front_end import rough_readings, with_fitted_resistors
+from nailoptics.sensor.worn_light import with_fitted_resistors
 from nailoptics.studies.prior_uncertainty import readings_over_priors
 from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate

@@ -17,8 +17,8 @@ from nailoptics.errors import InputError, NotReachedError
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
-from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
+from nailoptics.sensor.worn_light import WornLight
 from nailoptics.studies.exploration.explore import explore
 from nailoptics.studies.force.calibrate import calibrate
 from nailoptics.studies.model_error.tradeoff import tradeoff
@@ -343,7 +343,7 @@ def test_very_many_samples_take_little_memory(chosen_jit):
     scene = prototype(duration_s=3.0, sample_rate_hz=1e5)
     light = open_light(scene, states=np.full((1, 2), 0.03), photons=1 << 13)
     tracemalloc.start()
-    result = simulate_from(scene, light, course=blood_over_touch(scene), options=TraceOptions(seed=1))
+    result = simulate_from(WornLight(scene, light, None), course=blood_over_touch(scene), seed=1)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert result.volts.shape == (1, 8, 300_001) and peak < 64 * result.volts.size
@@ -358,7 +358,7 @@ def test_very_many_samples_of_many_zones_keep_no_copy_of_their_blood(chosen_jit)
     scene = scene.model_copy(update={"blood": scene.blood.model_copy(update={"zones": 8})})
     light, blood = open_light(scene, states=np.full((1, 8), 0.03), photons=1 << 13), blood_over_touch(scene)
     tracemalloc.start()
-    simulate_from(scene, light, course=blood, options=TraceOptions(seed=1))
+    simulate_from(WornLight(scene, light, None), course=blood, seed=1)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert blood.blood_fraction.dtype == np.float32 and peak < 80 * 8 * blood.sizes["time"]
@@ -443,7 +443,7 @@ def test_both_engines_give_the_same_volts_over_time(chosen_jit):
 
 
 def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypatch):
-    monkeypatch.setattr("nailoptics.sensor.drift_motion.open_light", None)
+    monkeypatch.setattr("nailoptics.sensor.worn_light.open_light", None)
     with pytest.raises(InputError, match="finger"):
         simulate(parse_scene(phantom({})))
     for seed in (-1, 2**63):

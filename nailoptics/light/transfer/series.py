@@ -194,15 +194,27 @@ class Replicates:
     mean_path_mm: np.ndarray
 
 
-def read_replicates(transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray) -> Replicates:
+def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.ndarray:
+    """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float."""
+    by_led = []
+    for i, led in enumerate(transfer.scene.leds):
+        mu_a = optics.absorption(scene, optics.spectrum(led)[0], blood_fraction=states)
+        by_led.append(read_replicates(transfer, i, mu_a).reading)
+    return np.stack(by_led, 1)
+
+
+def read_replicates(
+    transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray | None = None
+) -> Replicates:
     """Read one LED's trace in many states, with and without each group of its photons.
 
     mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
-    blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state. [mm^-1]
+    blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state; even if not given. [mm^-1]
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]
     wavelength, share = optics.spectrum(source)
     share = share * wavelength / source.wavelength_nm
+    blood_per_mm = np.ones(len(share)) if blood_per_mm is None else blood_per_mm
     mean = float(share @ blood_per_mm / share.sum())
     zones = list(optics.bed_columns(transfer.scene))
     count = len(transfer.photodiodes)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ...hemodynamics.for_scene import hold_end
 from ...scene import Scene
-from ...studies.simulate import hold_end
 from .. import style
 from ..maps import coloured_along_nail, led_name
 from ..numbers import prefix, significant

@@ -35,7 +35,7 @@ from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, s
 from ...light.transfer.reweight import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
-from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2, photocurrents_a
+from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import seed_of
 from ..placement import boards, candidates
@@ -112,13 +112,13 @@ class ColourSums:
         self, lit: Scene, number: int, basis: PairBasis, polynomial: BloodPolynomial, options: TraceOptions
     ) -> None:
         """lit : the bare board. number : of the wavelength."""
-        self.number, self.seed, self.basis, self.polynomial = number, options.seed, basis, polynomial
+        self.lit, self.number, self.seed, self.basis, self.polynomial = lit, number, options.seed, basis, polynomial
         self.tracer = BoardTracer(lit, backend=options.backend, spacing_mm=DISTANCE_MM)
         self.rest = blood_point(lit, 0)
         self.points = []
         for *blood, so2 in polynomial.states.tolist():
             state = lit.model_copy(update={"blood": lit.blood.with_so2(so2)})
-            self.points.append(blood_point(state, 0, traced=lit, blood_fraction=blood))
+            self.points.append(blood_point(state, 0, blood_fraction=blood))
         self.sums = np.zeros((basis.size, len(polynomial.exponents) + 1))
         self.blocks, self.photons = np.zeros((BLOCKS, basis.size, 3)), np.zeros(BLOCKS)
         self.weight = self.arrivals = 0.0
@@ -156,7 +156,7 @@ class ColourSums:
     def _values(self, arrivals: Arrivals) -> Array:
         """What each arrival adds: to each monomial, to the direct part, to the reading at rest and its two changes."""
         rest = self.rest.values(arrivals)
-        mu_a = np.stack([point.mu_a for point in self.points]) - self.points[0].traced
+        mu_a = np.stack([point.mu_a for point in self.points]) - arrivals.mu_a
         states = transmissions(arrivals.path_mm, mu_a, self.points[0].share) * arrivals.weight[:, None]
         return np.column_stack([states @ self.polynomial.coefficients.T, rest[:, [1, 0]], rest[:, 2:]])
 
@@ -179,21 +179,19 @@ class ColourSums:
 
     def _add_ambient(self, left: Arrivals) -> None:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
-        scene = self.tracer.scene
-        nm, diode = scene.leds[0].wavelength_nm, scene.layout.photodiodes[0].photodiode
-        change_per_mm = optics.absorption(scene, INSIDE_NM) - optics.absorption(scene, nm)[0]
-        n = optics.index_around(scene, nm)
+        scene = self.lit
+        diode, n = scene.layout.photodiodes[0].photodiode, optics.index_around(scene, scene.leds[0].wavelength_nm)
         r, (u, v) = scene.layout.outline, left.place_mm.T
         edges = [[r.u_min, r.u_max], [r.v_min, r.v_max]]
-        for k, source in enumerate(SOURCES):
-            bare = photocurrent_a_per_mm2(source, diode)
-            currents_a = photocurrents_a(left, change_per_mm, bare, area_mm2=self.area_mm2, n=n)
-            self.ambient_a[k] += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=currents_a)[0]
+        bare = np.stack([photocurrent_a_per_mm2(source, diode) for source in SOURCES])
+        by_source = left.from_outside(bare, optics.absorption(scene, INSIDE_NM), area_mm2=self.area_mm2, n=n)
+        for total_a, currents_a in zip(self.ambient_a, by_source, strict=True):
+            total_a += left.photons * np.histogram2d(u, v, AMBIENT_CELLS, edges, weights=currents_a)[0]
 
     def ambient(self) -> tuple[tuple[Array, Array], Array]:
         """Middles (u, v) of cells, (a,), (b,) float [mm], and the photocurrent there by light from outside, per area,
         (sources, a, b) float. [A/mm^2]"""
-        r, middles = self.tracer.scene.layout.outline, (np.arange(AMBIENT_CELLS) + 0.5) / AMBIENT_CELLS
+        r, middles = self.lit.layout.outline, (np.arange(AMBIENT_CELLS) + 0.5) / AMBIENT_CELLS
         nodes = r.u_min + (r.u_max - r.u_min) * middles, r.v_min + (r.v_max - r.v_min) * middles
         return nodes, self.ambient_a * (AMBIENT_CELLS**2 / (r.area_mm2 * self.photons.sum()))
 
@@ -285,10 +283,10 @@ def _stored_light(
 
 def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     """All that decides the tables' bits: beside the light's ways what absorbs it, what reads it, and this program."""
-    base, polynomial, backend = sums[0].tracer.scene, sums[0].polynomial, sums[0].tracer.backend.name
+    base, polynomial, backend = sums[0].lit, sums[0].polynomial, sums[0].tracer.backend.name
     read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
     light = digest(light_scene(base).model_copy(update=read_by))
-    leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.tracer.scene.leds[0] for band in sums)]
+    leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.lit.leds[0] for band in sums)]
     made = made_by("explore", light, leds[0][0], seed=seed, backend=backend)
     made |= {"leds": leds, "states": [[*polynomial.blood_fraction], [*polynomial.so2]]}
     return made | {"program": program_digest((*ROOMS, "sensor", "studies/exploration"))}
@@ -335,7 +333,7 @@ def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) ->
         band, block, size = batch
         band.add(block, size)
         done = sum(band.photons.sum() for band in sums) / sum(photons)
-        report(f"{band.tracer.scene.leds[0].wavelength_nm:g} nm", done)
+        report(f"{band.lit.leds[0].wavelength_nm:g} nm", done)
 
     ending = run_until(batches(), sample, is_late=lambda _: report.interrupted)
     if not report.interrupted and ending is not Ending.INTERRUPTED:

@@ -16,8 +16,8 @@ from ...options import TraceOptions
 from ...scene import Scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
-from ...sensor.ambient import ambient_in_readings
-from ...sensor.front_end import with_fitted_resistors
+from ...sensor.ambient import scene_ambient_a
+from ...sensor.worn_light import with_fitted_resistors
 from ...statistics import seed_of
 from .person import MOST_GAIN, TABLE, Array, Numbers, within
 
@@ -149,8 +149,8 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     step, stage = 0.5 * rest, scene.electronics
     near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
-    ambient = ambient_in_readings(scene, options)
-    ambient_a = ambient["ambient_a"][1] if ambient else np.zeros(len(diodes))
+    traced_a = scene_ambient_a(scene, options)
+    ambient_a = np.zeros(len(diodes)) if traced_a is None else traced_a[0]
     unlit = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=ambient_a)
     names, at_rest = reading_names(scene), near.fraction[..., 0]
     reads = [

@@ -16,11 +16,10 @@ from ...hemodynamics.for_scene import blood_over_touch
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.tracing import unlit
-from ...light.transfer.series import read_replicates
+from ...light.transfer.series import read_by_groups, read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene
 from ...variables import Variables, variable
-from ..prior_uncertainty import read_by_groups
 from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 from .paired import (
     Estimates,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...geometry import SPACING_MM
 from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
-from ...light.identity import light_digest, light_scene
+from ...light.identity import light_digest
 from ...light.tracing.store import LightStore
 from ...options import BackendName
 from ...scene import FingerCase, Scene, digest
@@ -35,7 +35,7 @@ def recorded(
     batches: Sequence[Arrivals], scene: Scene, led: int, point: OperatingPoint, areas: Sequence[Rectangle], blocks: int
 ) -> np.ndarray:
     """Means per emitted photon of light of one LED that was recorded on areas, (blocks, areas, values) float."""
-    blood = blood_point(scene, led, traced=light_scene(scene), blood_fraction=point.blood_fraction)
+    blood = blood_point(scene, led, blood_fraction=point.blood_fraction)
     light = Arrivals.joined(batches)
     by_block = (light.thin(blocks, k) for k in range(blocks))
     return np.stack([readings(block, blood.values(block), areas)[0] for block in by_block])
@@ -112,7 +112,7 @@ class PhotonMapCache:
     def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
         """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
         how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
-        return BoardTracer(light_scene(scene), spacing_mm=spacing_mm or self.distance_mm, **how)
+        return BoardTracer(scene, spacing_mm=spacing_mm or self.distance_mm, **how)
 
     def of(self, board: Scene) -> TracedBoard:
         """What is traced of a board; of a new one nothing."""
@@ -161,8 +161,8 @@ class PhotonMapCache:
         held, members = self.of(board), []
         for by_led, condition in zip(held.maps, self.conditions, strict=False):
             if condition.case.digit == digit:
-                at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": condition.point.blood_fraction}
-                members.append((by_led[led], blood_point(boards.worn_on(board, condition.case), led, **at)))
+                worn, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
+                members.append((by_led[led], blood_point(worn, led, blood_fraction=blood)))
         per_batch = self.batch_photons or tracer.batch_photons
         first = members[0][0].photons // per_batch
         for batch in range(first, first + max(1, round(photons / per_batch))):

@@ -112,8 +112,7 @@ def verify_layout(
     begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.of(layout.board).photons
     scene, point = boards.worn_on(layout.scene, condition.case), condition.point
     tracer = cache.tracer(scene)
-    at: dict[str, Any] = {"traced": tracer.scene, "blood_fraction": point.blood_fraction}
-    blood = tuple(blood_point(scene, led, **at) for led in range(len(scene.leds)))
+    blood = tuple(blood_point(scene, led, blood_fraction=point.blood_fraction) for led in range(len(scene.leds)))
     verification = _Verification(scene, point, cache, tracer, blood, stop)
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.

@@ -3,6 +3,7 @@
 import made_sensor
 import numpy as np
 import pytest
+import xarray as xr
 from untraced_light import MOST_BLOOD, untraced
 
 from nailoptics.errors import InputError
@@ -11,6 +12,8 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages.force import prediction_summary
 from nailoptics.scene import Ambient, Scene, Touch
 from nailoptics.scene.importers.sensor_recordings import Recording
+from nailoptics.sensor.ambient import scene_ambient_a
+from nailoptics.sensor.worn_light import WornLight
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable, reading_table, record
@@ -43,14 +46,18 @@ def table_of(scene: Scene) -> ReadingTable:
     return reading_table(scene, untraced(scene), MOST_BLOOD, TraceOptions())
 
 
+def simulated(scene: Scene, course: xr.Dataset, *, seed: int = 0) -> xr.Dataset:
+    light = WornLight(scene, untraced(scene), scene_ambient_a(scene, TraceOptions()))
+    return simulate_from(light, course=course, seed=seed)
+
+
 def recorded(scene: Scene, *, site: str, peaks_n: tuple[float, ...], seed: int) -> Recording:
     time_s = np.append(0.0, 3.0 + np.arange(4 * len(peaks_n) + 1))
     force_n = np.append([0.0, 0.0], np.array([[0.5, 1.0, 0.5, 0.0]]) * np.array(peaks_n)[:, None])
     given = {"recorded_time_s": tuple(time_s), "recorded_force_n": tuple(force_n), "site": site}
     own = {"creep": 0.0, "distal_relaxation_s": 1e-3, "sample_rate_hz": 10.0, "profile": "recorded"}
     touched = scene.model_copy(update={"touch": Touch.model_validate(given | own)})
-    course = blood_over_touch(touched, rtol=1e-4)
-    result = simulate_from(touched, untraced(touched), course=course, options=TraceOptions(seed=seed))
+    result = simulated(touched, blood_over_touch(touched, rtol=1e-4), seed=seed)
     return record(touched, result, seed=seed)
 
 
@@ -69,7 +76,7 @@ def test_a_table_reads_at_rest_what_simulate_does() -> None:
     for rejection in (None, "dark_slot", "lock_in"):
         scene = lit(1000.0, rejection)
         table, rest = table_of(scene), np.full(2, scene.blood.rest_blood_fraction)
-        result = simulate_from(scene, untraced(scene), course=blood_over_touch(scene), options=TraceOptions())
+        result = simulated(scene, blood_over_touch(scene))
         assert table.volts(rest[:, None])[:, 0] == pytest.approx(result.volts.values[0, :, 0], rel=1e-6)
         assert table.noise_v == pytest.approx(result.volts_noise_rms.values[0, :, 0], rel=1e-9)
         # What is taken away still takes room below the converter's limit.

@@ -133,7 +133,9 @@ def test_a_planted_optimum_is_found():
     place_mm = rng.uniform([-4, -4], [4, 4], (200_000, 2))
     spots = np.array([[1.5, -2.0], [-0.5, 2.5]])
     near = np.exp(-(((place_mm[:, None] - spots) / 0.5) ** 2).sum(-1) / 2)
-    one = Arrivals(200_000, np.arange(200_000), place_mm, np.ones(200_000), np.zeros((200_000, 8), np.float32))
+    one = Arrivals(
+        200_000, np.arange(200_000), place_mm, np.ones(200_000), np.zeros((200_000, 8), np.float32), np.zeros(8)
+    )
     plane = PhotonMap(Rectangle("o", -4, 4, -4, 4), values=4, blocks=1)
     plane.add(one, np.column_stack([np.ones(len(near)), np.zeros(len(near)), -near]))
     axis = np.arange(-3.5, 3.51, 0.25)
