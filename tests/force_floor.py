@@ -15,7 +15,7 @@ from nailoptics.hemodynamics.waves import CardiacOscillator, DampedOscillator
 from nailoptics.scene import Scene
 from nailoptics.scene.body import Heartbeat
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording
-from nailoptics.sensor.drift_motion import drift_and_motion
+from nailoptics.sensor.volts import drift_and_motion
 from nailoptics.studies.force.body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
 from nailoptics.studies.force.person import Person
 from nailoptics.studies.force.predict import predict

@@ -13,7 +13,7 @@ from ..io import make_folder, write_text
 from ..options import Requested
 from ..scene import Led, Scene
 from ..sensor import electronics
-from ..sensor.drift_motion import reading_gain
+from ..sensor.volts import reading_gain
 from ..studies.simulate import simulate
 from ..version import __version__
 

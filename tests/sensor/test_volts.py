@@ -7,7 +7,7 @@ from small_scenes import SMALL_FINGER
 from nailoptics.errors import InputError
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Body, Drift, Motion, parse_scene
-from nailoptics.sensor.drift_motion import drift_and_motion, motion_artefact
+from nailoptics.sensor.volts import drift_and_motion, motion_artefact
 from nailoptics.sensor.worn_light import MovedLight, moved_boards
 from nailoptics.studies.simulate import simulate
 
