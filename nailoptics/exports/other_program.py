@@ -12,8 +12,7 @@ import numpy as np
 from .. import light
 from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..light import ProgressCallback, optics
-from ..light.transfer.moments import moments_of
-from ..light.transfer.records import LedTrace
+from ..light.transfer.records import LedTrace, moments_of
 from ..light.transfer.reweight import transmission
 from ..options import Requested
 from ..scene import Scene, parse_scene

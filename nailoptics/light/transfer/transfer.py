@@ -21,8 +21,7 @@ from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
 from ...variables import Variables, variable
 from .. import optics
 from ..identity import light_digest
-from .moments import Moments, moments_of
-from .records import COLUMNS, SUMS, LedTrace, check_arrays, joined
+from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, joined, moments_of
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 400.0
