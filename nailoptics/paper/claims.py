@@ -17,8 +17,7 @@ import numpy as np
 from ..assets import asset_path
 from ..hemodynamics.blood import white_band_mm
 from ..statistics import jackknife, t95
-from .protocols import CURVE_PA, EVEN_N, FINGER_ZONES, N_PER_CM2, PHASE_S, SHEARED
-from .responses import PeopleReadings, Responses
+from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, N_PER_CM2, PHASE_S, SHEARED, PeopleReadings, Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30

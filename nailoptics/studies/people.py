@@ -11,9 +11,8 @@ from ..hemodynamics.for_scene import blood_over_touch
 from ..light import Transfer, trace
 from ..light.detect import light_of
 from ..light.transfer.series import read_by_groups
-from ..paper.protocols import CYCLE_HZ, N_PER_CM2, PHASE_S, Protocol, cycle, press
 from ..paper.reduced_optics import fit_taylor
-from ..paper.responses import PeopleReadings, branches
+from ..paper.responses import CYCLE_HZ, N_PER_CM2, PHASE_S, PeopleReadings, Protocol, branches, cycle, press
 from ..scene import Scene, load_scene
 from .prior_uncertainty import at_value, value_of
 

@@ -17,8 +17,7 @@ from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.walls import Walls, build_walls
 from nailoptics.hemodynamics.zones import Zones
 from nailoptics.paper.claims import RULES, SIMULATION, SUBJECT, Rule
-from nailoptics.paper.protocols import Protocol
-from nailoptics.paper.responses import Responses, responses_of
+from nailoptics.paper.responses import Protocol, Responses, responses_of
 
 _LOG = logging.getLogger(__name__)
 

@@ -24,18 +24,19 @@ from nailoptics.hemodynamics import NAMES, bounds, parameters, respond, steady_s
 from nailoptics.hemodynamics.parameters import beds, each_bed
 from nailoptics.paper import protocols
 from nailoptics.paper.claims import RULES, as_rows, evaluate
-from nailoptics.paper.protocols import (
+from nailoptics.paper.responses import (
     CURVE_PA,
     N_PER_CM2,
     ON_S,
     RELAXATION_S,
+    Responses,
     cycle,
     one_sided,
     press,
+    simulate_responses,
     steps,
     subject_force,
 )
-from nailoptics.paper.responses import Responses, simulate_responses
 from nailoptics.report.pages import paper as page
 
 V_P2_LEVEL = "pressure at which 95 % of V_P2's change has come"

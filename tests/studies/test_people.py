@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from nailoptics.paper.claims import PEOPLE_RULES, Claim, evaluate_people
-from nailoptics.paper.protocols import CURVE_PA, N_PER_CM2, PHASE_S
-from nailoptics.paper.responses import PeopleReadings
+from nailoptics.paper.responses import CURVE_PA, N_PER_CM2, PHASE_S, PeopleReadings
 from nailoptics.studies import people
 from nailoptics.studies.prior_uncertainty import at_value
 

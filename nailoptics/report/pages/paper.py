@@ -15,8 +15,17 @@ from ...display import Displayed
 from ...io import make_folder
 from ...light import backend as backends
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
-from ...paper.protocols import CURVE_PA, N_PER_CM2, ON_S, PHASE_S, STEPS_PA, press
-from ...paper.responses import PeopleReadings, Responses, simulate_responses
+from ...paper.responses import (
+    CURVE_PA,
+    N_PER_CM2,
+    ON_S,
+    PHASE_S,
+    STEPS_PA,
+    PeopleReadings,
+    Responses,
+    press,
+    simulate_responses,
+)
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
