@@ -188,7 +188,7 @@ def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s
             clock.now += photons * pace_s
 
         lit = scene()
-        return SimpleNamespace(add=add, photons=sent[k], tracer=SimpleNamespace(scene=lit, batch_photons=1 << 17))
+        return SimpleNamespace(add=add, photons=sent[k], lit=lit, tracer=SimpleNamespace(batch_photons=1 << 17))
 
     assert study._trace([colour(0), colour(1)], [10**8, 10**8], StageProgress(None, limit_s)) == ""
     least_s = sent.size * study.LEAST_BATCH * pace_s
