@@ -117,9 +117,9 @@ def test_every_output_variable_has_words_that_read_as_english():
 
 
 def names_in_code() -> Iterator[tuple[str, str]]:
-    """Each variable that a study or the sensor names in its table or in its code outright, and where."""
+    """Each variable that these rooms name in their tables or in their code outright, and where."""
     package = DOCS.parent / "nailoptics"
-    rooms = [package / room for room in ("studies", "sensor")]
+    rooms = [package / room for room in ("studies", "sensor", "paper")]
     for path in sorted(path for room in rooms for path in room.rglob("variables.toml")):
         yield from ((name, str(path.relative_to(package))) for name in tomllib.loads(path.read_text(encoding="utf-8")))
     for path in sorted(path for room in rooms for path in room.rglob("*.py")):
