@@ -522,25 +522,39 @@ def figures(
 
 
 @app.command
-def protocol(scene: ScenePath, *, output: Output = Path("protocol.csv"), seed: int = 0, json_: Json = False) -> None:
-    """Write the touches to calibrate a sensor with, four minutes of varied touches on both sides, to follow.
+def protocol(
+    scene: ScenePath,
+    force: Annotated[Literal["-"] | None, Parameter(allow_leading_hyphen=True)] = None,
+    *,
+    output: Output = Path("protocol.csv"),
+    seed: int = 0,
+    json_: Json = False,
+) -> None:
+    """Write the touches to calibrate a sensor with, four minutes of varied touches on both sides, and a page to follow.
 
     The CSV has time_s, force_n and proximal_share at the scene's rate; as [touch] file it is that touch.
 
     Args:
-        output: File to write.
+        force: With - a local page shows the line beside the force on stdin, in lines of time_s and force_n.
+        output: File to write, with its page beside it.
         seed: Seed of the touches; others for another person, or another day.
     """
     from . import checks
+    from .report.pages.protocol import live_columns, page, serve
     from .scene import load_scene
+    from .scene.importers.sensor_recordings import samples_by_line
     from .scene.protocol import draw_protocol, protocol_csv
 
     checks.seed(seed)
-    check_writable(output.parent, output.name)
-    text = protocol_csv(seed, load_scene(scene).touch.sample_rate_hz)
-    duration_s = float(draw_protocol(seed).time_s[-1])
-    line = f"{duration_s:.0f} s of touches, first of the proximal side, then of the distal one"
-    _finish({"duration_s": duration_s}, [line], {"protocol": _write(output, text)}, json_)
+    _check_file(output, ".csv", "the file of a protocol")
+    text, drawn = protocol_csv(seed, load_scene(scene).touch.sample_rate_hz), draw_protocol(seed)
+    measured = samples_by_line(terminal.text_lines(sys.stdin), live_columns) if force else None
+    paths = {"protocol": _write(output, text), "report": _write(output.with_suffix(".html"), page(drawn))}
+    line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
+    _finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
+    if measured is not None:
+        with suppress(KeyboardInterrupt):
+            serve(drawn, measured, say)
 
 
 @app.command

@@ -37,7 +37,7 @@ class Html(str):
 
 
 class Script(str):
-    """JavaScript that runs at the end of a page; no other does, nor does a page load anything."""
+    """JavaScript that runs at the end of a page; no other does, nor does a page load anything unless it is served."""
 
 
 def texts(page: str) -> dict[str, str]:
@@ -55,11 +55,13 @@ def document(
     attributes: Mapping[str, Any],
     warnings: str | Iterable[str] = (),
     cards: Sequence[tuple[str, str]] = (),
+    is_served: bool = False,
 ) -> str:
     """A whole page as text; body is HTML and scripts, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
+    is_served : whether its scripts may read from the server that it comes from.
     """
     css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     body = list(body)
@@ -80,7 +82,7 @@ def document(
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts)}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts, is_served)}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'
         f"<title>{escaped(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
@@ -89,11 +91,12 @@ def document(
     )
 
 
-def _policy(scripts: Iterable[str]) -> str:
-    """What a browser may do on a page: run these scripts and show what is in the page itself."""
+def _policy(scripts: Iterable[str], is_served: bool) -> str:
+    """What a browser may do on a page: run these scripts, show what is in the page itself, and read from its server."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     inside = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
+    inside += "; connect-src 'self'" if is_served else ""
     return f"{inside}; base-uri 'none'; form-action 'none'"
 
 

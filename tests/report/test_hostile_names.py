@@ -126,6 +126,7 @@ def hostile_prediction(name, monkeypatch) -> str:
     """The page of a prediction in which everything is called so."""
     numbers = ["force_n", "force_low_n", "force_high_n", "known_force_n", "normalized_innovation_squared"]
     numbers += ["proximal_share", "proximal_share_low", "proximal_share_high", "arterial_change_pa"]
+    numbers += ["probability_proximal", "probability_distal", "probability_both"]
     data = {one: ("time", np.linspace(0.1, 1.0, 8)) for one in numbers} | {"outlier": ("time", np.zeros(8, bool))}
     for method in ("filter", "cubic"):
         data[f"force_{method}_n"] = "time", np.linspace(0.1, 1.0, 8), {"long_name": name}

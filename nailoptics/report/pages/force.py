@@ -223,14 +223,17 @@ def force_figure(result: xr.Dataset) -> "Figure":
 
 @style.drawing()
 def _share_figure(result: xr.Dataset) -> "Figure":
-    """Where the touch is, the body's arterial pressure, and how well each sample fits."""
+    """Where the touch is, and on which side, the body's arterial pressure, and how well each sample fits."""
     part = _thinned(result, "time")
-    figure, (place, body, fits) = style.panels(7.2, 4.6, 3, sharex=True)
+    figure, (place, side, body, fits) = style.panels(7.2, 5.8, 4, sharex=True)
     low, high = part.proximal_share_low, part.proximal_share_high
     place.fill_between(part.time, low, high, color=style.ZONES[0], alpha=0.18, linewidth=0)
     identified = np.where(high - low < 0.9, part.proximal_share, np.nan)
     place.plot(part.time, identified, color=style.ZONES[0])
     place.set(ylim=(-0.05, 1.05), title="Proximal share of the force [1]; blank where not identifiable")
+    for name, colour in zip(("proximal", "distal", "both"), (*style.ZONES, style.MUTED), strict=True):
+        side.plot(part.time, part[f"probability_{name}"], color=colour, label=name)
+    side.set(ylim=(-0.05, 1.05), title="Probability of the touched side [1]: proximal, distal, both (grey)")
     body.plot(part.time, part.arterial_change_pa, color=style.VEIN)
     # A body that is still is no noise to look into.
     body.set_ylim(min(body.get_ylim()[0], -10.0), max(body.get_ylim()[1], 10.0))

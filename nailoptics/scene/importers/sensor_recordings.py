@@ -1,7 +1,7 @@
 """Recordings as CSV files: of a touch or a pressure that a scene names, of a worn sensor in volts, of an oximeter."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from itertools import chain, islice, takewhile
@@ -33,6 +33,8 @@ RANGES: dict[str, tuple[float, float, str]] = {
 UNLOADED_N = 0.05
 Columns = dict[str, tuple[float, ...]]
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
+# What messages call lines that come one by one.
+STDIN = "stdin"
 # A converter's counts are whole numbers far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
 # Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
@@ -90,9 +92,8 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
     for title, (low, high, unit) in RANGES.items():
         values = arrays.get(title, np.empty(0))
         for k in np.flatnonzero((values < low) | (values > high))[:1]:
-            raise InputError(
-                f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; check its sign and unit."
-            )
+            hint = "divide grams by 102" if title == "force_n" and values[k] > high else "check its sign and unit"
+            raise InputError(f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; {hint}.")
 
 
 @dataclass(frozen=True)
@@ -226,6 +227,40 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
                 f"{label}: column {title!r} is constant at {known[0]:g} V; check its wiring, "
                 "or lower the LED's power if the converter ends there."
             )
+
+
+def samples_by_line(lines: Iterable[str], titles: Callable[[list[str]], Sequence[str]]) -> Iterator[dict[str, float]]:
+    """Samples of a recording's lines that come one by one, by title: each is given before the next line is read.
+
+    Empty lines and comments (#) are skipped; a last line that ends in its midst, as of a sensor that was unplugged, is
+    left out.
+
+    titles : what is read, of the header, which is read at once; raises InputError where that is missing.
+
+    Raises: InputError for a line that is no sample.
+    """
+    rows = (
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.lstrip("\ufeff").lstrip().startswith("#")
+    )
+    _, first = next(rows, (1, ""))
+    header = [cell.strip() for cell in _cells(first.removeprefix("\ufeff"))]
+    columns = {title: header.index(title) for title in titles(header)}
+
+    def samples() -> Iterator[dict[str, float]]:
+        for number, line in rows:
+            cells = _cells(line)
+            if len(cells) <= max(columns.values()) and not line.endswith("\n"):
+                return
+            _, sample = number_columns(iter([(number, cells)]), columns, STDIN)
+            yield {title: float(column[0]) for title, column in sample.items()}
+
+    return samples()
+
+
+def _cells(line: str) -> list[str]:
+    return next(csv.reader([line.replace("\r", "")]), [])
 
 
 def recording_csv(recording: Recording) -> str:

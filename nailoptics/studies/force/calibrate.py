@@ -24,7 +24,7 @@ from .fit import Fit, Fitted
 from .person import NAMES, USUAL_DISTAL_REACH, USUAL_PULP, NominalFinger, Pulp
 from .reading_table import ReadingTable, nodes_of, reading_table
 from .recording_checks import checked, joined, lacking
-from .scores import touches_by_kind
+from .scores import TOUCH_N, rms, touches_by_kind
 from .subject import Quality, Readings, Subject, subject_toml
 from .training import calibration_series, compared, train
 
@@ -187,7 +187,10 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     """The subject with ensemble and baselines, and how well it estimates its own touches."""
     series = calibration_series(subject, recordings)
-    subject = replace(subject, comparisons=compared(subject, series))
+    off, at = series.by_filter.proximal_share - series.site, series.force_n >= TOUCH_N
+    share_error = rms(off[at & (series.site == 1.0)]), rms(off[at & (series.site == 0.0)])
+    quality = replace(subject.quality, share_error=share_error)
+    subject = replace(subject, comparisons=compared(subject, series), quality=quality)
     trained = train(subject, series)
     if trained is not None:
         ensemble, touches = trained

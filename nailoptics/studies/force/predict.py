@@ -1,6 +1,5 @@
 """Force over time from a calibrated person's readings: of a recording, or of lines that come one by one."""
 
-import csv
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +13,14 @@ from ...commit import code_attributes
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import (
     MOST_VOLTS,
+    STDIN,
     Recording,
     check_header,
     check_known,
     read_sensor_recording,
     reading_columns,
+    samples_by_line,
 )
-from ...scene.text_files import number_columns
 from ...sensor.electronics import recorded_at_limit
 from ...variables import Estimate, Variables, described
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
@@ -34,8 +34,6 @@ from .uncertainty import ForceEstimate, ForceEstimator
 MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
-# What messages call readings that come line by line.
-STDIN = "stdin"
 
 
 def predict(
@@ -90,35 +88,19 @@ def predict(
 def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     """The lines of predict.csv for lines of a recording that come one by one: each is answered before the next is read.
 
-    Empty lines and comments (#) are skipped; a last line that ends in its midst, as of a sensor that was unplugged, is
-    left out.
-
     Raises: InputError for a header that lacks a reading, or a line that is none.
     """
-    rows = (
-        (number, line)
-        for number, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip("\ufeff").lstrip().startswith("#")
-    )
-    _, first = next(rows, (1, ""))
-    header = [cell.strip() for cell in _cells(first.removeprefix("\ufeff"))]
-    check_header(header, STDIN)
-    check_known(reading_columns(header), subject.light.names, STDIN)
-    columns = {name: header.index(name) for name in ("time_s", *subject.light.names)}
+    names = subject.light.names
+
+    def titles(header: list[str]) -> tuple[str, ...]:
+        check_header(header, STDIN)
+        check_known(reading_columns(header), names, STDIN)
+        return "time_s", *names
+
+    samples = samples_by_line(lines, titles)
     yield ",".join(CSV_COLUMNS)
-    for force in predict_live(subject, _samples(rows, columns)):
+    for force in predict_live(subject, ((sample.pop("time_s"), sample) for sample in samples)):
         yield _csv_row(*force)
-
-
-def _samples(rows: Iterable[tuple[int, str]], columns: dict[str, int]) -> Iterator[tuple[float, dict[str, float]]]:
-    """Times and volts of numbered lines, until one that ends in its midst."""
-    for number, line in rows:
-        cells = _cells(line)
-        if len(cells) <= max(columns.values()) and not line.endswith("\n"):
-            return
-        _, sample = number_columns(iter([(number, cells)]), columns, STDIN)
-        time_s, *volts = (float(column[0]) for column in sample.values())
-        yield time_s, dict(zip(list(sample)[1:], volts, strict=True))
 
 
 class LiveForce(NamedTuple):
@@ -131,6 +113,9 @@ class LiveForce(NamedTuple):
     proximal_share: float
     proximal_share_low: float
     proximal_share_high: float
+    probability_proximal: float
+    probability_distal: float
+    probability_both: float
     outlier: bool
 
 
@@ -175,10 +160,6 @@ def _subject(given: Subject | xr.Dataset | str | Path) -> Subject:
     return given if isinstance(given, Subject) else load_subject(given)
 
 
-def _cells(line: str) -> list[str]:
-    return next(csv.reader([line.replace("\r", "")]), [])
-
-
 def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
     """Times at which a switch with hysteresis closes and opens."""
     switched, closed = [], False
@@ -190,7 +171,7 @@ def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -
 
 
 # What is estimated of each sample, in the order of predict.csv and of `ForceEstimate`.
-FORCE_COLUMNS = ForceEstimate._fields[:6]
+FORCE_COLUMNS = ForceEstimate._fields[:9]
 CSV_COLUMNS = ("time_s", *FORCE_COLUMNS[:3], "open_above", *FORCE_COLUMNS[3:], "outlier")
 
 
@@ -204,9 +185,10 @@ def csv_rows(result: xr.Dataset) -> Iterator[str]:
 
 def _csv_row(time_s: float, *columns: float) -> str:
     """One line of predict.csv; columns : those of `FORCE_COLUMNS`, and whether the sample is an outlier."""
-    force_n, low_n, high_n, share, low, high, outlier = columns
+    force_n, low_n, high_n, *of_place, outlier = columns
     bound = ",1" if np.isinf(high_n) else f"{high_n:.4f},0"
-    return f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{share:.3f},{low:.3f},{high:.3f},{int(outlier)}"
+    place = ",".join(f"{value:.3f}" for value in of_place)
+    return f"{float(time_s)!r},{force_n:.4f},{low_n:.4f},{bound},{place},{int(outlier)}"
 
 
 def _dataset(

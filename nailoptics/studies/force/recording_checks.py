@@ -19,8 +19,9 @@ from .scores import runs
 REST_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 0.2, 20.0
 # A touch reaches this force before the finger rests again [N]; forces above the second are in grams.
 TOUCHED_N, GRAMS = 0.1, 30.0
-# All recordings together have so many touches at the least, and rates that differ by less than this part.
-LEAST_TOUCHES_OF_ALL, SAME_RATE = 8, 0.2
+# All recordings together have so many touches at the least, and rates, of each in so many parts, that differ by less
+# than this part.
+LEAST_TOUCHES_OF_ALL, RATE_PARTS, SAME_RATE = 8, 5, 0.2
 # Longest usual step from sample to sample, and longest pause. [s]
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
 # Least number of a reading's samples at rest, and least valid part of all.
@@ -106,7 +107,8 @@ def _touches(recording: Recording, side: float) -> list[slice]:
 
 def _faults_together(recordings: Sequence[Recording]) -> Iterator[str]:
     """Why recordings that could calibrate cannot do so together."""
-    steps_s = [float(np.median(np.diff(recording.time_s))) for recording in recordings]
+    parts = [part for one in recordings for part in np.array_split(np.diff(one.time_s), RATE_PARTS) if part.size]
+    steps_s = [float(np.median(part)) for part in parts]
     if max(steps_s) > (1.0 + SAME_RATE) * min(steps_s):
         yield (
             f"recorded at {1.0 / max(steps_s):.3g} and {1.0 / min(steps_s):.3g} Hz; record all of a calibration at one "

@@ -58,7 +58,8 @@ class CalibrationSeries:
     by_filter : the force by the filter alone. over_rest : (R, T) float. ln volts less those at rest.
     force_n : (T,) float. Known. [N] since_s : (T,) float. From sample to sample. [s]
     block : (T,) int. Number of the touch and the rest before it.
-    is_proximal, is_still : (T,) bool. Where the touch is, and whether its force stays.
+    site : (T,) float. Where the touch is: 1 proximal, 0 distal, NaN even.
+    is_still : (T,) bool. Whether its force stays.
     is_varied : (T,) bool. Whether a sample is of the touches below closure that members are trained on.
     """
 
@@ -67,7 +68,7 @@ class CalibrationSeries:
     force_n: Array
     since_s: Array
     block: NDArray[np.int64]
-    is_proximal: NDArray[np.bool_]
+    site: Array
     is_still: NDArray[np.bool_]
     is_varied: NDArray[np.bool_]
 
@@ -75,6 +76,11 @@ class CalibrationSeries:
         """Some of the samples."""
         columns = {name: column[..., samples] for name, column in vars(self).items() if name != "by_filter"}
         return CalibrationSeries(ForceEstimate(*(column[..., samples] for column in self.by_filter)), **columns)
+
+    @property
+    def is_proximal(self) -> NDArray[np.bool_]:
+        """Whether the touch is of the proximal side alone, (n,) bool."""
+        return np.asarray(self.site > 0.5)
 
     @property
     def fold(self) -> NDArray[np.int64]:
@@ -102,7 +108,7 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
         force_n=force_n,
         since_s=since_s,
         block=np.searchsorted(touches[:, 1], np.arange(len(force_n)), side="right"),
-        is_proximal=np.asarray(every.site) > 0.5,
+        site=np.asarray(every.site),
         is_still=is_still(time_s, force_n),
         is_varied=is_varied,
     )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
+from scipy.special import ndtr
 from scipy.stats import norm, qmc
 
 from ...statistics import covariance_root
@@ -34,6 +35,8 @@ LEAST_FORCE_N = 0.03
 INTERVAL_SCALE = 0.82
 # An interval of the share as wide as this holds no information.
 UNKNOWN_SHARE = 0.9
+# Shares of a touch of both sides, and the least error of a share. [1]
+BOTH_SHARES, LEAST_SHARE_ERROR = (0.2, 0.8), 0.05
 
 
 class ForceEstimate(NamedTuple):
@@ -41,6 +44,8 @@ class ForceEstimate(NamedTuple):
 
     force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
     proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
+    probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; NaN where the
+        calibration does not say how well it tells sides apart.
     pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
     """
 
@@ -50,6 +55,9 @@ class ForceEstimate(NamedTuple):
     proximal_share: Array
     proximal_share_low: Array
     proximal_share_high: Array
+    probability_proximal: Array
+    probability_distal: Array
+    probability_both: Array
     pressure_n_per_cm2: Array
     pressure_stderr_n_per_cm2: Array
 
@@ -99,6 +107,8 @@ class ForceInterval:
         resting = rest_odds(touch, covariance)
         low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
         nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
+        spread = np.where(nowhere, np.inf, share.std(1))
+        probabilities = _site_probabilities(middle_share, spread, np.array(self.subject.quality.share_error))
         return ForceEstimate(
             force_n=middle,
             force_low_n=np.minimum(low, middle),
@@ -106,6 +116,9 @@ class ForceInterval:
             proximal_share=middle_share,
             proximal_share_low=np.where(nowhere, 0.0, share_low),
             proximal_share_high=np.where(nowhere, 1.0, share_high),
+            probability_proximal=probabilities[0],
+            probability_distal=probabilities[1],
+            probability_both=probabilities[2],
             pressure_n_per_cm2=pressure_n_per_cm2,
             pressure_stderr_n_per_cm2=np.sqrt(
                 np.maximum(np.einsum("tii->it", by_filter + pressure_by_calibration), 0.0)
@@ -167,6 +180,23 @@ class ForceInterval:
         volts = light.volts(blood)
         risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
         return risen, volts * (blood - rest)[:, None]
+
+
+def _site_probabilities(share: Array, spread: Array, error: Array) -> Array:
+    """Probabilities (3, T) that a touch is of the proximal side, of the distal one, or of both; a third where unknown.
+
+    All force of a touch of one side is there; that of both has any of BOTH_SHARES. None is more likely before.
+
+    share, spread : (T,) float. Estimated proximal share, and its standard deviation by the filter.
+    error : (2,) float. Of the share of the calibration's proximal and distal touches, rms.
+    """
+    known = np.isfinite(spread)
+    of_side = np.maximum(np.where(known, spread, 1.0), np.maximum(error, LEAST_SHARE_ERROR)[:, None])
+    of_both, (low, high) = np.sqrt((of_side**2).mean(0)), BOTH_SHARES
+    one = np.exp(-0.5 * ((share - [[1.0], [0.0]]) / of_side) ** 2) / (np.sqrt(2.0 * np.pi) * of_side)
+    both = (ndtr((high - share) / of_both) - ndtr((low - share) / of_both)) / (high - low)
+    density = np.stack([*one, both])
+    return np.asarray(np.where(known, density / density.sum(0), 1.0 / 3.0))
 
 
 class ForceEstimator:

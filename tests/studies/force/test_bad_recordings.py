@@ -98,7 +98,10 @@ EITHER = [
     (_column("time_s", lambda cell, k: "0.1" if k == 9 else cell), "line 11: time_s = 0.1 does not come after"),
     (_column("time_s", lambda cell, k: str(20 * k)), "in steps of 20; give it in seconds"),
     (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
-    (_column("force_n", lambda cell, k: "250" if k == 9 else cell), "line 11: force_n = 250 must lie in 0 to 100 N"),
+    (
+        _column("force_n", lambda cell, k: "250" if k == 9 else cell),
+        "force_n = 250 must lie in 0 to 100 N; divide grams",
+    ),
     (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is unknown; choose from"),
 ]
 
@@ -130,6 +133,10 @@ CALIBRATING = [
         "for 0.4 s before the first touch; begin with 6 s",
     ),
     (_column("time_s", lambda cell, k: str(2.0 * float(cell))), "recorded at 25 and 50 Hz; record all"),
+    (
+        _column("time_s", lambda cell, k: str(float(cell) + 0.02 * max(0, k - 300))),
+        "recorded at 25 and 50 Hz; record all",
+    ),
     (_column("site", lambda cell, k: "distal"), "no proximal touch was recorded; record touches of both sides"),
     (lambda text: text, "2 touches were recorded; record 8 or more"),
     (_column("time_s", lambda cell, k: str(2.0 * k)), "samples lie 2 s apart; record at 2 Hz or faster"),

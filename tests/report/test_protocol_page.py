@@ -1,0 +1,119 @@
+"""The page of a protocol: the line moves by its clock, or by the force that is piped in, which it shows."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+
+from nailoptics.cli import run
+from nailoptics.report.pages.protocol import page, serve
+from nailoptics.scene.protocol import draw_protocol
+
+DRAWN = draw_protocol(3)
+LEFT = re.compile(r"(\d+) s are left")
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Any]:
+    """A tab that fails the test on any error of its scripts or its policy."""
+    tab, faults = browser.new_page(), list[str]()
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)
+    yield tab
+    tab.close()
+    assert faults == []
+
+
+def _left_s(tab: Any) -> int:
+    found = LEFT.search(tab.inner_text("#now"))
+    assert found
+    return int(found.group(1))
+
+
+def _wait_until(tab: Any, expression: str) -> None:
+    """Wait until something holds on a page whose policy lets no text run as code."""
+    for _ in range(100):
+        if tab.evaluate(expression):
+            return
+        tab.wait_for_timeout(50)
+    raise AssertionError(expression)
+
+
+def test_a_click_starts_the_line_and_another_holds_it(tab: Any, tmp_path: Path) -> None:
+    (tmp_path / "protocol.html").write_text(page(DRAWN), encoding="utf-8")
+    tab.clock.install()
+    tab.goto((tmp_path / "protocol.html").as_uri())
+    whole_s = _left_s(tab)
+    assert whole_s == pytest.approx(DRAWN.time_s[-1], abs=1) and "Rest. Next is the proximal" in tab.inner_text("#now")
+    tab.click("#start")
+    tab.clock.run_for(20_000)
+    assert _left_s(tab) == pytest.approx(whole_s - 20, abs=1)
+    tab.click("#start")
+    tab.clock.run_for(20_000)
+    assert _left_s(tab) == pytest.approx(whole_s - 20, abs=1)
+    tab.click("#start")
+    tab.clock.run_for(150_000)
+    assert "distal side" in tab.inner_text("#now")
+    tab.clock.run_for(150_000)
+    assert "complete" in tab.inner_text("#now")
+
+
+def test_the_measured_force_moves_a_served_page(tab: Any) -> None:
+    """Expected: the line's time is that since the first sample, the bar grows evenly with the last one's force."""
+    seen, said = list[int](), list[str]()
+
+    def samples() -> Iterator[dict[str, float]]:
+        yield {"time_s": 100.0, "force_n": 0.0}
+        address = said[0].split()[-1]
+        tab.goto(address)
+        for force_n in (0.5, 1.0, 1.5):
+            yield {"time_s": 140.0, "force_n": force_n}
+            with urlopen(f"{address}force") as answer:
+                assert json.load(answer) == {"time_s": 40.0, "force_n": force_n}
+            _wait_until(tab, f"measured && measured.force_n === {force_n}")
+            # Pixels of the bar near its left edge, beside its number.
+            seen.append(tab.evaluate(_BAR))
+            assert _left_s(tab) == pytest.approx(DRAWN.time_s[-1] - 40, abs=1)
+        yield {"time_s": 141.0, "force_n": float("nan")}
+        assert tab.evaluate("measured.force_n") == 1.5
+        tab.evaluate("listen = () => {}")
+        tab.wait_for_timeout(100)
+
+    serve(DRAWN, samples(), said.append)
+    assert seen[1] - seen[0] > 50 and seen[2] - seen[1] == pytest.approx(seen[1] - seen[0], abs=2)
+
+
+_BAR = """() => {
+  draw();
+  const x = canvas.width - (BARS - 16 - 68 - 2) * devicePixelRatio;
+  const pixels = canvas.getContext("2d").getImageData(x, 0, 1, canvas.height).data;
+  return pixels.filter((value, k) => k % 4 === 0 && value < 40 && pixels[k + 3] === 255).length;
+}"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ("time_s,grams\n0,1\n", "stdin: has no column force_n"),
+        ("", "stdin: has no column time_s"),
+        ("time_s,force_n\n0,x\n", "stdin line 2: force_n = 'x' is no finite number"),
+    ],
+)
+def test_lines_that_are_no_force_end_it_with_one_line(tmp_path: Path, lines: str, message: str) -> None:
+    command = [sys.executable, "-m", "nailoptics", "protocol", "prototype", "-", "-o", str(tmp_path / "p.csv")]
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and message in done.stderr.splitlines()[-1]
+
+
+def test_the_command_writes_a_page_beside_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["protocol", "prototype", "-o", str(tmp_path / "p.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == str(tmp_path / "p.html")
+    assert "connect-src" not in (tmp_path / "p.html").read_text()
+    assert run(["protocol", "prototype", "-o", str(tmp_path / "p.txt")]) == 2
+    assert "ends in .csv" in capsys.readouterr().err and not (tmp_path / "p.txt").exists()

@@ -1,0 +1,58 @@
+"""How likely a touch is of the proximal side, of the distal one, or of both."""
+
+import tomllib
+from functools import cache
+
+import made_sensor
+import numpy as np
+import pytest
+import tomli_w
+
+from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
+from nailoptics.studies.force.uncertainty import BOTH_SHARES, _site_probabilities
+
+
+def test_what_is_stated_is_as_often_true() -> None:
+    """Expected: of shares that were drawn as stated, those of some stated probability are as often of that side."""
+    rng, count, error = np.random.default_rng(1), 200_000, np.array([0.15, 0.3])
+    site = rng.integers(3, size=count)
+    true = np.select([site == 0, site == 1], [1.0, 0.0], rng.uniform(*BOTH_SHARES, count))
+    of_both = np.sqrt((error**2).mean())
+    share = true + np.array([*error, of_both])[site] * rng.normal(size=count)
+    stated = _site_probabilities(share, np.zeros(count), error)
+    assert stated.sum(0) == pytest.approx(np.ones(count))
+    for k in range(3):
+        for low in np.arange(0.0, 1.0, 0.1):
+            within = (stated[k] >= low) & (stated[k] < low + 0.1)
+            if within.sum() > 1000:
+                assert (site == k)[within].mean() == pytest.approx(stated[k][within].mean(), abs=0.02)
+
+
+@cache
+def subject() -> Subject:
+    recording = made_sensor.record_touches(seed=1)
+    return parse_subject(str(calibrate_with(made_sensor.scene(), made_sensor.table(), [recording]).attrs["subject"]))
+
+
+@pytest.mark.parametrize("site", ["proximal", "distal", "even"])
+def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
+    told = predict(subject(), made_sensor.record(0.9 * made_sensor.touches(), site, seed=7))
+    names = [f"probability_{name}" for name in ("proximal", "distal", "both")]
+    probabilities = np.stack([told[name].values for name in names])
+    assert probabilities.sum(0) == pytest.approx(np.ones(told.sizes["time"]))
+    likeliest = names[int(np.argmax(probabilities[:, told.known_force_n.values >= 0.3].mean(1)))]
+    assert likeliest == f"probability_{'both' if site == 'even' else site}"
+    # Where nothing touches, no side is touched more likely than another.
+    assert probabilities[:, :50].mean(1) == pytest.approx(np.full(3, 1 / 3), abs=0.01)
+
+
+def test_a_subject_keeps_how_well_sides_are_told_apart_and_older_ones_do_not_know() -> None:
+    error = subject().quality.share_error
+    assert parse_subject(subject_toml(subject())).quality.share_error == pytest.approx(error) and max(error) < 0.5
+    older = tomllib.loads(subject_toml(subject()))
+    del older["quality"]["share_error"]
+    told = predict(parse_subject(tomli_w.dumps(older)), made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
+    at = int(np.argmax(told.known_force_n.values))
+    assert np.isnan(told.probability_both[at]) and np.isfinite(told.force_n[at])
