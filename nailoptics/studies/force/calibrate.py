@@ -189,7 +189,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     series = calibration_series(subject, recordings)
     off, at = series.by_filter.proximal_share - series.site, series.force_n >= TOUCH_N
     share_error = rms(off[at & (series.site == 1.0)]), rms(off[at & (series.site == 0.0)])
-    quality = replace(subject.quality, share_error=share_error)
+    quality = replace(subject.quality, share_error=share_error if np.isfinite(share_error).all() else None)
     subject = replace(subject, comparisons=compared(subject, series), quality=quality)
     trained = train(subject, series)
     if trained is not None:

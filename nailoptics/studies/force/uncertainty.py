@@ -108,7 +108,9 @@ class ForceInterval:
         low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
         nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
         spread = np.where(nowhere, np.inf, share.std(1))
-        probabilities = _site_probabilities(middle_share, spread, np.array(self.subject.quality.share_error))
+        probabilities = _site_probabilities(
+            middle_share, spread, np.array(self.subject.quality.share_error or (np.nan, np.nan))
+        )
         return ForceEstimate(
             force_n=middle,
             force_low_n=np.minimum(low, middle),
