@@ -18,12 +18,14 @@ from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import parse_scene as parse_scene
 from .scene import to_toml as to_toml
+from .scene.protocol import protocol as protocol
 from .studies.colour.nail_colour import colour as colour
 from .studies.comparison.compare import compare as compare
 from .studies.exploration.explore import explore as explore
 from .studies.force.calibrate import calibrate as calibrate
 from .studies.force.predict import predict as predict
 from .studies.force.predict import predict_live as predict_live
+from .studies.force.reading_table import record as record
 from .studies.force.subject import Subject as Subject
 from .studies.force.subject import load_subject as load_subject
 from .studies.model_error.explain import explain as explain

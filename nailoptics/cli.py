@@ -128,7 +128,6 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
         recording: Also write the simulated recording of a worn sensor, noise included, to this CSV file.
     """
     from .report.pages.simulate import SIMULATION
-    from .scene.importers.sensor_recordings import recording_csv
     from .studies.force.reading_table import record
     from .studies.simulate import simulate as study
 
@@ -137,7 +136,8 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
     result, unmet = _traced(study, loaded, picture=True, options=options)
     paths = SIMULATION.write(result, folder)
     if recording is not None:
-        paths["recording"] = _write(recording, recording_csv(record(loaded, result, seed=options.seed)))
+        record(result, seed=options.seed).save(recording)
+        paths["recording"] = recording
     _show(SIMULATION, result, paths, options.json, unmet, folder)
 
 
@@ -539,17 +539,16 @@ def protocol(
         output: File to write, with its page beside it.
         seed: Seed of the touches; others for another person, or another day.
     """
-    from . import checks
     from .report.pages.protocol import live_columns, page, serve
     from .scene import load_scene
     from .scene.importers.sensor_recordings import samples_by_line
-    from .scene.protocol import draw_protocol, protocol_csv
+    from .scene.protocol import protocol as draw
 
-    checks.seed(seed)
+    drawn, rate_hz = draw(seed), load_scene(scene).touch.sample_rate_hz
     _check_file(output, ".csv", "the file of a protocol")
-    text, drawn = protocol_csv(seed, load_scene(scene).touch.sample_rate_hz), draw_protocol(seed)
     measured = samples_by_line(terminal.text_lines(sys.stdin), live_columns) if force else None
-    paths = {"protocol": _write(output, text), "report": _write(output.with_suffix(".html"), page(drawn))}
+    drawn.save(output, sample_rate_hz=rate_hz)
+    paths = {"protocol": output, "report": _write(output.with_suffix(".html"), page(drawn))}
     line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
     _finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
     if measured is not None:

@@ -59,7 +59,7 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
     """
     if not math.isfinite(value):
         return "–"
-    if abs(value) <= ROUNDING * scale and not ROUNDING * scale < error < math.inf:
+    if abs(value) <= ROUNDING * scale and (error <= ROUNDING * scale or error == math.inf):
         return "0"
     if error <= max(TINY, ROUNDING * abs(value)):
         return significant(value, 4, sign=sign)

@@ -1,8 +1,11 @@
 """The protocol of touches that a sensor is calibrated with: varied touches below closure, drawn at random."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from .. import checks, io
 
 # Regressions of force on readings are worth the touches that they are trained on: varied ones below closure teach them
 # more in a minute than slow cycles in three. All figures are judgement, within what fingers do in daily touches.
@@ -28,9 +31,23 @@ class Protocol(NamedTuple):
     force_n: np.ndarray
     proximal_share: np.ndarray
 
+    def save(self, path: str | Path, *, sample_rate_hz: float = 100.0) -> None:
+        """Write the touches as a CSV with so many rows a second, which a scene takes as a recorded touch, too."""
+        time_s = np.arange(0.0, self.time_s[-1], 1.0 / float(checks.positive("sample_rate_hz", sample_rate_hz)))
+        columns = [np.interp(time_s, self.time_s, values) for values in self[1:]]
+        rows = (f"{t:.6g},{n:.4f},{p:.4f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
+        io.make_folder(Path(path).parent)
+        io.write_text(Path(path), "\n".join(["time_s,force_n,proximal_share", *rows]) + "\n")
 
-def draw_protocol(seed: int = 0) -> Protocol:
-    """The touches of a calibration, first of the proximal side, then of the distal one."""
+
+def protocol(seed: int = 0) -> Protocol:
+    """The touches to calibrate a sensor with, some four minutes, first of the proximal side, then of the distal one.
+
+    seed : others for another person, or another day. A scene whose touch has `profile = "protocol"` makes them.
+
+    Returns: Protocol over its corners, whose `save` writes the file to follow. Raises: InputError.
+    """
+    checks.seed(seed)
     rng, time_s, force_n, share = np.random.default_rng(seed), [0.0], [0.0], [1.0]
 
     def to(force: float, duration_s: float) -> None:
@@ -60,12 +77,3 @@ def draw_protocol(seed: int = 0) -> Protocol:
 
 def _log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
     return float(np.exp(rng.uniform(*np.log(ends))))
-
-
-def protocol_csv(seed: int, rate_hz: float) -> str:
-    """The protocol as the text of a recorded touch's file, with so many rows a second."""
-    drawn = draw_protocol(seed)
-    time_s = np.arange(0.0, drawn.time_s[-1], 1.0 / rate_hz)
-    columns = [np.interp(time_s, drawn.time_s, values) for values in drawn[1:]]
-    rows = zip(time_s.tolist(), *columns, strict=True)
-    return "\n".join(["time_s,force_n,proximal_share", *(f"{t:.6g},{n:.4f},{p:.4f}" for t, n, p in rows)]) + "\n"

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .importers.sensor_recordings import PRESSURES, check_columns, read_columns
-from .protocol import draw_protocol
+from .protocol import protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
 # The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.
@@ -141,7 +141,7 @@ class Touch(Table):
             data = data | {f"recorded_{name}": column for name, column in columns.items()}
         if data.get("profile") == "protocol" and "recorded_time_s" not in data:
             seed = data.get("protocol_seed", 0)
-            drawn = draw_protocol(seed if isinstance(seed, int) and seed >= 0 else 0)  # else the field's rule says so
+            drawn = protocol(seed if isinstance(seed, int) and seed >= 0 else 0)  # else the field's rule says so
             data = data | {f"recorded_{name}": tuple(column.tolist()) for name, column in drawn._asdict().items()}
         if data.get("profile") == "cycle":
             data = CYCLE | data

@@ -32,13 +32,14 @@ from numpy.typing import NDArray
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import blood_over_touch
-from nailoptics.io import write_text
 from nailoptics.light import DetectedLight, trace
 from nailoptics.light.detect import light_of
 from nailoptics.light.transfer import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.scene import Scene, Touch, digest, load_scene
-from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
+from nailoptics.scene import Scene, Touch, digest, load_scene, to_toml
+from nailoptics.scene.importers.sensor_recordings import Recording
+from nailoptics.sensor.ambient import scene_ambient_a
+from nailoptics.sensor.worn_light import WornLight, with_fitted_resistors
 from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.simulate import simulate_from
 
@@ -149,7 +150,9 @@ def record_touch(
     body = scene.body.model_copy(update={"seed": seed}) if scene.body else None
     touched = scene.model_copy(update={"touch": touch, "body": body})
     course = blood_over_touch(touched, model=model, rtol=RTOL)
-    return record(touched, simulate_from(touched, light, course=course, options=TraceOptions(seed=seed)), seed=seed)
+    lit = WornLight(with_fitted_resistors(touched), light, scene_ambient_a(touched, TraceOptions(seed=seed)))
+    result = simulate_from(lit, course=course, seed=seed)
+    return record(result.assign_attrs(scene=to_toml(touched)), seed=seed)
 
 
 def record_person(
@@ -193,7 +196,7 @@ def main() -> None:
         for kind, side in [("protocol", SIDES[0]), *itertools.product(TOUCHES, SIDES)]:
             path = given.output / (f"{name}_{kind}.csv" if kind == "protocol" else f"{name}_{kind}_{side}.csv")
             recording = record_person(scene, light, kind, side, seed=given.seed, model=model)
-            write_text(path, recording_csv(recording))
+            recording.save(path)
             print(path, flush=True)
 
 

@@ -65,6 +65,19 @@ def test_what_a_result_does_not_hold_is_said(make):
             _ = Nail(other)
 
 
+def test_a_photodiode_without_light_has_no_line(make):
+    """Expected: what detected no light is said in the legend, not drawn as a reading that stays the same."""
+    result = make(leds=1).assign_attrs(TITLE)
+    name = str(result.photodiode.values[0])
+    result = result.assign(detected_fraction=result.detected_fraction.where(result.photodiode != name, 0.0))
+    lines = {line.get_label(): line.get_ydata() for line in result.nail.plot().axes[0].lines}
+    (dark,) = (label for label in lines if label.startswith(name))
+    assert dark == f"{name}  no light" and not np.isfinite(lines.pop(dark)).any()
+    assert all(np.isfinite(values).all() for values in lines.values())
+    panel = next(axes for axes in result.nail.plot("volts").axes if axes.get_title("left") == name)
+    assert not any(np.isfinite(line.get_ydata()).any() for line in panel.lines)
+
+
 CUTS = {
     "two of the photodiodes": lambda r: r.isel(photodiode=[0, 1]),
     "one photodiode": lambda r: r.isel(photodiode=0),

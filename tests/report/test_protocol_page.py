@@ -13,9 +13,9 @@ import pytest
 
 from nailoptics.cli import run
 from nailoptics.report.pages.protocol import page, serve
-from nailoptics.scene.protocol import draw_protocol
+from nailoptics.scene.protocol import protocol
 
-DRAWN = draw_protocol(3)
+DRAWN = protocol(3)
 LEFT = re.compile(r"(\d+) s are left")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+import nailoptics as nail
 from nailoptics.cli import run
 from nailoptics.scene import Touch, load_scene
 from nailoptics.scene.protocol import (
@@ -14,13 +15,13 @@ from nailoptics.scene.protocol import (
     LEVEL_N,
     REST_S,
     SIDE_S,
-    draw_protocol,
+    protocol,
 )
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_both_sides_have_rests_varied_touches_and_one_that_closes(seed):
-    time_s, force_n, share = draw_protocol(seed)
+    time_s, force_n, share = protocol(seed)
     assert (np.diff(time_s) > 0).all() and force_n[0] == force_n[1] == force_n[-1] == 0 and time_s[1] == FIRST_REST_S
     for side in (1.0, 0.0):
         at = share == side
@@ -37,13 +38,15 @@ def test_both_sides_have_rests_varied_touches_and_one_that_closes(seed):
 def test_the_command_writes_the_touch_of_the_profile(tmp_path):
     path = tmp_path / "protocol.csv"
     assert run(["protocol", "prototype", "--seed", "3", "-o", str(path)]) == 0
+    nail.protocol(3).save(tmp_path / "python" / path.name)
+    assert (tmp_path / "python" / path.name).read_bytes() == path.read_bytes()
     drawn = Touch(profile="protocol", protocol_seed=3)
     read = Touch.model_validate({"profile": "recorded", "file": path.name}, context={"folder": tmp_path})
     for name in ("recorded_force_n", "recorded_proximal_share"):
         at_s = np.array(read.recorded_time_s)
         expected = np.interp(at_s, drawn.recorded_time_s, getattr(drawn, name))
         assert np.array(getattr(read, name)) == pytest.approx(expected, abs=1e-4)
-    assert draw_protocol(3).force_n.tolist() != draw_protocol(4).force_n[: len(draw_protocol(3).force_n)].tolist()
+    assert protocol(3).force_n.tolist() != protocol(4).force_n[: len(protocol(3).force_n)].tolist()
 
 
 def test_a_protocol_of_one_side_or_of_no_seed_is_refused(tmp_path, capsys):

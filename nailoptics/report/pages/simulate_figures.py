@@ -117,6 +117,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     for colour, j in photodiodes:
         moved = f"{significant(float(change[led, j, hold]) / scale, 3, sign=True)} {letter}V"
         moved = "saturated" if result.saturated[led, j].any() else moved
+        moved = moved if result.detected_fraction[led, j].any() else "no light"
         label = f"{result.photodiode.values[j]}  {moved}"
         _line(axes, thin.volts_change[led, j] / scale, color=colour, label=style.plain(label))
     axes.axvline(hold_s, color=style.MUTED, lw=0.8, ls=(0, (2, 2)))
@@ -139,7 +140,7 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
     colours, places = zip(*order, strict=True)
     thin = _thin(result).isel(led=led, photodiode=list(places)).transpose("photodiode", "time", ...)
-    rest = result.volts.isel(led=led, photodiode=list(places), time=0)
+    rest = result.volts.isel(led=led, photodiode=list(places), time=0).where(thin.detected_fraction.any("time"))
     scale, letter = prefix(_largest(thin.volts_change))
     models = {label: ((thin[f"volts_{name}"] - rest).values / scale, look) for name, (label, look) in MODELS.items()}
     traced, stderr = (thin[name].values / scale for name in ("volts_change", "volts_change_stderr"))
@@ -149,9 +150,10 @@ def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
 
 
 def _thin(result: xr.Dataset) -> xr.Dataset:
-    """At most so many times, the first and the last among them."""
+    """At most so many times, the first and the last among them; no change of what detected no light."""
     count = result.sizes["time"]
-    return result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
+    thin = result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
+    return thin.assign(volts_change=thin.volts_change.where(thin.detected_fraction.any("time")))
 
 
 def _largest(rows: Iterable[xr.DataArray]) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import Array
 from ...errors import InputError
+from ...io import make_folder, write_text
 from ..base import LEAST_AREA_MM2
 from ..oximeter import DARK
 from ..text_files import Rows, number_columns, read_rows
@@ -120,6 +121,11 @@ class Recording:
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
+
+    def save(self, path: str | Path) -> None:
+        """Write the recording as a CSV, which `calibrate` and `predict` read; raises WriteError."""
+        make_folder(Path(path).parent)
+        write_text(Path(path), recording_csv(self))
 
 
 def read_sensor_recording(path: str | Path) -> Recording:

@@ -10,10 +10,11 @@ import xarray as xr
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ... import checks
 from ...errors import InputError
 from ...light import DetectedLight
 from ...options import TraceOptions
-from ...scene import Scene
+from ...scene import Scene, parse_scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
 from ...sensor.ambient import scene_ambient_a
@@ -107,21 +108,26 @@ def reading_names(scene: Scene) -> tuple[str, ...]:
     return tuple(f"{led.name}:{photodiode}" for led in scene.leds for photodiode in photodiodes)
 
 
-def record(scene: Scene, result: xr.Dataset, *, seed: int) -> Recording:
+def record(result: xr.Dataset, *, seed: int = 0) -> Recording:
     """What a worn sensor would record of a simulated touch: volts with noise and the converter's steps.
 
-    result : what `simulate` returned for the scene.
+    result : what `simulate` returned.
+
+    Returns: Recording, which `calibrate` and `predict` take, and whose `save` writes it. Raises: InputError.
     """
-    names = reading_names(scene)
-    volts = result.volts.values.reshape(len(names), -1)
-    noise = result.volts_noise_rms.values.reshape(volts.shape)
+    checks.seed(seed)
+    try:
+        scene, time_s, force_n = parse_scene(result.attrs["scene"]), result.time.values, result.force_n.values
+        shape = len(names := reading_names(scene)), len(time_s)
+        volts, noise = (result[name].values.reshape(shape) for name in ("volts", "volts_noise_rms"))
+    except (AttributeError, LookupError, ValueError):
+        raise InputError("record needs the whole result of simulate; give it as returned.") from None
     # The converter's own steps are applied below, not drawn.
     lsb = electronics.lsb_v(scene.electronics)
     analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
     volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
     volts, _ = electronics.converted(np.round(volts / lsb) * lsb, scene.electronics)
-    time_s = result.time.values
-    return Recording("simulated", names, time_s, volts, result.force_n.values, site_of(scene, time_s))
+    return Recording("simulated", names, time_s, volts, force_n, site_of(scene, time_s))
 
 
 def site_of(scene: Scene, time_s: Array) -> Array:

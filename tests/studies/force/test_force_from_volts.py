@@ -13,7 +13,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report.pages.force import calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
-from nailoptics.scene.protocol import draw_protocol
+from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with
 from nailoptics.studies.force.fit import Fit
 from nailoptics.studies.force.kalman import DIVERGED, KalmanFilter
@@ -237,7 +237,7 @@ def test_what_the_protocol_has_and_a_recording_lacks_is_reported() -> None:
     assert "quick rises" not in distal and "a slow touch of 1.5 to 2 N (at most 0.8 N)" in distal
     assert rest.startswith("a recording begins with 1") and "refill rate of the vessels" in refill
     # Recordings that follow the protocol lack nothing.
-    drawn = draw_protocol(1)
+    drawn = protocol(1)
     at_s = np.arange(0.0, drawn.time_s[-1], 0.04)
     followed, site = np.interp(at_s, drawn.time_s, drawn.force_n), np.round(np.interp(at_s, *drawn[::2]))
     assert not lacking([Recording("made", (), at_s, np.zeros((0, at_s.size)), followed, site)])

@@ -10,7 +10,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import blood_over_touch
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.force import prediction_summary
-from nailoptics.scene import Ambient, Scene, Touch
+from nailoptics.scene import Ambient, Scene, Touch, to_toml
 from nailoptics.scene.importers.sensor_recordings import Recording
 from nailoptics.sensor.ambient import scene_ambient_a
 from nailoptics.sensor.worn_light import WornLight
@@ -58,7 +58,7 @@ def recorded(scene: Scene, *, site: str, peaks_n: tuple[float, ...], seed: int) 
     own = {"creep": 0.0, "distal_relaxation_s": 1e-3, "sample_rate_hz": 10.0, "profile": "recorded"}
     touched = scene.model_copy(update={"touch": Touch.model_validate(given | own)})
     result = simulated(touched, blood_over_touch(touched, rtol=1e-4), seed=seed)
-    return record(touched, result, seed=seed)
+    return record(result.assign_attrs(scene=to_toml(touched)), seed=seed)
 
 
 def calibrated(scene: Scene) -> Subject:
@@ -70,6 +70,17 @@ def calibrated(scene: Scene) -> Subject:
 
 def estimated(subject: Subject, scene: Scene) -> dict[str, object]:
     return prediction_summary(predict(subject, recorded(scene, site="proximal", peaks_n=(0.6, 0.3), seed=9)))
+
+
+def test_a_recording_needs_a_whole_result() -> None:
+    scene = made_sensor.scene().with_(touch={"profile": "hold", "force_n": 0.2, "sample_rate_hz": 10.0})
+    result = simulated(scene, blood_over_touch(scene)).assign_attrs(scene=to_toml(scene))
+    recording = record(result, seed=1)
+    assert (recording.volts != record(result).volts).any() and np.isnan(recording.site).all()
+    assert recording.force_n.tolist() == result.force_n.values.tolist()
+    for other in (result.isel(photodiode=[0]), result[["volts"]], result.drop_attrs(), None):
+        with pytest.raises(InputError, match="record needs the whole result of simulate; give it as returned"):
+            record(other)
 
 
 def test_a_table_reads_at_rest_what_simulate_does() -> None:
