@@ -93,6 +93,11 @@ def check_unique(names: Sequence[str], what: str) -> None:
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+# Lowest and highest pressures of arteries, which hold less than 60 kPa, and of veins. [Pa]
+ARTERIAL_PA, VENOUS_PA = (-1e4, 6e4), (-5e3, 1e4)
+ArterialPressure = Annotated[float, Field(ge=ARTERIAL_PA[0], le=ARTERIAL_PA[1])]
+VenousPressure = Annotated[float, Field(ge=VENOUS_PA[0], le=VENOUS_PA[1])]
+WaveAmplitude = Annotated[float, Field(ge=0, le=ARTERIAL_PA[1])]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$", max_length=40)]
 Point = tuple[float, float]
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3)]

@@ -5,7 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from .base import NonNegative, Positive, Table
+from .base import ArterialPressure, Positive, Table, VenousPressure, WaveAmplitude
 from .importers.sensor_recordings import check_columns, read_columns
 
 # Columns of a recording of the body.
@@ -19,11 +19,11 @@ class WaveTable(Table):
 class Heartbeat(WaveTable):
     """The heart's beat in the arterial pressure."""
 
-    mean_pressure_pa: float | None = None
+    mean_pressure_pa: ArterialPressure | None = None
     """Mean of the pressure over a beat; the vessels' own P_H if not given. [Pa]"""
     # Between the finger's artery (45 mmHg, Imholz 1998, Cardiovasc. Res. 38:605) and its capillaries (up to some 10
     # mmHg, Mahler 1979, Am. J. Physiol. 236:H888), which beat by 4 to 14 mmHg under this in the named sets.
-    pulse_pressure_pa: NonNegative = 2000.0
+    pulse_pressure_pa: WaveAmplitude = 2000.0
     """Highest less lowest pressure of a beat behind the small arteries, where P_H acts. [Pa]"""
     rate_per_min: Annotated[float, Field(ge=20, le=300)] = 70.0
     """Beats in a minute."""
@@ -31,7 +31,7 @@ class Heartbeat(WaveTable):
     rate_variability: Annotated[float, Field(ge=0, le=0.2)] = 0.05
     """Standard deviation of the interval from beat to beat, relative to its mean."""
     # The artery of a resting finger (45 mmHg, Imholz 1998).
-    arterial_pulse_pressure_pa: NonNegative = 6000.0
+    arterial_pulse_pressure_pa: WaveAmplitude = 6000.0
     """Highest less lowest pressure of a beat in small arteries and arterioles. [Pa]"""
     # Fitted: in reflectance at one finger 0.57 % of the light pulse in the infrared and 0.26 % in the red, from top to
     # bottom at 95 to 98 % saturation (public recordings of aarusso/OxiWear).
@@ -40,7 +40,7 @@ class Heartbeat(WaveTable):
     blood.rest_blood_fraction; 0 for capillaries alone, as in the paper."""
     # Fitted to the pulse over contact pressure of 136 to 140 people (CardioWorks 2025), largest at 50 mmHg, with P_H of
     # 75 mmHg. Vessels under tone shut at 20 to 60 mmHg (Nichol, Girling, Burton 1951, Am. J. Physiol. 164:330).
-    arteriolar_peak_pa: NonNegative = 5000.0
+    arteriolar_peak_pa: WaveAmplitude = 5000.0
     """Transmural pressure at which small arteries and arterioles are most compliant. [Pa]"""
 
 
@@ -52,7 +52,7 @@ class Breathing(WaveTable):
     # heartbeat's rms, medians of 12 hands (assets/priors.toml), as the veins' blood follows the breath, too: fitted.
     rate_per_min: Annotated[float, Field(ge=2, le=60)] = 15.0
     """Breaths in a minute."""
-    amplitude_pa: NonNegative = 600.0
+    amplitude_pa: WaveAmplitude = 600.0
     """Amplitude of the pressure, half of top to bottom. [Pa]"""
 
 
@@ -62,7 +62,7 @@ class Vasomotion(WaveTable):
     # Variance 14 to 39 mmHg^2 in healthy adults, 0.05 to 0.15 Hz (Taylor 1998, Am. J. Physiol. 274:H1194); waves of
     # 0.07 to 0.2 Hz were seen in the capillaries of the nailfold, too (Mahler 1979, Am. J. Physiol. 236:H888). In light
     # through fingertips their rms is 0.51 of the heartbeat's; with set "best" 600 Pa make 0.54 in the blood.
-    amplitude_pa: NonNegative = 600.0
+    amplitude_pa: WaveAmplitude = 600.0
     """Standard deviation of the pressure. [Pa]"""
     band_hz: tuple[Positive, Annotated[float, Field(gt=0, le=5)]] = (0.05, 0.15)
     """Lowest and highest frequency of the waves, at most 5, as fast as a heart beats. [Hz]"""
@@ -115,7 +115,7 @@ class Body(Table):
     hand_height_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
     """Height of the hand above that at which P_H and P_L hold, by which both fall (rho g h); veins of a raised hand
     collapse at a P_L of 0. The blood at rest is that without it. [m]"""
-    venous_pressure_pa: Annotated[float, Field(ge=-5000, le=10_000)] | None = None
+    venous_pressure_pa: VenousPressure | None = None
     """Venous pressure P_L, in place of the vessels' own, at which the blood at rest holds. [Pa]"""
     drift: Drift | None = None
     """Slow drift of LEDs and readings."""

@@ -266,10 +266,10 @@ class Scene(Displayed, Table):
     __str__ = __repr__
 
     def require_blood(self, command: str) -> None:
-        """Raise InputError where a bed without blood leaves a command nothing that a touch changes."""
+        """Raise InputError where a bed without blood leaves a command nothing that changes."""
         if self.blood.rest_blood_fraction == 0.0:
             raise InputError(
-                f"blood.rest_blood_fraction = 0: a touch changes nothing that {command} could read; give some blood."
+                f"blood.rest_blood_fraction = 0: nothing changes that {command} could read; give some blood."
             )
 
     @property

@@ -190,9 +190,9 @@ class Touch(Table):
                 raise ValueError(
                     f"steps[{i + 1}].start_s = {after.start_s} must come after steps[{i}].start_s = {before.start_s}"
                 )
-        if self.duration_s * self.sample_rate_hz > 10_000_000:
+        if self.intervals > 1e7:
             raise ValueError(
-                f"duration_s * sample_rate_hz = {self.duration_s * self.sample_rate_hz:g} samples; at most 1e7"
+                f"sample_rate_hz = {self.sample_rate_hz:g} takes {self.intervals:g} samples of the touch; at most 1e7"
             )
         if self.times_s().size < 2:
             raise ValueError(
@@ -204,12 +204,16 @@ class Touch(Table):
         """Where a force presses, as `hemodynamics.Contact` takes it."""
         return {name: getattr(self, name) for name in CONTACT} | {"distal_onset_n": self.distal_onset_n or 0.0}
 
+    @property
+    def intervals(self) -> float:
+        """Intervals of sampling in the simulated time."""
+        time_s = self.recorded_time_s
+        return (self.duration_s if time_s is None else time_s[-1] - time_s[0]) * self.sample_rate_hz
+
     def times_s(self) -> np.ndarray:
         """Sample times, (t,) float, from the start of the touch. [s]"""
-        if self.recorded_time_s is not None:
-            first, last = self.recorded_time_s[0], self.recorded_time_s[-1]
-            return first + np.arange(math.floor((last - first) * self.sample_rate_hz + 1e-9) + 1) / self.sample_rate_hz
-        return np.arange(math.floor(self.duration_s * self.sample_rate_hz + 1e-9) + 1) / self.sample_rate_hz
+        first_s = self.recorded_time_s[0] if self.recorded_time_s else 0.0
+        return first_s + np.arange(math.floor(self.intervals + 1e-9) + 1) / self.sample_rate_hz
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and forces [N] between which the force is linear, (k,) float each; a time twice where it jumps.

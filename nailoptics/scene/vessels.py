@@ -11,9 +11,11 @@ from .base import (
     USUAL_BONE_EDGE_MM,
     USUAL_PULP_BLOOD_FRACTION,
     USUAL_SO2,
+    ArterialPressure,
     Fraction,
     Positive,
     Table,
+    VenousPressure,
 )
 
 MOST_ZONES = 32
@@ -67,9 +69,9 @@ class Tuning(Table):
     """Share of a bed's blood in venules that a touch on that bed empties; beyond the paper, which has none."""
     venular_closing_pressure_pa: PerBed | None = None
     """Touch pressure at which these venules are empty. [Pa]"""
-    arterial_pressure_pa: float | None = None
+    arterial_pressure_pa: ArterialPressure | None = None
     """Arterial pressure P_H. [Pa]"""
-    venous_pressure_pa: float | None = None
+    venous_pressure_pa: VenousPressure | None = None
     """Venous pressure P_L. [Pa]"""
     factors: dict[str, PerBed] | None = None
     """Factors on constants of the named set, by their names, instead of values."""

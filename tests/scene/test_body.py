@@ -70,6 +70,8 @@ def test_a_recorded_pressure_that_cannot_be_used_is_refused_in_one_line(tmp_path
     [
         (lambda: Heartbeat(rate_per_min=0.0), "greater than or equal to 20"),
         (lambda: Heartbeat(rate_variability=0.5), "less than or equal to 0.2"),
+        (lambda: Heartbeat(mean_pressure_pa=1e300), "mean_pressure_pa = 1e.300: must be less than or"),
+        (lambda: Vasomotion(amplitude_pa=1e5), "less than or equal to 60000"),
         (lambda: Vasomotion(band_hz=(0.2, 0.1)), "must rise"),
         (lambda: Vasomotion(band_hz=(0.05, 2000.0)), "less than or equal to 5"),
         (lambda: Drift(led_per_rt_min=-0.1), "greater than or equal to 0"),

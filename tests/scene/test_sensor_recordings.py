@@ -56,7 +56,7 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,,a\n0,1,2\n1,2,3\n", "column 2 has no title"),
         ("time_s,a\n0,1\n20,2\n40,1\n", "in steps of 20; give it in seconds"),
         ("time_s,a\n0,1\n1e-9,2\n", "in steps of 1e-09; give it in seconds"),
-        ("time_s,a\n1e12,1\n1.000000000001e12,2\n", "time_s reaches 1e+12"),
+        ("time_s,a\n1e12,1\n1.000000000001e12,2\n", "line 2: time_s = 1e+12 must lie in -1e+10 to 1e+10 s"),
         ("time_s,site,a\n0,left,1\n1,even,2\n", "line 2: site = 'left' is unknown; choose from proximal, distal, even"),
     ],
 )

@@ -109,6 +109,7 @@ def test_a_recording_may_hold_pressures_and_shear(tmp_path):
         ("time_s,force_n\n0,0\n1,-0.06\n", "line 3: force_n = -0.06 must lie in 0 to 100 N"),
         ("time_s,force_n\n0,0\n1,-0.5\n", "force_n = -0.5 must lie in 0 to 100 N"),
         ("time_s,force_n\n0,0\n1,1000\n", "force_n = 1000 must lie in 0 to 100 N"),
+        ("time_s,force_n\n1e12,0\n1000000000001,1\n", "line 2: time_s = 1e+12 must lie in -1e+10 to 1e+10 s"),
         (
             "time_s,distal_pressure_pa\n0,0\n1,1\n",
             "proximal_pressure_pa and distal_pressure_pa; write one",
@@ -125,6 +126,11 @@ def test_a_recording_that_cannot_be_followed_is_refused_in_one_line(tmp_path, te
     assert words in line and line.startswith("touch.file ") and "touch.csv" in line
     assert len(line.splitlines()) == 1 and caught.value.exit_code == 2
     assert caught.value.__cause__ is None
+
+
+def test_a_recording_of_too_many_samples_is_refused_before_they_are_made(tmp_path):
+    with pytest.raises(InputError, match="sample_rate_hz = 100 takes 1e.11 samples of the touch; at most 1e7"):
+        recorded(tmp_path, "time_s,force_n\n0,0\n1e9,1\n")
 
 
 def test_a_recording_that_is_not_there_is_named(tmp_path):

@@ -22,6 +22,7 @@ from nailoptics.sensor.worn_light import WornLight
 from nailoptics.studies.exploration.explore import explore
 from nailoptics.studies.force.calibrate import calibrate
 from nailoptics.studies.model_error.tradeoff import tradeoff
+from nailoptics.studies.oximetry.oxygen import oximeter
 from nailoptics.studies.placement.place import place
 from nailoptics.studies.simulate import simulate, simulate_from
 
@@ -316,7 +317,7 @@ def test_a_bloodless_finger_is_a_control_whose_readings_stay(chosen_jit):
     assert "blood at rest" not in result.prior.values and "plate absorption" in result.prior.values
 
 
-@pytest.mark.parametrize("command", [calibrate, place, explore, tradeoff], ids=lambda one: one.__name__)
+@pytest.mark.parametrize("command", [calibrate, place, explore, tradeoff, oximeter], ids=lambda one: one.__name__)
 def test_commands_that_read_changes_of_blood_refuse_a_bloodless_bed(command):
     scene = prototype()
     bare = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.0})})

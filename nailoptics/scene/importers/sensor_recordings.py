@@ -14,20 +14,23 @@ from numpy.typing import ArrayLike, NDArray
 from ...checks import Array
 from ...errors import InputError
 from ...io import make_folder, write_text
-from ..base import LEAST_AREA_MM2
+from ..base import ARTERIAL_PA, LEAST_AREA_MM2, VENOUS_PA
 from ..oximeter import DARK
 from ..text_files import Rows, number_columns, read_rows
 
 PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
-# What a column may hold, and its unit. A touch presses with less than 100 N/cm^2; an artery holds less than 60 kPa.
+# Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]
+MOST_TIME_S = 1e10
+# What a column may hold, and its unit. A touch presses with less than 100 N/cm^2.
 RANGES: dict[str, tuple[float, float, str]] = {
+    "time_s": (-MOST_TIME_S, MOST_TIME_S, "s"),
     "force_n": (0.0, 100.0, "N"),
     "shear_n": (-100.0, 100.0, "N"),
     **dict.fromkeys(PRESSURES, (0.0, 1e6, "Pa")),
     "contact_area_mm2": (LEAST_AREA_MM2, 1e3, "mm^2"),
     "proximal_share": (0.0, 1.0, "(a part)"),
-    "arterial_pressure_pa": (-1e4, 6e4, "Pa"),
-    "venous_pressure_pa": (-5e3, 1e4, "Pa"),
+    "arterial_pressure_pa": (*ARTERIAL_PA, "Pa"),
+    "venous_pressure_pa": (*VENOUS_PA, "Pa"),
     "hand_height_m": (-1.0, 1.0, "m"),
 }
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
@@ -40,8 +43,6 @@ STDIN = "stdin"
 MOST_VOLTS = 50.0
 # Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
-# Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]
-MOST_TIME_S = 1e10
 
 
 def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequence[Sequence[str]]) -> Columns:
@@ -142,10 +143,10 @@ def read_sensor_recording(path: str | Path) -> Recording:
     columns = _numbers(rows, header, titles, name, codes={"site": SITES})
     time_s = columns["time_s"]
     step_s = float(np.median(np.diff(time_s)))
-    if not LEAST_STEP_S <= step_s <= MOST_STEP_S or np.abs(time_s).max() > MOST_TIME_S:
+    if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
         raise InputError(
-            f"{name}: time_s reaches {np.abs(time_s).max():g} in steps of {step_s:g}; give it in seconds, "
-            f"{LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
+            f"{name}: time_s rises in steps of {step_s:g}; give it in seconds, {LEAST_STEP_S:g} to {MOST_STEP_S:g} "
+            "from sample to sample."
         )
     volts = np.array([columns[title] for title in readings])
     return Recording(name, readings, time_s, volts, columns.get("force_n"), columns.get("site"))

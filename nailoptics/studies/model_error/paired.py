@@ -94,8 +94,8 @@ class PairedReadings:
 
     @cached_property
     def largest_modulation(self) -> tuple[float, float]:
-        """The largest change by touch, as a part of the reading at rest, and its standard error; NaN where unknown."""
-        if not np.isfinite(self.modulation).any():
+        """Largest change by touch, as a part of the reading at rest, and its standard error; NaN if unknown or 0."""
+        if not np.nan_to_num(self.modulation).any():
             return math.nan, math.nan
         largest = int(np.nanargmax(np.abs(self.modulation)))
         return abs(float(self.modulation.flat[largest])), float(self.modulation_stderr.flat[largest])

@@ -11,8 +11,9 @@ import xarray as xr
 
 from ... import tissue
 from ...display import Displayed
-from ...errors import NotReachedError
+from ...errors import InputError, NotReachedError
 from ...hemodynamics.for_scene import blood_over_touch
+from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, optics
 from ...light import backend as backends
 from ...light.tracing import unlit
@@ -199,6 +200,8 @@ def tradeoff(
     scene = as_scene(scene)
     check_study(scene, tolerance, "tradeoff", "has one level, itself")
     scene.require_blood("tradeoff")
+    if largest_force_n(scene) <= 0:
+        raise InputError("touch: the force never leaves 0, so there is nothing to compare levels by; give a force.")
     options, start = TraceOptions(**requested), time.perf_counter()
     # Each level's time is that of tracing it.
     options = replace(options, backend=backends.activate_jit(options.backend, "tradeoff").name, store=False)

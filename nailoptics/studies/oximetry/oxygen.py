@@ -47,6 +47,7 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the light went.
     """
     scene = as_scene(scene)
+    scene.require_blood("oximeter")
     cpu, begin = time.process_time(), time.perf_counter()
     options, leds = TraceOptions(**requested), oximeter_leds(scene)
     states = [(scene.blood.so2, rest_beat(scene))]

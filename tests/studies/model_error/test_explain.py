@@ -392,6 +392,17 @@ def test_an_interrupt_of_the_scenes_own_trace_leaves_nothing(jit_backend):
     assert caught.value.result is None
 
 
+@pytest.mark.jit
+@pytest.mark.parametrize("still", [{"blood": {"rest_blood_fraction": 0.0}}, {"touch": {"force_n": 0.0}}])
+def test_readings_that_no_touch_changes_have_effects_but_no_signal(jit_backend, still):
+    base = traced(revised(prototype(), still), photons=20_000, seed=1)
+    change = Change("absorption", True, "twice", {"finger": {"bed_absorption": 2.0}})
+    effect = effects.by_change(change, 0.02, base)
+    assert effect.of == "reading" and effect.change < -0.02 and effect.modulation_bound is None
+    scattering = effects.blood_scattering(0.02, base, traced(base.transfer.scene, photons=20_000, seed=1))
+    assert scattering.change == 0 and scattering.matters == "no"
+
+
 @pytest.mark.long
 @pytest.mark.jit
 def test_undetected_light_has_no_estimate(jit_backend):

@@ -176,6 +176,8 @@ def test_the_lines_of_every_level_make_its_scene(found):
 
 
 def test_what_has_no_levels_is_one_line():
+    with pytest.raises(InputError, match="^touch: the force never leaves 0, so there is nothing to compare levels by"):
+        tradeoff(revised(load_scene("prototype"), {"touch": {"force_n": 0.0}}))
     with pytest.raises(InputError, match="finger"):
         tradeoff(load_scene(data_dir("scenes") / "phantom.toml"))
     with pytest.raises(InputError, match="tolerance"):
