@@ -215,6 +215,7 @@ class _Driver:
     left : jobs that have not ended yet, by the digest of their scene.
     stored : lights of which a job has ended, so that others read what it stored.
     trouble : why the run ended before its time; full where it was for lack of room.
+    retried : whether scenes that had failed before are tried again.
     """
 
     def __init__(
@@ -228,11 +229,11 @@ class _Driver:
         self.stored: set[str] = set()
         self.deaths: Counter[str] = Counter()
         self.begin = self.started = time.time()
-        self.trouble, self.full = "", False
+        self.trouble, self.full, self.retried = "", False, False
 
     def take_out_finished(self, retry_failed: bool) -> None:
         """Take out of what is left the scenes that are done, and those that failed and are not to be tried again."""
-        made = self.settings.made()
+        made, self.retried = self.settings.made(), retry_failed
         for digest, job in list(self.left.items()):
             if retry_failed:
                 self.folder.failure(digest).unlink(missing_ok=True)
@@ -327,7 +328,8 @@ class _Driver:
         reasons = [self.trouble] if self.trouble else []
         if outcome.failed:
             first = next(iter(outcome.failed.values())).rstrip(".")
-            reasons.append(f"{len(outcome.failed)} failed (the first: {first}; retry_failed tries them again)")
+            again = "" if self.retried else "; retry_failed tries them again"
+            reasons.append(f"{len(outcome.failed)} failed (the first: {first}{again})")
         if outcome.unmet:
             reasons.append(f"{len(outcome.unmet)} missed their relative error in their time (run again to continue)")
         if outcome.unfinished and not self.trouble:
