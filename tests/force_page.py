@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-
 # What the page has of each row, to so many digits.
 COLUMNS = ("touches", "person", "rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
 DIGITS = 4
