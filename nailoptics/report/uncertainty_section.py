@@ -77,7 +77,8 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
             "on average, and vary about that."
         )
     signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
-    lines.append(f"The sign of the change holds in 97.5 % of draws from these priors at {signs} of {count} readings.")
+    unsure = "" if signs == count else "; at others it may, as responses to single priors are added up"
+    lines.append(f"The sign of the change holds in at least 97.5 % of draws at {signs} of {count} readings{unsure}.")
     lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
     lines.append("Not among these priors: how contact grows with force, and the number of blood zones.")
     return lines

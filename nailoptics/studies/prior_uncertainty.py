@@ -208,7 +208,10 @@ class PriorSensitivity:
 
     @property
     def keeps_sign(self) -> np.ndarray:
-        """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool."""
+        """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool.
+
+        Quadratic responses that are added up cross 0 in tails where the answer does not: what is False may hold.
+        """
         draws, noise = self.draws(0), np.nan_to_num(jackknife(self.base_answer), nan=np.inf)
         same = (np.sign(draws) == np.sign(self.base_answer[0])).mean(0)
         return np.asarray((same >= SURELY) & (np.abs(self.base_answer[0]) > np.maximum(Z95 * noise, ROUNDING)))

@@ -160,6 +160,42 @@ def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced, seed):
         assert 0.88 <= covered <= 0.99
 
 
+@pytest.mark.parametrize(
+    ("fresh", "draws", "seed"),
+    [
+        pytest.param(False, 100, 7, marks=pytest.mark.long),
+        pytest.param(True, 40, 11, marks=pytest.mark.slow),
+        pytest.param(True, 40, 12, marks=pytest.mark.slow),
+    ],
+)
+def test_signs_that_hold_do_so_in_joint_draws(traced, fresh, draws, seed):
+    """Expected: at least 97.5 % of joint draws, with the blood of each and the scene's light or a fresh trace, have the
+    sign that is stated to hold: of a distal touch at all photodiodes, of an even one not at each."""
+    photons = 1_000_000 if fresh else traced.traces[0].photons
+    transfer, sites = trace(traced.scene, photons=photons, seed=1), ("even", "proximal", "distal")
+
+    def at(site: str, scene: Scene) -> Scene:
+        return scene if site == "even" else at_value(scene, "touch.proximal_share", float(site == "proximal"))
+
+    def signal_over_priors(site: str) -> PriorSensitivity:
+        pressed = replace(transfer, scene=at(site, transfer.scene))
+        return readings_over_priors(pressed, ends, options=OPTIONS, own_traces=fresh).signal
+
+    stated = {site: signal_over_priors(site) for site in sites}
+    same: dict[str, list[np.ndarray]] = {site: [] for site in sites}
+    for k, one in enumerate(drawn(transfer.scene, stated["even"], draws, seed=seed)):
+        light = trace(one, photons=100_000, seed=100 + k) if fresh else transfer
+        for site in sites:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ReweightWarning)
+                same[site].append(np.sign(relative(light, at(site, one))[2]) == np.sign(stated[site].base_answer[0, 0]))
+    held = {site: stated[site].keeps_sign[0] for site in sites}
+    for site in sites:
+        print(f"{site}: stated to hold at {held[site].sum()} of 8; same sign in {np.mean(same[site], axis=0)} of draws")
+    assert held["distal"].all() and not held["even"].all() and np.mean(same["even"], axis=0).min() < 0.9
+    assert np.mean(np.concatenate([np.mean(same[site], axis=0)[held[site]] for site in sites])) >= 0.975
+
+
 @pytest.mark.slow
 def test_the_standard_error_of_a_spread_is_true(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
