@@ -105,6 +105,17 @@ def jackknife(replicates: Array) -> Array:
     return np.asarray(np.sqrt((len(left_out) - 1) / len(left_out) * ((left_out - left_out.mean(0)) ** 2).sum(0)))
 
 
+def fewer_groups(replicates: Array, groups: int) -> Array:
+    """What is made from all groups and without each, (1 + n, ...) float, without each of fewer, as large ones, to first
+    order; as it is where n is no multiple of them."""
+    count = len(replicates) - 1
+    if count <= groups or count % groups:
+        return replicates
+    changes = (replicates[1:] - replicates[0]).reshape(groups, -1, *replicates.shape[1:]).sum(1)
+    # Without one group of n the mean moves by a part of 1 / (n - 1), without several by that of all others.
+    return np.concatenate([replicates[:1], replicates[0] + changes * (count - 1) / (count - count // groups)])
+
+
 def seed_of(seed: int, *key: int) -> int:
     """The seed of one stream of random numbers; other keys and other seeds give streams that share nothing."""
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint64)[0])

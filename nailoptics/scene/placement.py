@@ -14,7 +14,7 @@ from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, wa
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
-Aim = Literal["worst", "mean", "share", "oxygen"]
+Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
 
 class Candidate(BoardFile):
@@ -140,9 +140,10 @@ class Placement(Table):
     """Force at which the resolution is evaluated. [N]"""
     since_rest_s: Annotated[float, Field(gt=0, le=86400)] = 60.0
     """Time since the last rest reading, over which readings drift according to [body.drift]. [s]"""
-    rank_by: Literal["worst", "mean", "share", "oxygen", "oxygen_and_force"] | dict[Aim, Positive] = "worst"
-    """Objective of search and ranking, to be minimized. worst, mean: the force resolution for the worst finger, or the
-    mean over the fingers; share: standard error of the proximal share of the force, worst finger; oxygen: uncertainty
+    rank_by: Literal["worst", "mean", "force", "share", "oxygen", "oxygen_and_force"] | dict[Aim, Positive] = "worst"
+    """Objective of search and ranking, to be minimized. worst, mean: the force resolution of one sample for the worst
+    finger, or the mean over the fingers; force: error of the filter of predict over touches, worst finger, where the
+    search is by one sample; share: standard error of the proximal share of the force, worst finger; oxygen: uncertainty
     of SpO2 of two LEDs for the worst finger, with a heartbeat; oxygen_and_force: oxygen and worst with equal weights.
     Or a table of weights, such as { worst = 2, oxygen = 1 }: the weighted mean of logarithms."""
     fingers: Annotated[tuple[FingerCase, ...], Field(max_length=16)] = ()

@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from ...errors import InputError
@@ -41,6 +42,7 @@ TOLERATED = (
 )
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING = {
+    "Error over touches [mN]": ("force_error_n", 1e3, 0),
     "Resolution [mN]": ("force_resolution_n", 1e3, 0),
     "Median person [mN]": ("median_resolution_n", 1e3, 0),
     "Electronics alone [mN]": ("electronics_resolution_n", 1e3, 0),
@@ -114,6 +116,8 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
 def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
     """What layouts are ranked by, where that is not the force alone, and the best one's figures for it."""
     weights, others = rules.weights, []
+    if "force" in weights:
+        others.append(f"force over touches to {estimated(first, 'force_error_n', 1e3)} mN by the filter of predict")
     if "share" in weights:
         others.append(f"that part to {estimated(first, 'share_resolution', 100)} % of the force")
     if "oxygen" in weights:
@@ -128,6 +132,8 @@ def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str,
     """Force resolution, with the electronics' noise alone, and beside the paper's layout."""
     first, better = ranking[0], gain(result)
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
+    if "force_error_n" in first:
+        cards.insert(0, (quantity(first["force_error_n"], "N"), "error of the force over touches by a filter, rms"))
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
     if better and first["layout"] != "paper":
@@ -172,6 +178,7 @@ def _limits(result: xr.Dataset) -> str:
         body = TEXTS["physiological"].format(sample, body_words(chosen(result)))
     return section(
         "What limits it",
+        _over_touches(result),
         " ".join(map(why, budgets)),
         figure(figures.budget_figure(budgets), TEXTS["budget"]),
         table([{"Layout": row["layout"]} | cells(row, causes) for row in budgets], kind="dense"),
@@ -180,6 +187,24 @@ def _limits(result: xr.Dataset) -> str:
         table(_tolerance_rows(_tolerances(result))),
         small(f"{TOLERATED} {TEXTS['tolerances']}"),
     )
+
+
+def _over_touches(result: xr.Dataset) -> str:
+    """What of the filter's error over touches another layout could change, of the best layout and those that the search
+    did not make; empty where it does not rank."""
+    if "force_error_n" not in result:
+        return ""
+    lines, shown = [], (result.origin != "searched").values | (np.arange(result.sizes["layout"]) == 0)
+    for i in np.flatnonzero(shown):
+        layout = result.isel(layout=i)
+        layout = layout.isel(finger=int(abs(layout.finger_force_error_n - layout.force_error_n).argmin()))
+        total_n, floor_n = float(layout.finger_force_error_n), float(layout.force_error_floor_n)
+        above_n, share = math.sqrt(max(total_n**2 - floor_n**2, 0.0)), 100 * (1 - (floor_n / total_n) ** 2)
+        lines.append(
+            f"Over touches, {quantity(above_n, 'N')} of {quantity(total_n, 'N')} with {layout.layout.item()} "
+            f"({share:.2g} % of the variance) depend on the layout."
+        )
+    return " ".join([*lines, TEXTS["over_touches"].format(quantity(floor_n, "N"))])
 
 
 def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
@@ -320,7 +345,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "ranking": rows(result),
         "rank_by": result.attrs["rank_by"],
         "layouts_given": int(result.attrs["layouts_given"]),
-        "limits": [why(row) for row in budgets_of(result)],
+        "limits": [*filter(None, [_over_touches(result)]), *(why(row) for row in budgets_of(result))],
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),

@@ -30,10 +30,12 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     """Layouts with their intervals, best on top."""
     shown = result.isel(layout=slice(SHOWN))
     names, rows, tied = shown.layout.values, np.arange(shown.sizes["layout"]), shown.tied.values
-    best, low, high = (1e3 * shown[f"force_resolution_{end}n"].values for end in ("", "low_", "high_"))
+    force = "force_error" if "force_error_n" in shown else "force_resolution"
+    best, low, high = (1e3 * shown[f"{force}_{end}n"].values for end in ("", "low_", "high_"))
     colours = np.where(names == "paper", *style.ZONES)
     figure, axes = style.panels(7.2, 0.9 + 0.32 * len(rows))
-    axes.plot(1e3 * shown.finger_resolution_n.values, rows, "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
+    on_finger = shown.finger_force_error_n if "force_error_n" in shown else shown.finger_resolution_n
+    axes.plot(1e3 * on_finger.values, rows, "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
     axes.hlines(rows, low, high, colors=colours, lw=2.2)
     axes.scatter(best, rows, 36, np.where(tied, colours, "none"), edgecolors=colours, zorder=3)
     finest = best.min()
@@ -43,7 +45,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
         style.legend_above(figure, axes, ncols=1)
         finest = alone.min()
     style.named_rows(axes, names)
-    axes.set_xlabel("force resolution [mN]")
+    axes.set_xlabel("error of the force over touches [mN]" if force == "force_error" else "force resolution [mN]")
     if high.max() > 8 * finest:
         axes.set_xscale("log")
         style.plain_log(axes.xaxis)

@@ -12,7 +12,6 @@ from pydantic import BaseModel, ValidationError
 
 from ...checks import explain
 from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
-from ...hemodynamics.parameters import vessels
 from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
@@ -21,7 +20,7 @@ from ...scene.importers.sensor_recordings import Recording, read_sensor_recordin
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import Fit, Fitted
-from .person import NAMES, USUAL_DISTAL_REACH, USUAL_PULP, NominalFinger, Pulp
+from .person import NAMES, nominal_finger
 from .reading_table import ReadingTable, nodes_of, reading_table
 from .recording_checks import checked, joined, lacking
 from .scores import TOUCH_N, rms, touches_by_kind
@@ -104,7 +103,7 @@ def calibrate_with(
             raise KeyboardInterrupt(NO_SUBJECT)
 
     try:
-        fit = Fit(recordings, table, _nominal_finger(scene), free=_free(scene, recordings))
+        fit = Fit(recordings, table, nominal_finger(scene), free=_free(scene, recordings))
         fitted = fit.solve(lambda done: report(FITTED * done))
         subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
@@ -121,21 +120,6 @@ def calibrate_with(
         subject=subject_toml(subject),
         recordings=[recording.name for recording in recordings],
         warnings=_warnings(subject, recordings),
-    )
-
-
-def _nominal_finger(scene: Scene) -> NominalFinger:
-    """The scene's finger, with the usual pulp where the scene states none."""
-    touch, pulp = scene.touch, USUAL_PULP
-    creep = pulp.creep if touch.creep is None else touch.creep
-    recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
-    return NominalFinger(
-        rest_blood_fraction=scene.blood.rest_blood_fraction,
-        contact_area_cm2=touch.contact_area_mm2 / 100.0,
-        proximal_share=touch.proximal_share,
-        distal_reach=scene.blood.distal_reach or USUAL_DISTAL_REACH,
-        pulp=Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
-        vessels=vessels(scene),
     )
 
 

@@ -28,7 +28,6 @@ from .state_space import (
     WALL_STATES,
     WIDTHS,
     StateSpace,
-    touch_pressure,
 )
 from .subject import READING_CORRELATION_S, Subject
 
@@ -162,10 +161,7 @@ class KalmanFilter:
         """Predict state and covariance of each mode by one step of the network."""
         variance = np.einsum("m,mii->i", self.mode_probability, self.mode_covariance)[:WALL_STATES]
         after, transition, noise = self.model.process(self.state, np.sqrt(variance), self.relaxed_n_per_cm2, step_s)
-        pressure_n_per_cm2 = touch_pressure(self.state[TOUCH])
-        self.relaxed_n_per_cm2 = pressure_n_per_cm2 + (self.relaxed_n_per_cm2 - pressure_n_per_cm2) * np.exp(
-            -step_s / self.model.person.creep_s
-        )
+        self.relaxed_n_per_cm2 = self.model.relax(self.state, self.relaxed_n_per_cm2, step_s)
         before, touch = self.mode_covariance.copy(), range(TOUCH.start, TOUCH.stop)
         # Process noise of the touch, which differs by mode, before the step; `process` has that of all else.
         before[:, touch, touch] += (step_s * (TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE) ** 2)[:, None]

@@ -15,11 +15,12 @@ from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, PlainVa
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from ...hemodynamics import Contact, creeping_pressure, spreading_pressure
-from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters
+from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters, vessels
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.walls import Walls, build_walls
 from ...hemodynamics.zones import PAPER_ZONES
+from ...scene import Scene
 from ...scene.base import Fraction
 from ...scene.priors import factor_priors
 
@@ -262,6 +263,21 @@ class NominalFinger:
             creep_s=self.pulp.creep_s,
             recovery_s=np.asarray(self.pulp.recovery_s * factor["distal_recovery"]),
         )
+
+
+def nominal_finger(scene: Scene) -> NominalFinger:
+    """The scene's finger, with the usual pulp where the scene states none."""
+    touch, pulp = scene.touch, USUAL_PULP
+    creep = pulp.creep if touch.creep is None else touch.creep
+    recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
+    return NominalFinger(
+        rest_blood_fraction=scene.blood.rest_blood_fraction,
+        contact_area_cm2=touch.contact_area_mm2 / 100.0,
+        proximal_share=touch.proximal_share,
+        distal_reach=scene.blood.distal_reach or USUAL_DISTAL_REACH,
+        pulp=Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
+        vessels=vessels(scene),
+    )
 
 
 def touch_on_walls(pressure_n_per_cm2: Array, distal_reach: Array | float) -> Array:

@@ -145,6 +145,12 @@ class StateSpace:
             after[self.beat], transition[at], noise[at] = beat.propagate(state[self.beat], step_s)
         return after, transition, noise
 
+    def relax(self, state: Array, relaxed_n_per_cm2: Array, step_s: float) -> Array:
+        """What the viscoelastic pulp has relaxed to after a step, (2,) float. [N/cm^2]"""
+        pressure_n_per_cm2 = touch_pressure(state[TOUCH])
+        remaining = np.exp(-step_s / self.person.creep_s)
+        return np.asarray(pressure_n_per_cm2 + (relaxed_n_per_cm2 - pressure_n_per_cm2) * remaining)
+
     def measurement(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading (R,) and their Jacobian H (R, size)."""
         subject, calibrated, width = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_WIDTH)

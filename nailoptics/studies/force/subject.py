@@ -108,6 +108,19 @@ class Noise:
     dynamic_error: Annotated[float, Field(exclude=True)] = DYNAMIC_ERROR
     static_error: Annotated[float, Field(exclude=True)] = STATIC_ERROR
 
+    def drift_covariance(self, led: Array) -> Array:
+        """Covariance of R readings' drift in a minute, over the readings, (R, R) float; led : as of `same_led`."""
+        return np.asarray(self.drift_per_min**2 * np.eye(len(led)) + self.led_drift_per_min**2 * led @ led.T)
+
+    def model_error2(self, from_rest: Array, moved: Array, since_s: float | None) -> Array:
+        """Variance of readings by the model's error, of their distance from rest and their recent change, (...) float.
+
+        since_s : time of a sample. [s]
+        """
+        # Samples within the correlation time count as one.
+        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
+        return np.asarray(correlated * ((self.dynamic_error * moved) ** 2 + (self.static_error * from_rest) ** 2))
+
 
 def _factor_values(table: Any) -> Any:
     """The factors of a file's table, which says more of each."""
@@ -190,8 +203,7 @@ class Subject(Displayed):
     @cached_property
     def drift_covariance(self) -> Array:
         """Covariance of the readings' drift in a minute, over the readings, (R, R) float."""
-        led, noise = self.light.same_led(), self.noise
-        return np.asarray(noise.drift_per_min**2 * np.eye(len(led)) + noise.led_drift_per_min**2 * led @ led.T)
+        return self.noise.drift_covariance(self.light.same_led())
 
     @cached_property
     def rest_covariance(self) -> Array:
@@ -204,11 +216,8 @@ class Subject(Displayed):
 
         blood_v, moved_v : (R,) float. Readings less drift, and their recent change. since_s : time of a sample. [s]
         """
-        # Samples within the correlation time count as one.
-        correlated = max(1.0, READING_CORRELATION_S / since_s) if since_s else 1.0
         from_rest_v = blood_v - self.readings.offset_v - self.rest_v
-        error_v2 = (self.noise.dynamic_error * moved_v) ** 2 + (self.noise.static_error * from_rest_v) ** 2
-        return np.asarray(self.readings.noise_v**2 + correlated * error_v2)
+        return np.asarray(self.readings.noise_v**2 + self.noise.model_error2(from_rest_v, moved_v, since_s))
 
     @property
     def stderr(self) -> Array:

@@ -25,7 +25,8 @@ from ...sensor.information import (
     share_resolution,
     total_information,
 )
-from ...statistics import jackknife, t95
+from ...statistics import fewer_groups, jackknife, t95
+from ..force.touch_error import TouchError
 from . import boards
 from .candidates import CandidateLayout
 from .photon_maps import PhotonMapCache
@@ -36,6 +37,10 @@ Array = NDArray[np.float64]
 JUDGE_PHOTONS = 1 << 18
 # Part of the time by whose end the evaluation ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
+# Groups of photons without each of which the filter's error is taken: of all blocks it would take as long as the trace.
+FILTER_GROUPS = 8
+# Noise of a reading, over itself, that says nothing: a dark photodiode, or one whose converter is at its limit.
+UNREADABLE = 1e3
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
 
@@ -102,11 +107,13 @@ class Objective:
     rules : with the weights of worst, mean, share and oxygen, and the number of people.
     points : the touch on each finger; those of people come last.
     oxygen : what SpO2 is evaluated by, if it counts.
+    filters : what the force over touches is evaluated by on each finger, if it counts.
     """
 
     rules: Placement
     points: Sequence[OperatingPoint]
     oxygen: Spo2Objective | None = None
+    filters: Sequence[TouchError] = ()
 
     def columns(self, finger: int, led: int, read: Response) -> Array:
         """Columns of photodiodes for one LED, (..., c) float: the `fisher_information` [Pa^-2] and, with an oxygen
@@ -140,8 +147,8 @@ class Objective:
     def value(self, name: str, total: Array) -> Array:
         """One of what layouts are ranked by over all fingers, of sums over photodiodes (fingers, ..., n) -> (...).
 
-        name : worst, mean : force resolution [N]; share : resolution of the proximal share of the force, on the worst
-            finger; oxygen : standard error of SpO2 on the worst finger [percent].
+        name : worst, mean, force : force resolution of one sample [N]; share : resolution of the proximal share of the
+            force, on the worst finger; oxygen : standard error of SpO2 on the worst finger [percent].
         """
         if name == "oxygen":
             with np.errstate(divide="ignore"):
@@ -156,16 +163,41 @@ class Objective:
         rules = self.rules
         return over_fingers(resolution, name or rules.over_fingers, people=rules.people, quantile=rules.quantile)
 
-    def score(self, total: Array) -> Array:
+    def score(self, total: Array, over_touches_n: Array | None = None) -> Array:
         """What layouts are ranked by, (fingers, ..., n) -> (...): the weighted geometric mean of the values, or the
         only value in its unit.
+
+        over_touches_n : (...) float. The error of the force over touches; that of one sample if not given, as for the
+            search. [N]
         """
-        weights = self.rules.weights
+        weights, known = self.rules.weights, {} if over_touches_n is None else {"force": over_touches_n}
+        values = {name: known[name] if name in known else self.value(name, total) for name in weights}
         if len(weights) == 1:
-            return self.value(next(iter(weights)), total)
+            return next(iter(values.values()))
         with np.errstate(divide="ignore"):
-            logs = [weight * np.log(self.value(name, total)) for name, weight in weights.items()]
+            logs = [weight * np.log(values[name]) for name, weight in weights.items()]
         return np.asarray(np.exp(np.sum(logs, axis=0)))
+
+    def force_over_touches(self, responses: Sequence[Sequence[Response]]) -> "ForceResolution | None":
+        """Error of the force that a filter estimates over touches, by finger and LED (1 + blocks, photodiodes); None
+        where it does not count."""
+        if not self.filters:
+            return None
+        fingers_n = []
+        for of_leds, touches in zip(responses, self.filters, strict=True):
+            light_v, noise_v, unsaturated = (
+                np.concatenate([getattr(read, name) for read in of_leds], -1)
+                for name in ("light_v", "noise_v", "unsaturated")
+            )
+            zone_v = np.concatenate([read.zone_v for read in of_leds], -2)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                noise = np.nan_to_num(noise_v / light_v / np.sqrt(unsaturated), nan=UNREADABLE)
+                slopes = np.where(noise[..., None] < UNREADABLE, zone_v / light_v[..., None], 0.0)
+            led = np.repeat(np.eye(len(of_leds)), of_leds[0].volts.shape[-1], axis=0)
+            noise = np.minimum(noise, UNREADABLE)
+            slopes, noise = (fewer_groups(values, FILTER_GROUPS) for values in (slopes, noise))
+            fingers_n.append(touches.rms_n(slopes, noise, led))
+        return ForceResolution(np.stack(fingers_n, 1), np.array([one.floor_n for one in self.filters]), self)
 
     def force_n(self, total: Array) -> Array:
         """Force resolution over the fingers, likewise. [N]"""
@@ -206,7 +238,8 @@ class ForceResolution:
 class LayoutScore:
     """What a layout resolves: by all photons and without each block of them.
 
-    force, electronics : through the body's noise, and were the body still.
+    force, electronics : of one sample, through the body's noise, and were the body still.
+    over_touches : of a filter, by fewer blocks; None where it does not rank.
     information_per_pa2 : (1 + blocks, fingers, 3) float. Of both pressures, whatever the body does. [Pa^-2]
     responses : by finger and LED, (1 + blocks, photodiodes).
     share : (1 + blocks,) float. Resolution of the proximal share of the force, on the worst finger.
@@ -218,6 +251,7 @@ class LayoutScore:
 
     force: ForceResolution
     electronics: ForceResolution
+    over_touches: ForceResolution | None
     information_per_pa2: Array
     responses: list[list[Response]]
     share: Array
@@ -228,7 +262,9 @@ class LayoutScore:
     @property
     def ranked_interval(self) -> tuple[float, float]:
         """95 % interval of what layouts are ranked by."""
-        return self.force.interval_n if self.by_force else resolution_interval_n(self.ranked)
+        if self.by_force:
+            return (self.over_touches or self.force).interval_n
+        return resolution_interval_n(self.ranked)
 
     @property
     def relative_error(self) -> float:
@@ -273,6 +309,9 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         for matrix in (information, still)
     )
     floors_n = np.array([physiological_noise_force_n(point) for point in points])
+    over_touches, ranked_total = objective.force_over_touches(responses), total
+    if over_touches is not None:
+        ranked_total = np.stack([fewer_groups(of_finger, FILTER_GROUPS) for of_finger in total])
     return LayoutScore(
         force=ForceResolution(through, floors_n, objective),
         electronics=ForceResolution(alone, np.zeros(len(points)), objective),
@@ -280,8 +319,9 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         responses=responses,
         share=objective.value("share", total),
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),
-        ranked=objective.score(total),
-        by_force=set(objective.rules.weights) == {objective.rules.over_fingers},
+        over_touches=over_touches,
+        ranked=objective.score(ranked_total, None if over_touches is None else over_touches.all_n),
+        by_force=[*objective.rules.weights] in ([objective.rules.over_fingers], ["force"]),
     )
 
 

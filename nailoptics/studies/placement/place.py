@@ -19,6 +19,7 @@ from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
+from ..force.touch_error import TouchError
 from . import boards, candidates, search
 from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, LayoutScore, Objective, score_layouts, spo2_objective
@@ -132,7 +133,8 @@ def _objective(base: Scene, conditions: Sequence[FingerCondition], rules: Placem
     cases = [condition.case for condition in conditions]
     rules = rules.model_copy(update={"people": sum(isinstance(case, boards.Person) for case in cases)})
     oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
-    return Objective(rules, [condition.point for condition in conditions], oxygen)
+    filters = [TouchError(boards.worn_on(base, case), rules.force_n) for case in cases if "force" in rules.weights]
+    return Objective(rules, [condition.point for condition in conditions], oxygen, filters)
 
 
 def _candidates(

@@ -81,10 +81,15 @@ def _ranking(
 ) -> Variables:
     """Each layout with what it resolves, over the fingers and on each; were the body still, too, if there is one."""
     points = [condition.point for condition in conditions]
-    data = _resolution("force", "finger", [score.force for score in scores])
+    data = _resolution("force_resolution", "finger_resolution", [score.force for score in scores])
     if any(point.body is not None for point in points):
-        data |= _resolution("electronics", "finger_electronics", [score.electronics for score in scores])
+        data |= _resolution(
+            "electronics_resolution", "finger_electronics_resolution", [score.electronics for score in scores]
+        )
         data |= described(__package__, physiological_noise_force_n=scores[0].force.floors_n)
+    if over_touches := [score.over_touches for score in scores if score.over_touches is not None]:
+        data |= _resolution("force_error", "finger_force_error", over_touches)
+        data |= described(__package__, force_error_floor_n=over_touches[0].floors_n)
     if spo2 := [score.spo2_percent for score in scores if score.spo2_percent is not None]:
         data |= described(__package__, spo2_error_percent=jackknifed(np.stack(spo2, 1)))
     per_pa2 = np.array([score.information_per_pa2[0] for score in scores])
@@ -107,10 +112,10 @@ def _resolution(name: str, on_finger: str, resolutions: Sequence[ForceResolution
     errors = [resolution_stderr_n(r.all_n, r.floor_n) for r in resolutions]
     finger_errors = [resolution_stderr_n(r.fingers_n, r.floors_n) for r in resolutions]
     columns = {
-        f"{name}_resolution_n": Estimate([r.all_n[0] for r in resolutions], errors),
-        f"{name}_resolution_low_n": low,
-        f"{name}_resolution_high_n": high,
-        f"{on_finger}_resolution_n": Estimate([r.fingers_n[0] for r in resolutions], finger_errors),
+        f"{name}_n": Estimate([r.all_n[0] for r in resolutions], errors),
+        f"{name}_low_n": low,
+        f"{name}_high_n": high,
+        f"{on_finger}_n": Estimate([r.fingers_n[0] for r in resolutions], finger_errors),
     }
     return described(__package__, **columns)
 
@@ -217,7 +222,8 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
 
     tied, force_n, ends = result.tied.values, result.force_resolution_n, ("n", "n_stderr", "low_n", "high_n")
     table = {"rank": np.where(tied, 1, 1 + np.arange(len(tied))), "layout": result.layout.values}
-    table |= {"origin": result.origin.values} | of(*(f"force_resolution_{end}" for end in ends))
+    table |= {"origin": result.origin.values}
+    table |= of(*(f"{force}_{end}" for force in ("force_error", "force_resolution") for end in ends))
     table |= of("least_volts", "most_volts", "adc_headroom", "least_snr", "shunted_fraction")
     # The body's own part is known and would hide the error of the photons.
     by_light = next(name for name in ("electronics_resolution_n", "force_resolution_n") if name in result)
@@ -255,12 +261,14 @@ def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def gain(result: xr.Dataset) -> tuple[float, float] | None:
-    """How many times finer the best resolves force than the paper's layout, and its standard error; None without it."""
+    """How many times finer the best resolves force, over touches where these rank, than the paper's layout, and its
+    standard error; None without it."""
     names = [str(name) for name in result.layout.values]
     if "paper" not in names:
         return None
     i = names.index("paper")
-    score, error = result.force_resolution_n.values, result.force_resolution_n_stderr.values
+    force = "force_error_n" if "force_error_n" in result else "force_resolution_n"
+    score, error = result[force].values, result[f"{force}_stderr"].values
     ratio = score[i] / score[0]
     spread = ratio * np.hypot(error[i] / score[i], error[0] / score[0]) if i else 0.0
     return float(ratio), float(spread)

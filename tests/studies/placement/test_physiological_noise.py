@@ -331,3 +331,27 @@ def test_the_page_tells_the_bodys_part(found, tmp_path):
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
     assert text.count("<svg") == 4
+
+
+@pytest.mark.long
+def test_layouts_are_ranked_by_the_filters_error_over_touches(found, fewer_photons, tmp_path):
+    """Expected: with the same light, the filter's error is what ranks, with its interval, above what no layout changes;
+    the one-sample figure stays, and page and terminal say how much of the error depends on the layout."""
+    with fewer_photons():
+        by_touches = place.place(
+            parse_scene(SCENE.replace("[placement]", '[placement]\nrank_by = "force"')), photons=1 << 17, seed=2
+        )
+    rows = {row["layout"]: row for row in result.rows(by_touches)}
+    before = {row["layout"]: row for row in result.rows(found)}
+    floor_n = float(by_touches.force_error_floor_n[0])
+    assert list(rows) == sorted(rows, key=lambda name: rows[name]["force_error_n"])
+    for name, row in rows.items():
+        assert row["force_resolution_n"] == pytest.approx(before[name]["force_resolution_n"])
+        assert floor_n < row["force_error_low_n"] < row["force_error_n"] < row["force_error_high_n"]
+    assert rows["near"]["force_error_n"] < rows["far"]["force_error_n"]
+    text, lines = page(by_touches), placement.lines(placement.summary(by_touches))
+    assert "Error over touches<br>[mN]" in text and "error of the force over touches [mN]" in text
+    assert "Error over touches [mN]" in lines[0]
+    said = next(line for line in lines if "depend on the layout" in line)
+    assert said in text and "of a finger that is known exactly" in said
+    assert np.isfinite(by_touches.tolerance_ranking_stderr).any()

@@ -1,0 +1,224 @@
+"""The error of the force that the Kalman filter estimates over touches, of a sensor that is known exactly.
+
+The filter is linearised along a protocol of slow and quick touches. A Riccati recursion makes its gains, by which two
+errors are propagated: the covariance by what the body and the electronics add to readings, and the lag behind a touch
+that moves otherwise than the random walk that the filter takes it for. The vessels' part is the same for all layouts.
+
+Reference: Gelb 1974, Applied Optimal Estimation, sec. 7.2 (error covariance of a filter whose model is not the truth).
+"""
+
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ...hemodynamics.waves import WAVES, CardiacOscillator, DampedOscillator, pressure_lines
+from ...scene import Body, Scene
+from ...scene.body import Drift
+from ...sensor.information import LIFT_PER_UM, SLIDE_PER_UM
+from .body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
+from .kalman import MODE_RATE, TOUCH_RATE_N_PER_CM2_RT_S, ZERO_STDERR_N_PER_CM2_RT_S
+from .person import NAMES, Array, Person, nominal_finger
+from .reading_table import POWERS, ReadingTable
+from .scores import TOUCH_N
+from .state_space import FIRST_WAVE, SOFTNESS_N_PER_CM2, TOUCH, WALL_STATES, StateSpace
+from .subject import LINEAR, READING_CORRELATION_S, Noise, Quality, Readings, Subject
+
+# Samples in a second, as in recordings of touches; the longest step of the vessels' network is longer. [Hz]
+RATE_HZ = 25.0
+# Time of each part of a touch, and the part of the force at its end: a slow touch and a quick one of either side, after
+# a rest in which the filter takes hold of the body's waves. [s, 1]
+FIRST_REST_S = 6.0
+TOUCHES = ((3.0, 1.0), (2.0, 1.0), (1.0, 0.0), (3.0, 0.0), (0.16, 1.0), (2.0, 1.0), (0.1, 0.0), (3.0, 0.0))
+# A touch that moves by more than so many standard deviations of the slow mode's random walk is taken for quick.
+QUICK = 3.0
+# Motion of the sensor within the time from rest to rest is drift to the filter. [s]
+REST_TO_REST_S = 10.0
+# Change of the logarithm of a reading with the blood, beside which drift is nothing. [1]
+EXACT_SLOPE = 1e6
+
+
+class _Step(NamedTuple):
+    """The filter's model from one sample to the next, without the readings' drift: n states.
+
+    transition, noise : (n, n) float. Of the process, that of the touch left out. rate : of its random walk.
+    by_state : (2, n) float. Change of the blood of both zones with the state. blood : (2,) float. It, over rest.
+    moved : (2,) float. By how much both touches move, of which the filter knows nothing.
+    """
+
+    transition: Array
+    noise: Array
+    rate: float
+    by_state: Array
+    blood: Array
+    moved: Array
+
+
+class TouchError:
+    """The filter's rms error over a slow and a quick touch of either side, for any layout on a scene's finger.
+
+    noise : what the scene's body does, as the filter knows it.
+    """
+
+    def __init__(self, scene: Scene, force_n: float) -> None:
+        """force_n : of all touches."""
+        self.person = nominal_finger(scene).person()
+        self.noise = scene_noise(scene.body, self.person)
+        parts, height = np.array(TOUCHES).T
+        corner_s = np.cumsum([0.0, FIRST_REST_S, *parts, *parts])
+        time_s = np.arange(0.0, corner_s[-1], 1.0 / RATE_HZ)
+        self._force_n = force_n * np.interp(time_s, corner_s, [0.0, 0.0, *height, *height])
+        self._proximal = time_s < corner_s[1 + len(TOUCHES)]
+        model = StateSpace(_blood_meter(scene, self.noise))
+        self._initial = model.initial()[1][: model.drift.start, : model.drift.start]
+        self._steps = list(self._linearised(model))
+
+    def _linearised(self, model: StateSpace) -> Iterator[_Step]:
+        """The model along the touches, from the first sample on."""
+        since_s = 1.0 / RATE_HZ
+        model.resolve_harmonics(since_s)
+        pressure = self.person.pressures_n_per_cm2(self._force_n, self._proximal.astype(float))
+        # The filter's coordinate of a pressure, 0 at rest.
+        touch = np.maximum(pressure, SOFTNESS_N_PER_CM2)
+        touch = np.where(pressure > 0, touch + SOFTNESS_N_PER_CM2 * np.log(-np.expm1(-touch / SOFTNESS_N_PER_CM2)), 0.0)
+        state, relaxed, size = model.initial()[0], np.zeros(2), model.drift.start
+        if self.noise.beat:
+            state[model.beat.start + 1 : model.beat.stop : 2] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
+        for moved in np.diff(touch, axis=1, prepend=0.0).T:
+            after, transition, noise = model.process(state, np.zeros(WALL_STATES), relaxed, since_s)
+            relaxed, after[TOUCH] = model.relax(state, relaxed, since_s), state[TOUCH] + moved
+            state = after
+            quick = np.abs(moved).max() > QUICK * TOUCH_RATE_N_PER_CM2_RT_S * np.sqrt(since_s)
+            # The meter's readings are exp(blood over that at rest).
+            volts, jacobian = model.measurement(state)
+            blood, rest = np.log(volts), self.person.rest_blood
+            yield _Step(
+                transition=transition[:size, :size],
+                noise=noise[:size, :size],
+                rate=TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE[int(quick)],
+                by_state=rest * jacobian[:, :size] / volts[:, None],
+                blood=rest * (blood - 1.0),
+                moved=moved,
+            )
+
+    def rms_n(self, slopes: Array, noise: Array, led: Array) -> Array:
+        """The error over the touches, (...) float. [N]
+
+        slopes : (..., R, 2) float. Change of the logarithm of R readings with the blood of either zone.
+        noise : (..., R) float. Their white noise, rms, over themselves.
+        led : (R, L) float. Which LED each reading is of, 1 or 0.
+        """
+        shape, count = noise.shape[:-1], noise.shape[-1]
+        slopes, noise = slopes.reshape(-1, count, 2), noise.reshape(-1, count)
+        side = np.where(self._proximal, 0, 1)
+        touched = self._force_n >= min(TOUCH_N, 0.5 * self._force_n.max())
+        error2 = np.stack([error2[:, i] for error2, i in zip(self._errors2(slopes, noise, led), side, strict=True)])
+        error2 *= (self.person.side_areas_cm2**2)[side, None]
+        return np.asarray(np.sqrt(error2[touched].mean(0)).reshape(shape))
+
+    @cached_property
+    def floor_n(self) -> float:
+        """The error where readings show the blood of both zones exactly, model included: what no layout changes. [N]"""
+        exact = copy(self)
+        exact.noise = replace(self.noise, dynamic_error=0.0, static_error=0.0)
+        return float(exact.rms_n(EXACT_SLOPE * np.eye(2), np.full(2, 1.0 / EXACT_SLOPE), np.ones((2, 1))))
+
+    def _errors2(self, slopes: Array, noise: Array, led: Array) -> Iterator[Array]:
+        """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
+        batch, count = noise.shape
+        size, since_s, known = len(self._steps[0].transition), 1.0 / RATE_HZ, self.noise
+        unit, drift = np.eye(size + count), known.drift_covariance(led)
+        claimed = np.zeros((batch, *unit.shape))
+        claimed[:, :size, :size], claimed[:, size:, size:] = self._initial, drift
+        lag, moved, change = (np.zeros((batch, n)) for n in (size + count, count, count))
+        transition, jacobian = unit.copy(), np.zeros((batch, count, size + count))
+        jacobian[:, :, size:] = np.eye(count)
+        waves, at = slice(FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
+        true = claimed.copy()
+        for step, force_n in zip(self._steps, self._force_n, strict=True):
+            transition[:size, :size] = step.transition
+            claimed[:, at, at] += since_s * step.rate**2
+            claimed, true = (transition @ covariance @ transition.T for covariance in (claimed, true))
+            claimed[:, :size, :size] += step.noise
+            # What the filter takes for noise of walls and pulp is none of the body's.
+            true[:, waves, waves] += step.noise[waves, waves]
+            for covariance in (claimed, true):
+                covariance[:, size:, size:] += drift * since_s / 60.0
+            lag = lag @ transition.T
+            lag[:, TOUCH] += step.moved
+            jacobian[:, :, :size] = slopes @ step.by_state
+            moved = moved * np.exp(-since_s / READING_CORRELATION_S)
+            measured = noise**2 + known.model_error2(change, moved, since_s)
+            moved, change = moved + slopes @ step.blood - change, slopes @ step.blood
+            innovation_by_state = jacobian @ claimed
+            innovation = innovation_by_state @ np.swapaxes(jacobian, 1, 2) + measured[:, :, None] * np.eye(count)
+            gain = np.swapaxes(np.linalg.solve(innovation, innovation_by_state), 1, 2)
+            left = unit - gain @ jacobian
+            claimed = claimed - gain @ innovation_by_state
+            gain = gain * noise[:, None]
+            true = left @ true @ np.swapaxes(left, 1, 2) + gain @ np.swapaxes(gain, 1, 2)
+            lag = np.einsum("bij,bj->bi", left, lag)
+            if force_n == 0.0:
+                information = since_s / ZERO_STDERR_N_PER_CM2_RT_S**2
+                zero = claimed[:, :, TOUCH] @ np.linalg.inv(np.eye(2) / information + claimed[:, TOUCH, TOUCH])
+                claimed = claimed - zero @ claimed[:, TOUCH]
+                lag = lag - np.einsum("bij,bj->bi", zero, lag[:, TOUCH])
+                left = np.repeat(unit[None], batch, axis=0)
+                left[:, :, TOUCH] -= zero
+                true = left @ true @ np.swapaxes(left, 1, 2)
+            claimed = 0.5 * (claimed + np.swapaxes(claimed, 1, 2))
+            yield lag[:, TOUCH] ** 2 + true[:, at, at]
+
+
+def scene_noise(body: Body | None, person: Person) -> Noise:
+    """What a scene's body does to readings, as a calibration would estimate it; motion counts as drift."""
+    drift, motion = (body and body.drift) or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), body and body.motion
+    # Displacements at either end of a touch are independent of each other.
+    per_min = np.sqrt(2.0 * 60.0 / REST_TO_REST_S)
+    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if motion else (0.0, 0.0)
+    frequency_hz, variance_pa2 = pressure_lines(body) if body and body.moves else (np.empty(0), np.empty(0))
+    slow, beat = list[DampedOscillator](), None
+    for wave in WAVES:
+        lines = frequency_hz >= wave.band_hz[0]
+        if wave.coherence_s is not None:
+            lines &= frequency_hz < wave.band_hz[1]
+        if not (total := float(variance_pa2[lines].sum())):
+            continue
+        if wave.coherence_s is not None:
+            middle_hz = float(frequency_hz[lines] @ variance_pa2[lines]) / total
+            slow.append(DampedOscillator(middle_hz, wave.coherence_s, total**0.5))
+            continue
+        rate_hz = float(frequency_hz[np.argmax(variance_pa2 * lines)])
+        order = np.rint(frequency_hz / rate_hz) * lines
+        rms_pa = [np.sqrt(variance_pa2[order == k].sum()) for k in range(1, 1 + HARMONICS)]
+        heights = [pressure_to_blood_gain(person, k * rate_hz) * rms for k, rms in enumerate(rms_pa, start=1)]
+        beat = CardiacOscillator(rate_hz, tuple(max(x, 0.01 * max(heights)) for x in heights), HEIGHT_SPREAD)
+    return Noise(
+        drift_per_min=float(np.hypot(drift.reading_per_rt_min, per_min * slide)),
+        led_drift_per_min=float(np.hypot(drift.led_per_rt_min, per_min * lift)),
+        waves=tuple(slow),
+        beat=beat,
+    )
+
+
+def _blood_meter(scene: Scene, noise: Noise) -> Subject:
+    """A subject of two readings whose logarithms are the blood of either zone over that at rest."""
+    finger, count = nominal_finger(scene), 2
+    most_blood = min(1.0, 10.0 * finger.rest_blood_fraction)
+    coefficients = np.zeros((count, len(POWERS)))
+    coefficients[range(count), [POWERS.index((1, 0)), POWERS.index((0, 1))]] = most_blood / finger.rest_blood_fraction
+    zeros, ones = np.zeros(count), np.ones(count)
+    light = ReadingTable(dict(zip("ab", coefficients, strict=True)), zeros, most_blood, np.zeros((2, 2)), ones, 1.0)
+    return Subject(
+        scene_digest="",
+        quality=Quality(1.0, rms_n=0.0),
+        factors=np.ones(len(NAMES)),
+        readings=Readings(ones, zeros, zeros, ones),
+        noise=noise,
+        scene=finger,
+        light=light,
+        covariance=np.zeros((len(NAMES) + LINEAR * count,) * 2),
+    )

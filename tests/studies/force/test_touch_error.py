@@ -1,0 +1,115 @@
+"""The filter's error over touches, by which layouts are ranked: against dense algebra, and against `predict`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.assets import data_dir
+from nailoptics.scene import Scene
+from nailoptics.studies.force import touch_error
+from nailoptics.studies.force.subject import READING_CORRELATION_S
+from nailoptics.studies.force.touch_error import RATE_HZ, TouchError, scene_noise
+
+SLOPES, NOISE, LED = np.array([[-1.0, -0.2], [-0.3, -0.8], [-0.5, -0.5]]), np.array([1e-4, 2e-4, 1e-4]), np.ones((3, 1))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene(data_dir("scenes") / "placement.toml")
+
+
+@pytest.fixture(scope="module")
+def touches(scene: Scene) -> TouchError:
+    return TouchError(scene, 0.5)
+
+
+def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
+    """Rationale: the estimate of a touch from all readings up to a sample is generalised least squares of the states of
+    all samples at once, in the filter's model; its error follows from the covariance of the true states and from the
+    touches that were made. Expected: the same as the recursion's over 35 samples about the first rise of a quick touch.
+    """
+    short = TouchError(scene, 0.5)
+    cut = slice(425, 460)
+    assert 0 < (short._force_n[cut] > 0).sum() < 35
+    short._steps, short._force_n, short._proximal = short._steps[cut], short._force_n[cut], short._proximal[cut]
+    recursion = np.array([errors2[0] for errors2 in short._errors2(SLOPES[None], NOISE[None], LED)])
+    states, count, since_s = len(short._initial), len(NOISE), 1.0 / RATE_HZ
+    size, samples, drift = states + count, len(short._steps), short.noise.drift_covariance(LED)
+    first = np.zeros((size, size))
+    first[:states, :states], first[states:, states:] = short._initial, drift
+    # Of the states of all samples: covariance in the filter's model and in truth, and what the touches make of them.
+    model, truth, made = np.zeros((samples, size) * 2), np.zeros((samples, size) * 2), np.zeros((samples, size))
+    before, true_before, mean = first, first, np.zeros(size)
+    for k, step in enumerate(short._steps):
+        transition, touch = np.eye(size), np.zeros((size, size))
+        transition[:states, :states] = step.transition
+        touch[[3, 4], [3, 4]] = since_s * step.rate**2
+        noise, true_noise = np.zeros((size, size)), np.zeros((size, size))
+        noise[:states, :states], true_noise[6:states, 6:states] = step.noise, step.noise[6:, 6:]
+        noise[states:, states:] = true_noise[states:, states:] = drift * since_s / 60
+        before = transition @ (before + touch) @ transition.T + noise
+        true_before = transition @ true_before @ transition.T + true_noise
+        mean = transition @ mean
+        mean[3:5] += step.moved
+        model[k, :, k], truth[k, :, k], made[k] = before, true_before, mean
+        for j in range(k):
+            for joint in (model, truth):
+                joint[k, :, j] = transition @ joint[k - 1, :, j]
+                joint[j, :, k] = joint[k, :, j].T
+    model, truth = (joint.reshape((samples * size,) * 2) for joint in (model, truth))
+    rows, variance, true_variance = [], [], []
+    moved = change = np.zeros(count)
+    for k, step in enumerate(short._steps):
+        moved = moved * np.exp(-since_s / READING_CORRELATION_S)
+        measured = NOISE**2 + short.noise.model_error2(change, moved, since_s)
+        moved, change = moved + SLOPES @ step.blood - change, SLOPES @ step.blood
+        jacobian = np.concatenate([SLOPES @ step.by_state, np.eye(count)], 1)
+        zero = np.eye(2, size, 3) if short._force_n[k] == 0 else np.zeros((0, size))
+        for row in (*jacobian, *zero):
+            rows.append(np.zeros((samples, size)))
+            rows[-1][k] = row
+        variance += [*measured, *np.full(len(zero), touch_error.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s)]
+        true_variance += [*NOISE**2, *np.zeros(len(zero))]
+        design, at = np.array(rows).reshape(len(rows), -1), slice(k * size + 3, k * size + 5)
+        gain = model[at] @ design.T @ np.linalg.inv(design @ model @ design.T + np.diag(variance))
+        error = np.eye(samples * size)[at] - gain @ design
+        expected = np.diag(error @ truth @ error.T + gain * true_variance @ gain.T) + (error @ made.ravel()) ** 2
+        assert recursion[k] == pytest.approx(expected, rel=1e-6)
+
+
+def test_better_readings_err_less_down_to_what_the_body_leaves(touches: TouchError) -> None:
+    """Expected: more noise errs more, more contrast beside the same drift less, never less than the floor, which
+    contrast without end comes near; several layouts at once are as one by one."""
+    at_once = touches.rms_n(np.stack([SLOPES, 4 * SLOPES, SLOPES]), np.stack([NOISE, NOISE, 100 * NOISE]), LED)
+    usual, contrast, noisy = (
+        float(touches.rms_n(*one, LED)) for one in ((SLOPES, NOISE), (4 * SLOPES, NOISE), (SLOPES, 100 * NOISE))
+    )
+    assert at_once == pytest.approx([usual, contrast, noisy])
+    assert touches.floor_n < contrast < usual < noisy
+    assert touches.floor_n < touches.rms_n(1e5 * SLOPES, NOISE, LED) < 1.1 * touches.floor_n
+    # Readings that drift each with an LED of its own hold less than those of one.
+    assert touches.rms_n(SLOPES, NOISE, np.eye(3)) > usual
+
+
+def test_a_still_body_leaves_the_lag_of_the_filter(scene: Scene, touches: TouchError) -> None:
+    still = TouchError(scene.model_copy(update={"body": None}), 0.5)
+    assert still.noise.beat is None and not still.noise.waves and still.noise.drift_per_min == 0
+    assert still.floor_n < 0.9 * touches.floor_n
+
+
+def test_the_bodys_noise_is_that_of_its_waves_and_motion(scene: Scene, touches: TouchError) -> None:
+    """Rationale: breathing of 600 Pa has 600 / sqrt 2 rms, vasomotion its amplitude; a heart of 70 beats a minute.
+    Displacements at the ends of 10 s are a random walk of sqrt 12 times their rms in a minute.
+    """
+    breath, slow = touches.noise.waves
+    assert (breath.frequency_hz, breath.rms_pa) == pytest.approx((0.25, 600 / np.sqrt(2)))
+    assert (slow.frequency_hz, slow.rms_pa) == pytest.approx((0.1, 600), rel=1e-3)
+    beat = touches.noise.beat
+    assert beat is not None and beat.rate_hz == pytest.approx(70 / 60) and 300 < beat.rms_pa[0] < 600
+    assert touches.noise.led_drift_per_min == pytest.approx(np.hypot(0.002, np.sqrt(12) * 0.001))
+    assert scene.body is not None
+    body = scene.body.model_copy(update={"motion": None, "heartbeat": None})
+    noise = scene_noise(body, touches.person)
+    assert noise == replace(touches.noise, beat=None, led_drift_per_min=0.002, drift_per_min=0.0005)
