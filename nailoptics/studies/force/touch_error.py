@@ -24,7 +24,7 @@ from .kalman import MODE_RATE, TOUCH_RATE_N_PER_CM2_RT_S, ZERO_STDERR_N_PER_CM2_
 from .person import NAMES, Array, Person, nominal_finger
 from .reading_table import POWERS, ReadingTable
 from .scores import TOUCH_N
-from .state_space import FIRST_WAVE, SOFTNESS_N_PER_CM2, TOUCH, WALL_STATES, StateSpace
+from .state_space import FIRST_WAVE, TOUCH, WALL_STATES, StateSpace
 from .subject import LINEAR, READING_CORRELATION_S, Noise, Quality, Readings, Subject
 
 # Samples in a second, as in recordings of touches; the longest step of the vessels' network is longer. [Hz]
@@ -80,10 +80,7 @@ class TouchError:
         """The model along the touches, from the first sample on."""
         since_s = 1.0 / RATE_HZ
         model.resolve_harmonics(since_s)
-        pressure = self.person.pressures_n_per_cm2(self._force_n, self._proximal.astype(float))
-        # The filter's coordinate of a pressure, 0 at rest.
-        touch = np.maximum(pressure, SOFTNESS_N_PER_CM2)
-        touch = np.where(pressure > 0, touch + SOFTNESS_N_PER_CM2 * np.log(-np.expm1(-touch / SOFTNESS_N_PER_CM2)), 0.0)
+        touch = self.person.pressures_n_per_cm2(self._force_n, self._proximal.astype(float))
         state, relaxed, size = model.initial()[0], np.zeros(2), model.drift.start
         if self.noise.beat:
             state[model.beat.start + 1 : model.beat.stop : 2] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
