@@ -17,6 +17,7 @@ from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import electronics, information
 from nailoptics.sensor.information import PhysiologicalNoise, physiological_noise
 from nailoptics.statistics import covariance_root, left_out
+from nailoptics.studies.force.touch_error import TouchError
 from nailoptics.studies.placement import place, result
 from nailoptics.studies.placement.objective import LayoutScore, Objective, score_layout
 
@@ -290,6 +291,29 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     scatter = np.std([float(one.force.all_n[0]) for one in every])
     error = np.mean([one.relative_error * float(one.force.all_n[0]) for one in every])
     assert error == pytest.approx(scatter, rel=0.2)
+
+
+def test_errors_over_touches_scatter_as_they_say():
+    """Rationale: 16 noisy photon maps, each in 32 blocks, of which the filter's error is taken without one eighth at a
+    time. Expected: standard errors are the scatter, within the 50 % that so few maps tell; a dark layout says nothing.
+    """
+    scene = parse_scene(SCENE.replace("[body.heartbeat]", "[body.drift]\n[body.motion]\n[body.heartbeat]"))
+    point, rules = information.operating_point(scene, 0.5), Placement(rank_by="force")
+    objective = Objective(rules, [point], None, [TouchError(scene, 0.5)])
+    light, blood = np.array([2e-5, 6e-5, 5e-5, 2e-5]), np.array([[16, 3], [12, 6], [8, 9], [4, 12]])
+    mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
+
+    def judged(blocks: np.ndarray) -> LayoutScore:
+        read = information.response(left_out(blocks), scene, 0, scene.photodiodes[0], point, replicates=True)
+        cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
+        return score_layout(SimpleNamespace(scene=scene, board=scene), cache, objective)
+
+    rng = np.random.default_rng(4)
+    every = [judged(mean * (1 + 0.3 * rng.normal(size=(32, *mean.shape)))) for _ in range(16)]
+    values_n = [float(one.ranked[0]) for one in every]
+    error_n = np.mean([one.relative_error * value_n for one, value_n in zip(every, values_n, strict=True)])
+    assert error_n == pytest.approx(np.std(values_n, ddof=1), rel=0.5)
+    assert 0.4 < float(judged(np.zeros((32, *mean.shape))).ranked[0]) < 0.5
 
 
 @pytest.fixture(scope="module")
