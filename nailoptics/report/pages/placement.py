@@ -197,7 +197,7 @@ def _over_touches(result: xr.Dataset) -> str:
     lines, shown = [], (result.origin != "searched").values | (np.arange(result.sizes["layout"]) == 0)
     for i in np.flatnonzero(shown):
         layout = result.isel(layout=i)
-        layout = layout.isel(finger=int(abs(layout.finger_force_error_n - layout.force_error_n).argmin()))
+        layout = layout.isel(finger=int(abs(layout.finger_force_error_n - layout.force_error_n).argmin("finger")))
         total_n, floor_n = float(layout.finger_force_error_n), float(layout.force_error_floor_n)
         above_n, share = math.sqrt(max(total_n**2 - floor_n**2, 0.0)), 100 * (1 - (floor_n / total_n) ** 2)
         lines.append(
