@@ -179,7 +179,7 @@ def test_predict_errs_over_touches_as_is_computed(
     for seed in range(8):
         body = sensor.body.model_copy(update={"seed": seed}) if sensor.body else None
         made = sensor.model_copy(update={"touch": sensor.touch.model_copy(update=recorded), "body": body})
-        recording = record(made, simulate(made, photons=1_000_000), seed=seed)
+        recording = record(simulate(made, photons=1_000_000), seed=seed)
         gain = np.median(recording.volts[:, :100], axis=1) / volts
         known = Subject(
             scene_digest="",
