@@ -126,48 +126,48 @@ class TouchError:
     def _errors2(self, slopes: Array, noise: Array, led: Array) -> Iterator[Array]:
         """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
         batch, count = noise.shape
-        size, since_s, known = len(self._steps[0].transition), 1.0 / RATE_HZ, self.noise
-        unit, drift = np.eye(size + count), known.drift_covariance(led)
-        claimed = np.zeros((batch, *unit.shape))
-        claimed[:, :size, :size], claimed[:, size:, size:] = self._initial, drift
+        size, since_s, known = len(self._initial), 1.0 / RATE_HZ, self.noise
+        everything, drift = np.zeros((2, batch, size + count, size + count)), known.drift_covariance(led)
+        # The covariance that the filter believes, and the true one.
+        everything[:, :, :size, :size], everything[:, :, size:, size:] = self._initial, drift
+        claimed, true = everything
         lag, moved, change = (np.zeros((batch, n)) for n in (size + count, count, count))
-        transition, jacobian = unit.copy(), np.zeros((batch, count, size + count))
+        jacobian = np.zeros((batch, count, size + count))
         jacobian[:, :, size:] = np.eye(count)
         waves, at = slice(FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
-        true = claimed.copy()
         for step, force_n in zip(self._steps, self._force_n, strict=True):
-            transition[:size, :size] = step.transition
             claimed[:, at, at] += since_s * step.rate**2
-            claimed, true = (transition @ covariance @ transition.T for covariance in (claimed, true))
+            everything[:, :, :size] = step.transition @ everything[:, :, :size]
+            everything[..., :size] = everything[..., :size] @ step.transition.T
             claimed[:, :size, :size] += step.noise
             # What the filter takes for noise of walls and pulp is none of the body's.
             true[:, waves, waves] += step.noise[waves, waves]
-            for covariance in (claimed, true):
-                covariance[:, size:, size:] += drift * since_s / 60.0
-            lag = lag @ transition.T
+            everything[:, :, size:, size:] += drift * since_s / 60.0
+            lag[:, :size] = lag[:, :size] @ step.transition.T
             lag[:, TOUCH] += step.moved
             jacobian[:, :, :size] = slopes @ step.by_state
             moved = moved * np.exp(-since_s / READING_CORRELATION_S)
             measured = noise**2 + known.model_error2(change, moved, since_s)
             moved, change = moved + slopes @ step.blood - change, slopes @ step.blood
-            innovation_by_state = jacobian @ claimed
-            innovation = innovation_by_state @ np.swapaxes(jacobian, 1, 2) + measured[:, :, None] * np.eye(count)
-            gain = np.swapaxes(np.linalg.solve(innovation, innovation_by_state), 1, 2)
-            left = unit - gain @ jacobian
-            claimed = claimed - gain @ innovation_by_state
-            gain = gain * noise[:, None]
-            true = left @ true @ np.swapaxes(left, 1, 2) + gain @ np.swapaxes(gain, 1, 2)
-            lag = np.einsum("bij,bj->bi", left, lag)
+            _update(everything, lag, jacobian, measured, noise**2)
             if force_n == 0.0:
-                information = since_s / ZERO_STDERR_N_PER_CM2_RT_S**2
-                zero = claimed[:, :, TOUCH] @ np.linalg.inv(np.eye(2) / information + claimed[:, TOUCH, TOUCH])
-                claimed = claimed - zero @ claimed[:, TOUCH]
-                lag = lag - np.einsum("bij,bj->bi", zero, lag[:, TOUCH])
-                left = np.repeat(unit[None], batch, axis=0)
-                left[:, :, TOUCH] -= zero
-                true = left @ true @ np.swapaxes(left, 1, 2)
-            claimed = 0.5 * (claimed + np.swapaxes(claimed, 1, 2))
+                zero = np.broadcast_to(np.eye(2, size + count, TOUCH.start), (batch, 2, size + count))
+                variance = np.full((batch, 2), ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s)
+                _update(everything, lag, zero, variance, np.zeros((batch, 2)))
             yield lag[:, TOUCH] ** 2 + true[:, at, at]
+
+
+def _update(covariances: Array, lag: Array, jacobian: Array, claimed2: Array, true2: Array) -> None:
+    """Update the covariances that a filter believes and the true ones, (2, batch, n, n), and its lag (batch, n), by m
+    readings with a Jacobian (batch, m, n), whose noise has a variance (batch, m) in its belief and in truth."""
+    by_state = jacobian @ covariances
+    innovation = by_state @ np.swapaxes(jacobian, 1, 2)
+    innovation[..., range(claimed2.shape[1]), range(claimed2.shape[1])] += np.stack([claimed2, true2])
+    gain = np.swapaxes(np.linalg.solve(innovation[0], by_state[0]), 1, 2)
+    # (1 - K H) P (1 - K H)^T + K R K^T in Joseph's form.
+    half = gain @ (0.5 * innovation @ np.swapaxes(gain, 1, 2) - by_state)
+    covariances += half + np.swapaxes(half, 2, 3)
+    lag -= (gain @ (jacobian @ lag[..., None]))[..., 0]
 
 
 def scene_noise(body: Body | None, person: Person) -> Noise:
