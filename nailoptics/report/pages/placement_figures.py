@@ -39,7 +39,10 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     axes.hlines(rows, low, high, colors=colours, lw=2.2)
     axes.scatter(best, rows, 36, np.where(tied, colours, "none"), edgecolors=colours, zorder=3)
     finest = best.min()
-    if "electronics_resolution_n" in shown:
+    if force == "force_error":
+        axes.axvline(1e3 * float(shown.force_error_floor_n.max()), color=style.MUTED, ls=":", label="no layout changes")
+        style.legend_above(figure, axes, ncols=1)
+    elif "electronics_resolution_n" in shown:
         alone = 1e3 * shown.electronics_resolution_n.values
         axes.plot(alone, rows, "D", mfc="none", mec=style.MUTED, ms=4.5, label="electronics alone")
         style.legend_above(figure, axes, ncols=1)
