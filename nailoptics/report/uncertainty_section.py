@@ -92,7 +92,8 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     if compared > 1 and nodes:
         lines.append(
             f"Of the {compared} top-ranked layouts {result.layout.values[0]} remains the best at {stays} of {nodes} "
-            f"values of the priors' parameters, in one sample; another is significantly better at {beaten or 'none'} of them."
+            f"values of the priors' parameters, in one sample; another is significantly better at "
+            f"{beaten or 'none'} of them."
         )
     if traced:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
