@@ -44,8 +44,8 @@ class ForceEstimate(NamedTuple):
 
     force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
     proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
-    probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; NaN where the
-        calibration does not say how well it tells sides apart.
+    probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; a third where there
+        may be none, NaN where the calibration does not say how well it tells sides apart.
     pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
     """
 
@@ -64,6 +64,9 @@ class ForceEstimate(NamedTuple):
     def where(self, known: Array) -> "ForceEstimate":
         """The same, NaN where not known (T,)."""
         return ForceEstimate(*(np.where(known, column, np.nan) for column in self))
+
+
+SITE_PROBABILITIES = ForceEstimate._fields[6:9]
 
 
 class ForceInterval:
@@ -224,10 +227,13 @@ class ForceEstimator:
         by_filter = self._interval.of(estimates)
         with np.errstate(invalid="ignore", divide="ignore"):
             over_rest = self._features.over_rest(np.log(volts), by_filter.force_n < REST_FORCE_N, since_s)
-        if self._ensemble is None:
-            return by_filter, by_filter.force_n, over_rest
-        features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-        force_n = self._ensemble.force_n(features, by_filter.force_n)
-        low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
-        force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
-        return force, by_filter.force_n, over_rest
+        force = by_filter
+        if self._ensemble is not None:
+            features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
+            force_n = self._ensemble.force_n(features, by_filter.force_n)
+            low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
+            force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
+        # Where there may be no touch, none of the sides is any more likely.
+        may_rest = force.force_low_n <= 0.0
+        likely = {name: np.where(may_rest, 1.0 / 3.0, getattr(force, name)) for name in SITE_PROBABILITIES}
+        return force._replace(**likely), by_filter.force_n, over_rest
