@@ -1,13 +1,19 @@
 """Speed of the hemodynamics against its targets and against a plain scipy Radau of the six-state system.
 
 Run: python tests/benchmarks/bench_hemodynamics.py [--json]. Times are the median of repeated warm calls in one process.
+With --beside REVISION it reads the blood of shipped scenes with two zones, and of the prototype with eight under a
+pressure that decays from the tip, by the code of both revisions, each in its own process: which bits are the same, and
+how long it takes. Scenes of now must be readable there: b72706e1, the last before the bone's shield, reads them.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,8 +23,10 @@ from scipy.integrate import solve_ivp
 
 from nailoptics.hemodynamics import cardiac_pressure, parameters, respond, steady_state, zones_between
 
-sys.path.append(str(Path(__file__).parents[1]))
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / "tests"), str(Path(__file__).parent)]
 
+from bench_slopes import export  # noqa: E402
 from printed_equations import state_matrices  # noqa: E402
 
 
@@ -87,12 +95,47 @@ def measure() -> dict[str, float]:
     }
 
 
+SCENES = ("prototype", "static_distal", "static_proximal", "dynamic_distal")
+BLOOD = """
+import sys, time
+import numpy as np
+from nailoptics.hemodynamics.for_scene import blood_over_touch
+from nailoptics.scene import parse_scene
+
+for text in sys.argv[1:]:
+    scene, times = parse_scene(text), []
+    for _ in range(9):
+        begin = time.process_time()
+        blood = blood_over_touch(scene).blood_fraction.values
+        times.append(time.process_time() - begin)
+    print(min(times), blood.tobytes().hex())
+"""
+
+
+def beside(revision: str) -> bool:
+    """Print time and agreement of the blood of scenes by this revision and by another; whether all bits agree."""
+    texts = {name: (ROOT / "scenes" / f"{name}.toml").read_text(encoding="utf-8") for name in SCENES}
+    texts["prototype, zones = 8"] = texts["prototype"].replace("[blood]", "[blood]\nzones = 8\ndecay_length = 0.3")
+    with tempfile.TemporaryDirectory() as folder:
+        runs = []
+        for code in (ROOT, export(revision, Path(folder))):
+            command = [sys.executable, "-c", BLOOD, *texts.values()]
+            done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(code)}, capture_output=True, check=True)
+            runs.append([line.split() for line in done.stdout.decode().splitlines()])
+    for name, (here_s, here), (there_s, there) in zip(texts, *runs, strict=True):
+        bits = "same bits" if here == there else "other bits"
+        print(f"{name:<22} {1e3 * float(here_s):6.1f} ms  {1e3 * float(there_s):6.1f} ms there  {bits}")
+    return all(here == there for (_, here), (_, there) in zip(*runs, strict=True))
+
+
 TARGETS = {"press_two_zones_s": 0.03, "eight_over_two": 5.0, "steady_states_10000_s": 1.0}
 # The least that counts as a replacement of the established solver.
 LEAST = {"radau_over_ours": 20.0}
 
 
 if __name__ == "__main__":
+    if "--beside" in sys.argv:
+        sys.exit(not beside(sys.argv[sys.argv.index("--beside") + 1]))
     results = measure()
     if "--json" in sys.argv:
         print(json.dumps(results))
