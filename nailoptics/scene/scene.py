@@ -159,6 +159,8 @@ class Scene(Displayed, Table):
         touch, finger = self.touch, self.finger
         sides = [area for area in (touch.proximal_area_mm2, touch.distal_area_mm2) if area is not None]
         largest_mm2 = max([touch.contact_area_mm2, *sides, *(touch.recorded_contact_area_mm2 or ())])
+        if touch.contact_force_n is not None:
+            largest_mm2 *= max(1.0, touch.corners()[1].max() / touch.contact_force_n) ** (2 / 3)
         if finger is not None and largest_mm2 > finger.width_mm * finger.length_mm:
             raise ValueError(
                 f"touch: an area of contact of {largest_mm2:g} mm^2 reaches off the finger, which has "

@@ -232,6 +232,10 @@ def test_phantoms_and_fingers_refuse_each_others_fields():
     [
         ("contact_area_mm2 = 400.0", "an area of contact of 400 mm^2 reaches off the finger, which has 280 mm^2"),
         (
+            "force_n = 8.0\ncontact_force_n = 1.0",
+            "an area of contact of 400 mm^2 reaches off the finger, which has 280",
+        ),
+        (
             'site = "distal"\ndistal_onset_n = 0.8',
             "touch: distal_onset_n = 0.8 is for a touch that presses on the proximal",
         ),
