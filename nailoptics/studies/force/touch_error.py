@@ -14,7 +14,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ValidationError
 
+from ...checks import explain
+from ...errors import InputError
 from ...hemodynamics.waves import WAVES, CardiacOscillator, DampedOscillator, pressure_lines
 from ...scene import Body, Scene
 from ...scene.body import Drift
@@ -64,9 +67,12 @@ class TouchError:
     """
 
     def __init__(self, scene: Scene, force_n: float) -> None:
-        """force_n : of all touches."""
-        self.person = nominal_finger(scene).person()
-        self.noise = scene_noise(scene.body, self.person)
+        """force_n : of all touches. Raises: InputError for a finger or a body that no calibration could have."""
+        try:
+            self.person = nominal_finger(scene).person()
+            self.noise = scene_noise(scene.body, self.person)
+        except ValidationError as error:
+            raise InputError(f"the filter of predict cannot follow this: {explain(error, BaseModel).args[0]}") from None
         parts, height = np.array(TOUCHES).T
         corner_s = np.cumsum([0.0, FIRST_REST_S, *parts, *parts])
         time_s = np.arange(0.0, corner_s[-1], 1.0 / RATE_HZ)

@@ -8,6 +8,7 @@ import pytest
 
 from nailoptics import load_scene, simulate
 from nailoptics.assets import data_dir
+from nailoptics.errors import InputError
 from nailoptics.scene import Scene
 from nailoptics.studies.force import touch_error
 from nailoptics.studies.force.calibrate import open_table
@@ -119,6 +120,12 @@ def test_the_bodys_noise_is_that_of_its_waves_and_motion(scene: Scene, touches: 
     body = scene.body.model_copy(update={"motion": None, "heartbeat": None})
     noise = scene_noise(body, touches.person)
     assert noise == replace(touches.noise, beat=None, led_drift_per_min=0.002, drift_per_min=0.0005)
+
+
+def test_a_finger_beyond_any_is_refused_in_a_line(scene: Scene) -> None:
+    blood = scene.blood.model_copy(update={"rest_blood_fraction": 1e-7})
+    with pytest.raises(InputError, match="filter of predict cannot follow this: .*rest_blood_fraction"):
+        TouchError(scene.model_copy(update={"blood": blood}), 0.5)
 
 
 def worn(scene: Scene, v_mm: float, wired: tuple[tuple[int, ...], tuple[int, ...]]) -> Scene:
