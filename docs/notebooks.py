@@ -30,7 +30,7 @@ TRACING = re.compile(
 LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
 # On top of a page that is not run, whose language no kernel says.
 UNEXECUTED = '\nmystnb:\n  execution_mode: "off"\nlanguage_info:\n  name: python\n  pygments_lexer: ipython3\n---\n'
-LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|max_seconds|photons)( ?= ?)[\d_.]+")
+LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons)( ?= ?)[\d_.]+")
 
 
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:

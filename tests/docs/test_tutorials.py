@@ -1,7 +1,7 @@
-"""Every tutorial that is no notebook does what it says: its files are written, its commands and its Python run.
+"""What commands write has the variables that the page of output files lists, and pages type commands that exist.
 
-With few photons; the slow tests take shipped scenes as they are, and more photons, the others scenes that were made
-small. Notebooks run when the pages are built, in test_pages.py.
+The slow tests take shipped scenes as they are, and more photons, the others scenes that were made small. Notebooks run
+when the pages are built, in test_pages.py.
 """
 
 import json
@@ -9,8 +9,6 @@ import re
 import runpy
 import shlex
 import shutil
-from collections.abc import Iterator
-from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -23,75 +21,22 @@ from nailoptics.scene import files
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-NOTEBOOK = "---\nfile_format: mystnb\n"
-PAGES = sorted(
-    page
-    for page in (DOCS / "tutorials").glob("*.md")
-    if page.stem != "index" and not page.read_text(encoding="utf-8").startswith(NOTEBOOK)
-)
-FENCE = re.compile(r"^```(?:\{code-block\} )?(\w+)\n(?::caption: (\S+)\n)?(.*?)^```$", re.M | re.S)
-# Which have photons of their own that --photons does not decide, and many pictures: the slow tests take and draw them.
-MANY = {"colour", "oximetry", "tradeoff"}
+# These have photons of their own that --photons does not decide.
 FEW = {
     "colour.nail_colour.OWN_PHOTONS": 2000,
     # So many, on any machine, in place of as many as there is time for.
     "model_error.paired.PILOT_PHOTONS": 1 << 16,
     "model_error.paired.PLANNED_SHARE": 0,
 }
-# Photons where 20 000 say too little, and where a tutorial's own limit is kept (0).
-PHOTONS = {"tradeoff": 0, "oximetry": 30_000}
-# Where few photons decide less than many do.
-CODES = {"tradeoff": {0, 3}}
 # What makes a shipped scene small: one element of each array.
 SMALLER = {r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]"}
-OWN_LIMITS = {"--relative-error", "--photons", "--max-seconds"}
-
-
-def blocks(page: Path) -> Iterator[tuple[str, str, str]]:
-    """Each fenced block of a page: its language, the file that it shows if any, and its text."""
-    yield from FENCE.findall(page.read_text(encoding="utf-8"))
-
-
-def with_few_photons(command: list[str], photons: int) -> list[str]:
-    """A command that traces light, with so many photons in place of its own limits."""
-    if "options" not in signature(app[command[0]].default_command).parameters or "--dry-run" in command or not photons:
-        return command
-    kept = [
-        word
-        for i, word in enumerate(command)
-        if word not in OWN_LIMITS and (i == 0 or command[i - 1] not in OWN_LIMITS)
-    ]
-    return [*kept, "--photons", str(photons)]
-
-
-def lasting(output: str) -> set[str]:
-    """What a command prints with any photons: its files and the heads of its tables, or else its first two words."""
-    lines = [line.rstrip() for line in output.strip().splitlines() if not line.startswith("Cut off:")]
-    files = {line for line in lines if re.fullmatch(r"\S+\.[a-z_]+", line)}
-    heads = {" ".join(line.split()) for line in lines if re.search(r"\[[^\]\d]+\]  ", line)}
-    return files | heads or set(re.findall("[A-Za-z]{2,}", lines[0])[:2])
-
-
-def follow(page: Path, photons: int, capsys: pytest.CaptureFixture[str]) -> None:
-    """Do in the current folder what a tutorial says; raises AssertionError where it does not work."""
-    codes = CODES.get(page.stem, {0})
-    names: dict[str, object] = {}
-    printed = ""
-    for language, file, text in blocks(page):
-        if language == "output":
-            assert lasting(text) <= lasting(printed), (page.name, printed)
-            continue
-        capsys.readouterr()
-        if file:
-            Path(file).write_text(text, encoding="utf-8")
-        elif language == "sh":
-            for line in text.splitlines():
-                program, *command = shlex.split(line, comments=True)
-                assert program == "nailoptics", line
-                assert run(with_few_photons(command, photons)) in codes, (line, capsys.readouterr().err)
-        elif language == "python":
-            exec(compile(text, str(page), "exec"), names)
-        printed = capsys.readouterr().out
+# Beside `simulate` and `compare`, what writes results of the shipped scenes, with few photons.
+COMMANDS = (
+    "oximeter pulse_oximeter -o oximeter --recording worn.csv --photons 20000",
+    "oximeter pulse_oximeter -o oximeter --readings worn.csv --photons 20000",
+    "colour nail_colour -o colour --no-photograph --photons 5000",
+    "tradeoff prototype -o tradeoff --tolerance 0.05 --max-seconds 60",
+)
 
 
 @pytest.fixture
@@ -136,21 +81,16 @@ def listed_as_written(folder: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("small_scenes", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
-def test_a_tutorial_does_what_it_says(page, folder, small, jit_backend, capsys, monkeypatch):
-    if page.stem in MANY:
+def test_what_studies_write_has_the_variables_that_the_page_lists(
+    small_scenes, folder, jit_backend, monkeypatch, request
+):
+    if small_scenes:
+        request.getfixturevalue("small")
         with_few_of_its_own(monkeypatch)
-    follow(page, {"tradeoff": 0, "colour": 5_000}.get(page.stem, 20_000), capsys)
-    listed_as_written(folder)
-
-
-@pytest.mark.slow
-@pytest.mark.jit
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-@pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
-def test_a_tutorial_does_what_it_says_with_the_shipped_scenes(page, folder, jit_backend, capsys):
-    follow(page, PHOTONS.get(page.stem, 20_000), capsys)
+    for command in COMMANDS:
+        assert run(command.split()) in ({0, 3} if command.startswith("tradeoff") else {0}), command
     listed_as_written(folder)
 
 
