@@ -395,6 +395,7 @@ def force() -> str:
         "touches",
         "error",
         "best, worst",
+        "floor",
         "filter",
         "cubic",
         "components",
@@ -411,7 +412,9 @@ def force() -> str:
         error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:5])
         cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}"]
         simulator = f"{group[0]} ({len(of_group)})"
-        rows.append(f"| {' | '.join([simulator, group[1], error, ends, *cells])} |")
+        floors = [1e3 * one["floor_n"] for one in of_group if "floor_n" in one]
+        floor = f"{statistics.median(floors):.0f}" if floors else ""
+        rows.append(f"| {' | '.join([simulator, group[1], error, ends, floor, *cells])} |")
     return "\n".join(rows) + "\n"
 
 

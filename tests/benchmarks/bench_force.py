@@ -107,6 +107,7 @@ class Bench:
         self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz_{given.calibration}"
         self.found.mkdir(parents=True, exist_ok=True)
         self.scores: dict[tuple[str, str, str], Score] = {}
+        self.floors_n: dict[tuple[str, str, str], float] = {}
         self.begun = time.monotonic()
 
     def say(self, text: str) -> None:
@@ -166,6 +167,17 @@ class Bench:
             yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in seen])
         yield "asked of medians: " + "; ".join(GOALS)
 
+    def keep(self, path: Path | None) -> None:
+        """Keep what was scored for the documentation, with the floor where that was found."""
+        names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
+        rows = []
+        for (name, site, kind), one in self.scores.items():
+            row = {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
+            floor = self.floors_n.get((name, site, kind))
+            rows.append(row if floor is None else row | {"floor_n": floor})
+        if path:
+            force_page.keep(path, "scenes/subjects", sorted(rows, key=lambda row: str(row["touches"])))
+
     def costs(self) -> Iterator[str]:
         """What every calibration found and took."""
         for name, person in self.people.items():
@@ -196,6 +208,7 @@ class Bench:
                 for name, person in self.people.items():
                     subject, path = self.subject(name)[0], f"{person.name}_floor_{site}_{kind}.json"
                     rows.append(kept(self.found / path, partial(floor_n, subject, person, kind, site)))
+                    self.floors_n[name, site, kind] = rows[-1]
                     yield f"{name:<10} {site:<9} {kind:<6} {rows[-1]:7.3f}"
                 yield f"{'median':<10} {site:<9} {kind:<6} {np.median(rows):7.3f}"
 
@@ -256,13 +269,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
             bench.touches()
     finally:
         print("\n".join(bench.table()), flush=True)
-        if given.json:
-            names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
-            rows = [
-                {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
-                for (name, site, kind), one in bench.scores.items()
-            ]
-            force_page.keep(given.json, "scenes/subjects", sorted(rows, key=lambda row: row["touches"]))
+        bench.keep(given.json)
     lines = {
         "touches": bench.costs,
         "sample": bench.sample,
@@ -274,6 +281,7 @@ def run(given: argparse.Namespace, bench: Bench) -> None:
         if part in given.part:
             for text in find():
                 print(text, flush=True)
+    bench.keep(given.json)
 
 
 if __name__ == "__main__":
