@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 # What the page has of each row, to so many digits.
-COLUMNS = ("touches", "person", "rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
-COLUMNS += ("floor_n",)
+NUMBERS = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n", "floor_n")
+COLUMNS = ("touches", "person", *NUMBERS)
 DIGITS = 4
 
 
