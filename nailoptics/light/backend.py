@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -235,14 +235,19 @@ def _devices() -> list[str]:
     return sorted(p.name for p in Path("/dev").glob("nvidia[0-9]*"))
 
 
-def _llvm_libraries(folders: Iterable[str | Path] | None = None) -> list[str]:
+def _llvm_libraries() -> list[str]:
     """Files that could be libLLVM, newest major version first; only the user's choice where there is one."""
-    if chosen := os.environ.get("DRJIT_LIBLLVM_PATH"):
-        return [chosen]
-    if folders is None:
-        folders = [*_system_folders(), f"{sys.prefix}/lib"]
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
+    return [chosen] if chosen else _llvm_in()
+
+
+@cache
+def _llvm_in(*folders: str | Path) -> list[str]:
+    """Those in these folders, or in the system's; searched once, since every trace chooses the backend."""
+    if not folders:
+        folders = *_system_folders(), f"{sys.prefix}/lib"
         for root in ("/usr/lib", "/usr/lib64", "/usr/local/opt", "/opt/homebrew/opt"):
-            folders += sorted(glob(f"{root}/llvm*/lib*"))
+            folders += tuple(sorted(glob(f"{root}/llvm*/lib*")))
     files = (Path(name) for folder in folders for name in glob(f"{folder}/libLLVM*"))
     # Many names lead to one file.
     distinct = {str(file.resolve()) for file in files if LLVM_FILE.match(file.name) and file.is_file()}

@@ -177,10 +177,10 @@ def _hidden(r: Rectangle, side: int, parts: Sequence[Rectangle]) -> bool:
 
 
 def _cut(result: xr.Dataset) -> xr.DataArray:
-    """The finger cut lengthwise: the name of the region at each y and z, the middles of pixels."""
+    """The finger cut lengthwise: at each y and z, the middles of pixels, the number of the region among its `names`."""
     region = result.section_region.transpose("section_y", "section_z")
-    names = np.array(json.loads(region.attrs["regions"]))[region.to_numpy()]
-    return xr.DataArray(names, {"y": region.section_y.to_numpy(), "z": region.section_z.to_numpy()}, ("y", "z"))
+    places = {"y": region.section_y.to_numpy(), "z": region.section_z.to_numpy()}
+    return xr.DataArray(region.to_numpy(), places, ("y", "z"), attrs={"names": json.loads(region.attrs["regions"])})
 
 
 @style.drawing()
@@ -257,9 +257,8 @@ def _regions(axes: "Axes", cut: xr.DataArray) -> None:
 
     axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    names, index = np.unique(cut, return_inverse=True)
-    colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, SILICON)) for name in names]
-    image = np.array(colours)[index.reshape(cut.shape)].transpose(1, 0, 2)
+    colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, SILICON)) for name in cut.names]
+    image = np.array(colours)[cut.values].transpose(1, 0, 2)
     axes.imshow(image, extent=extent(cut.y.values, cut.z.values), origin="lower", zorder=1)
 
 
@@ -267,7 +266,7 @@ def _layers(axes: "Axes", cut: xr.DataArray, left: float, bottom: float) -> None
     """Draw the borders of plate, bed and bone over the light, and name these where they meet the left edge."""
     column = int(np.argmin(abs(cut.y.values - (left + 0.1))))
     for name in LAYERS:
-        here = cut.values == name
+        here = cut.values == (cut.names.index(name) if name in cut.names else -1)
         if here.any():
             border: dict[str, Any] = {"levels": [0.5], "zorder": 4}
             axes.contour(cut.y, cut.z, here.T, colors=["#ffffff"], linewidths=1.6, alpha=0.55, **border)
@@ -303,6 +302,7 @@ def _key(axes: "Axes", cut: xr.DataArray) -> None:
     from matplotlib.patches import Patch
 
     label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}
-    shown = [name for name in TISSUE if name != "air" and (cut.values == name).any()]
+    there = {cut.names[region] for region in np.unique(cut)}
+    shown = [name for name in TISSUE if name != "air" and name in there]
     handles = [Patch(fc=TISSUE[name], ec=style.MUTED, lw=0.5, label=label.get(name, name)) for name in shown]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

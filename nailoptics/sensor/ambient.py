@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import tissue
+from ..assets import read_table
 from ..checks import Array
 from ..light import optics
 from ..light.board_map import BoardTracer
@@ -17,7 +18,8 @@ from ..statistics import Z95, seed_of
 from . import electronics
 
 LUMENS_PER_WATT = 683.0
-PHOTOPIC_OBSERVER = "CIE 1924 Photopic Standard Observer"
+# Second constant of Planck's law, as CIE illuminants have it. [nm K]
+C2_NM_K = 1.4388e7
 STEP_NM = 10.0
 # Wavelengths that silicon sees, and in tissue, where that of the nearest wavelength stands for what has no data.
 SILICON_NM = np.arange(380.0, 1100.0 + STEP_NM / 2, STEP_NM)
@@ -42,20 +44,18 @@ def sources_of(scene: Scene) -> tuple[Ambient, ...]:
 
 def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
     """Irradiance of the finger by wavelength; every part of the skin gets so much of it. [W m^-2 nm^-1]"""
-    # Half a second, paid only where light from outside is requested.
-    import colour
 
     def relative(nm: ArrayLike) -> Array:
         nm = np.asarray(nm, float)
         if ambient.kind in KELVIN:
-            return np.asarray(colour.colorimetry.planck_law(nm * 1e-9, KELVIN[ambient.kind]))
-        lamp = colour.SDS_ILLUMINANTS["LED-B3"]
-        return np.interp(nm, lamp.wavelengths, lamp.values, left=0.0, right=0.0)
+            return np.asarray(nm**-5 / np.expm1(C2_NM_K / (nm * KELVIN[ambient.kind])))
+        lamp = read_table("photometry/led_b3.csv")
+        return np.interp(nm, lamp["wavelength_nm"], lamp["relative"], left=0.0, right=0.0)
 
     if ambient.irradiance_w_per_m2 is not None:
         return relative(wavelength_nm) * ambient.irradiance_w_per_m2 / np.trapezoid(relative(ALL_NM), ALL_NM)
-    observer = colour.SDS_LEFS[PHOTOPIC_OBSERVER]
-    lumens = LUMENS_PER_WATT * np.trapezoid(observer.values * relative(observer.wavelengths), observer.wavelengths)
+    seen_nm, efficiency = read_table("photometry/photopic.csv").values()
+    lumens = LUMENS_PER_WATT * np.trapezoid(efficiency * relative(seen_nm), seen_nm)
     return relative(wavelength_nm) * (ambient.illuminance_lux or 0.0) / lumens
 
 

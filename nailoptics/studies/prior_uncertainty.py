@@ -85,18 +85,18 @@ def over_priors(
         by as many photons with the same random numbers, so that what both have in common cancels.
     """
     base, nodes = answer(scene), []
-    twin = retraced(scene) if retraced and not all(only_absorbs(scene, prior) for prior in priors) else base
+    reread = [only_absorbs(scene, prior) for prior in priors]
+    twin = retraced(scene) if retraced and not all(reread) else base
 
     def beside(varied: Scene) -> np.ndarray:
         assert retraced is not None
         return base + retraced(varied) - twin
 
-    for prior in priors:
-        reread = only_absorbs(scene, prior)
-        at = answer if reread or retraced is None else beside
+    for prior, absorbs in zip(priors, reread, strict=True):
+        at = answer if absorbs or retraced is None else beside
         values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
         low, high, offset = at(values[0]), at(values[2]), offset_of(scene, prior)
-        if abs(offset) < MOST_OFFSET and not reread:
+        if abs(offset) < MOST_OFFSET and not absorbs:
             middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
             middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
         else:
@@ -322,9 +322,10 @@ def readings_over_priors(
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     """
     scene = transfer.scene
-    priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
-    needing_traces = [prior for prior in priors if not only_absorbs(scene, prior)]
-    evaluated = priors if own_traces else priors[: len(priors) - len(needing_traces)]
+    needing_traces = [prior for prior in scene.finger_priors if not only_absorbs(scene, prior)]
+    evaluated = [prior for prior in scene.finger_priors if prior not in needing_traces]
+    if own_traces:
+        evaluated += needing_traces
     limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(needing_traces), 1)
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)

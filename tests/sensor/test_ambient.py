@@ -3,11 +3,13 @@
 import tempfile
 from pathlib import Path
 
+import colour
 import numpy as np
 import pytest
 from small_scenes import finger
 from watertight import check_watertight
 
+from nailoptics.assets import read_table
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.reference import mitsuba_scene, rendering
@@ -17,6 +19,7 @@ from nailoptics.sensor.ambient import (
     ALL_NM,
     INSIDE_NM,
     KELVIN,
+    SILICON_NM,
     SOURCES,
     photocurrent_a_per_mm2,
     spectral_irradiance,
@@ -39,6 +42,23 @@ def test_black_bodies_shine_with_their_luminous_efficacy(kelvin, lumens_per_watt
     monkeypatch.setitem(KELVIN, "sun", kelvin)
     total = np.trapezoid(spectral_irradiance(SOURCES[0], ALL_NM), ALL_NM)
     assert 1e5 / total == pytest.approx(lumens_per_watt, abs=1.0)
+
+
+@pytest.mark.parametrize("kind", ["sun", "lamp", "led"])
+def test_spectra_are_those_of_colour_science(kind):
+    if kind in KELVIN:
+        there = colour.colorimetry.planck_law(SILICON_NM * 1e-9, KELVIN[kind])
+    else:
+        lamp = colour.SDS_ILLUMINANTS["LED-B3"]
+        there = np.interp(SILICON_NM, lamp.wavelengths, lamp.values, left=0.0, right=0.0)
+    ours = spectral_irradiance(Ambient(kind=kind, illuminance_lux=500.0), SILICON_NM)
+    assert np.allclose(ours / ours.max(), there / there.max(), rtol=1e-13)
+
+
+def test_the_photopic_observer_is_that_of_colour_science():
+    there = colour.SDS_LEFS["CIE 1924 Photopic Standard Observer"]
+    wavelength_nm, efficiency = read_table("photometry/photopic.csv").values()
+    assert (wavelength_nm == there.wavelengths).all() and (efficiency == there.values).all()
 
 
 @pytest.mark.parametrize("kind", ["sun", "lamp", "led"])

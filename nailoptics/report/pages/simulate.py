@@ -269,7 +269,7 @@ def _fits(result: xr.Dataset, readings: "pd.DataFrame") -> tuple[list[dict[str, 
         straight = 0 < float(fit.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT
         for head, (field, unit) in fields.items():
             level = level_v / (largest_m2 if field.endswith("_per_m2") else 1.0) / unit
-            error = float(fit.get(f"{field}_stderr", 0.0)) / unit
+            error = float(fit[f"{field}_stderr"]) / unit if f"{field}_stderr" in fit else 0.0
             row[head] = with_error(float(fit[field]) / unit, error, scale=level)
             if row[head].endswith("?") and field.startswith("beer_lambert"):
                 row[head] = "straight" if straight else "not known"
