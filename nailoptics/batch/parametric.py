@@ -42,7 +42,7 @@ def sweep(
     course : also what runs over time (volts, blood, force), for which the scenes must share their times.
     workers : processes; one per core, and no more than scenes, if not given.
     progress : called with a `BatchProgress` several times a second.
-    requested : seed, backend, relative_error, max_seconds, photons, store.
+    requested : seed, backend, relative_error, max_seconds, photons, store; the scheduler of `run_batch`, too.
 
     Raises: InputError; NotReachedError, whose result is the dataset, where scenes failed, missed their tolerance or
         were not reached.
