@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Face, Geometry, build
-from ..geometry.grid import Array, Indices, unique_rows
+from ..geometry.grid import Array, Indices
 from ..light import optics
 from ..scene import Scene
 from . import compatibility
@@ -46,7 +46,7 @@ def tetrahedra(geometry: Geometry) -> TetMesh:
     """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
     corners, region = geometry.grid.tetrahedra()
     solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
-    nodes, _, number = unique_rows(corners[solid].reshape(-1, 3))
+    nodes, number = np.unique(corners[solid].reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
     return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])
 
 

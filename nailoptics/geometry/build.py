@@ -37,8 +37,6 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
 
     Raises: InputError where the scene has no finger, or its sizes make no finger.
     """
-    if scene.finger is None:
-        raise InputError("geometry: a phantom has no finger to build; give a scene with [finger].")
     if not 0.1 <= resolution <= 10:
         raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
     bent, grid = _grid(scene, resolution)
@@ -56,7 +54,7 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
         regions=bent.regions,
         leds=tuple(faces[: len(scene.leds)]),
         photodiodes=tuple(faces[len(scene.leds) :]),
-        nail_radius_mm=scene.finger.nail_radius_mm,
+        nail_radius_mm=scene.fingertip.nail_radius_mm,
         board_radius_mm=bent.radius_mm,
         grid=grid,
     )
@@ -88,9 +86,8 @@ def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
 
 def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
     """The board and the grid, with the steepest folds of skin beside the nail that leave the layers apart."""
-    assert scene.finger is not None
     for fold_rad in FOLDS_RAD:
-        surfaces = FingerSurfaces(scene.finger, fold_rad)
+        surfaces = FingerSurfaces(scene.fingertip, fold_rad)
         board = BentBoard(scene, surfaces)
         nodes = Nodes(surfaces, board, resolution)
         grid = Grid(nodes.positions(), nodes.labels())

@@ -7,7 +7,6 @@ diagonal that this split gives it, so that neighbours agree and the grid fills s
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,23 +32,9 @@ class Grid:
 
     @property
     def least_volume_mm3(self) -> float:
-        """The least volume of the `tetrahedra`, without making them: negative where the grid folds. [mm^3]"""
-        nodes = np.moveaxis(np.concatenate([self.nodes, self.nodes[:1]]), -1, 0)
-        count = self.labels.shape
-        edges = [np.diff(nodes, axis=axis + 1) for axis in range(3)]
-        solid, least = self.labels != AIR, np.inf
-        for order in itertools.permutations(range(3)):
-            at, along = np.zeros(3, int), []
-            for axis in order:
-                first = [slice(start, start + n) for start, n in zip(at, count, strict=True)]
-                along.append(edges[axis][:, *first])
-                at[axis] = 1
-            a, b, c = along
-            cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
-            volume = sum(x * y for x, y in zip(a, cross, strict=True)) / 6
-            even = order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-            least = min(least, float((volume if even else -volume)[solid].min()))
-        return least
+        """The least volume of the `tetrahedra`: negative where the grid folds. [mm^3]"""
+        a, b, c = np.moveaxis(np.diff(self.tetrahedra()[0], axis=1), 1, 0)
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) / 6
 
     def tetrahedra(self) -> tuple[Array, Indices]:
         """Corners (m, 4, 3) of all cells but air, and region (m,) of each.
@@ -99,8 +84,9 @@ def _clean(
 ) -> tuple[Array, Indices, Indices, Indices]:
     """Merge equal vertices, drop triangles without area, and join those that a collapsed cell left on one another."""
     used, flat = np.unique(triangles, return_inverse=True)
-    vertices, _, merged = unique_rows(points[used])
-    triangles = merged[flat.reshape(-1)].reshape(-1, 3)
+    # Adding zero makes one of the two zeros that are equal but differ in their bits.
+    vertices, merged = np.unique(points[used] + 0.0, axis=0, return_inverse=True)
+    triangles = merged.reshape(-1)[flat.reshape(-1)].reshape(-1, 3)
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     keep = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 > MIN_AREA_MM2
     triangles, below, above = triangles[keep], below[keep], above[keep]
@@ -116,30 +102,15 @@ def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple
 
     Returns: the regions (m,) below and above each triangle, and which triangles stay, (m,) bool.
     """
-    _, first, stack = unique_rows(np.sort(triangles, axis=1))
+    _, first, stack = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
     turned = (triangles[:, [1, 2, 0]] - triangles[:, [0, 1, 2]] > 0).sum(axis=1) == 1
     # How often the way through a stack enters each region more than it leaves it.
     entered = np.zeros((len(first), int(max(below.max(), above.max())) + 1), int)
-    np.add.at(entered, (stack, above), np.where(turned, -1, 1))
-    np.add.at(entered, (stack, below), np.where(turned, 1, -1))
+    np.add.at(entered, (stack.reshape(-1), above), np.where(turned, -1, 1))
+    np.add.at(entered, (stack.reshape(-1), below), np.where(turned, 1, -1))
     below, above, keep = below.copy(), above.copy(), np.zeros(len(triangles), bool)
     first, entered = first[entered.any(axis=1)], entered[entered.any(axis=1)]
     low, high = entered.argmin(axis=1), entered.argmax(axis=1)
     below[first], above[first] = np.where(turned[first], (high, low), (low, high))
     keep[first] = True
     return below, above, keep
-
-
-def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
-    """What `np.unique(rows, axis=0)` finds of rows (n, c), in less than half of its time.
-
-    Returns: the distinct rows (k, c), rising; where each stands first, (k,) int; and which one each row is, (n,) int.
-    """
-    # Adding zero makes one of the two zeros that are equal but differ in their bits.
-    rows = rows + rows.dtype.type(0)
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    is_new = np.append(True, (ordered[1:] != ordered[:-1]).any(axis=1))[: len(rows)]
-    which = np.empty(len(rows), np.int64)
-    which[order] = np.cumsum(is_new) - 1
-    return ordered[is_new], order[is_new], which

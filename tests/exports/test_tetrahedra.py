@@ -9,7 +9,6 @@ from watertight import volumes_mm3
 from nailoptics.assets import data_dir
 from nailoptics.exports.mmc import FLAT_MM3, tetrahedra
 from nailoptics.geometry import Geometry, build
-from nailoptics.geometry.grid import unique_rows
 from nailoptics.scene import load_scene
 
 
@@ -45,7 +44,8 @@ def test_neighbours_share_whole_faces_and_interfaces_are_among_them(name, reques
     mesh = tetrahedra(geometry)
     faces = np.concatenate([mesh.tetrahedra[:, list(three)] for three in itertools.combinations(range(4), 3)])
     region = np.tile(mesh.region, 4)
-    shared, _, which = unique_rows(np.sort(faces, axis=1))
+    shared, which = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
+    which = which.reshape(-1)
     count = np.bincount(which)
     # A face of one alone borders on air.
     assert set(count) == {1, 2}

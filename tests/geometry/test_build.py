@@ -11,7 +11,6 @@ from watertight import check_watertight, volumes_mm3
 
 from nailoptics.errors import InputError
 from nailoptics.geometry import AROUND, build
-from nailoptics.geometry.grid import unique_rows
 from nailoptics.scene import parse_scene
 
 DIGITS = ("thumb", "index", "middle", "ring", "little")
@@ -149,28 +148,6 @@ def test_interfaces_hold_every_triangle_once_with_its_sides(geometry):
         middle, step = p.mean(axis=1), 1e-6 * normal / np.linalg.norm(normal, axis=1, keepdims=True)
         assert (geometry.region_at(middle + step) == high).all()
         assert (geometry.region_at(middle - step) == low).all()
-
-
-@pytest.mark.parametrize("kind", [float, int])
-def test_distinct_rows_are_those_that_numpy_finds(kind):
-    drawn = np.random.default_rng(3).integers(-4, 5, (2000, 3))
-    rows = np.where(drawn == 4, -0.0, drawn / 3).astype(kind)
-    distinct, first, which = np.unique(rows + kind(0), axis=0, return_index=True, return_inverse=True)
-    assert len(distinct) < 600
-    found = unique_rows(rows)
-    for ours, numpys in zip(found, (distinct, first, which.reshape(-1)), strict=True):
-        np.testing.assert_array_equal(ours, numpys)
-    assert not np.signbit(found[0][found[0] == 0]).any()
-
-
-def test_distinct_rows_of_many_columns_are_those_that_numpy_finds():
-    """Rationale: 1000 distinct values in each of eight columns are more combinations than an integer can number."""
-    rows = np.random.default_rng(4).integers(0, 1000, (2000, 8))
-    rows = np.concatenate([rows, rows[:100]])
-    found = unique_rows(rows)
-    for ours, numpys in zip(found, np.unique(rows, axis=0, return_index=True, return_inverse=True), strict=True):
-        np.testing.assert_array_equal(ours, numpys.reshape(np.shape(ours)))
-    assert len(unique_rows(rows[:0])[0]) == 0
 
 
 def test_points_around_the_finger_are_in_the_air_alone_as_among_others(geometry):
