@@ -345,8 +345,7 @@ class BloodModel:
 
 def blood_model(scene: Scene) -> BloodModel:
     """What a scene says of the blood under its nail."""
-    assert scene.finger is not None
-    half_mm = scene.finger.nail_length_mm / 2
+    half_mm = scene.fingertip.nail_length_mm / 2
     return BloodModel(
         rest=(rest := vessels(scene)),
         parameters=with_posture(rest, scene.body),

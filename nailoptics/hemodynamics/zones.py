@@ -137,10 +137,9 @@ def capillary_zones(scene: Scene) -> Zones:
     if len(edges_mm) == 1 and blood.decay_length is None:
         cut = PAPER_ZONES
     else:
-        assert scene.finger is not None
-        length_mm = scene.finger.nail_length_mm
+        length_mm = scene.fingertip.nail_length_mm
         edges = [0.5 + edge / length_mm for edge in edges_mm]
-        end, edge = 0.5 + scene.finger.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
+        end, edge = 0.5 + scene.fingertip.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
         law: dict[str, Any] = {"shield": (end, edge)}
         if blood.decay_length is not None:
             law = {"decay_length": blood.decay_length}

@@ -74,7 +74,6 @@ def bed_columns(scene: Scene) -> tuple[int, ...]:
 
 def finger_media(scene: Scene, regions: tuple[str, ...], wavelength_nm: float) -> Media:
     """The optics of a finger scene's regions at rest, in the order of the geometry's regions."""
-    assert scene.finger is not None
     # At rest all zones of the bed hold the same blood.
     rest = {a.region: mu_a for a, mu_a in zip(absorbing(scene), absorption(scene, wavelength_nm)[0], strict=True)}
     rows = []
@@ -122,7 +121,6 @@ def absorption(
         if blood_fraction is not None or so2 is not None:
             raise InputError("a phantom has no blood; give mu_a_per_mm by layer name instead of blood_fraction or so2.")
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
-    assert scene.finger is not None
     count = zones(scene).count
     fraction = np.full(count, scene.blood.rest_blood_fraction)
     if blood_fraction is not None:
@@ -138,13 +136,13 @@ def absorption(
     for absorber in absorbing(scene):
         region = _optics_of(scene, absorber.region)
         zone_so2 = saturation if absorber.zone is None or pooled is None else pooled[..., absorber.zone, None]
-        melanin, dermis = scene.finger.melanin_fraction, scene.finger.dermis
+        melanin, dermis = scene.fingertip.melanin_fraction, scene.fingertip.dermis
         mixed = tissue.absorption(region, wavelength, so2=zone_so2, melanin_fraction=melanin, dermis_absorption=dermis)
         # Only the pulp outside the bed's zones carries blood.
         blood = scene.blood.pulp_blood_fraction if absorber.zone is None else fraction[..., absorber.zone, None]
         base = _factor(scene, region, "absorption") * np.asarray(mixed.base_per_mm)
         if region == "plate":
-            base = base * (wavelength / 500) ** scene.finger.plate_absorption_slope
+            base = base * (wavelength / 500) ** scene.fingertip.plate_absorption_slope
         column = base + blood * np.asarray(mixed.per_blood_fraction_per_mm)
         columns.append(np.broadcast_to(column, (*shape, len(wavelength))))
     return np.stack(columns, -1)

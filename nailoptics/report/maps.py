@@ -88,8 +88,7 @@ def top_view(scene: Scene) -> "Figure":
 
 def draw_top_view(axes: "Axes", scene: Scene) -> None:
     """Draw the top view into axes."""
-    assert scene.finger is not None
-    layout, finger = scene.layout, scene.finger
+    layout, finger = scene.layout, scene.fingertip
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
     nail = Rectangle("nail", -half_u, half_u, -half_v, half_v)
     draw_rectangle(axes, nail, fc=NAIL, ec=style.MUTED, lw=1.2)

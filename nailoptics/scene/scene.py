@@ -275,6 +275,13 @@ class Scene(Displayed, Table):
             )
 
     @property
+    def fingertip(self) -> Finger:
+        """The finger; raises InputError for a phantom, which has none."""
+        if self.finger is None:
+            raise InputError("a phantom has no finger; give a scene with [finger].")
+        return self.finger
+
+    @property
     def zone_edges_mm(self) -> tuple[float, ...]:
         """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""
         count = self.blood.zones

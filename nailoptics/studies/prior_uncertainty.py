@@ -147,12 +147,11 @@ def draw_people(scene: Scene, count: int) -> list[dict[str, float]]:
     """
     from scipy.stats import norm, qmc
 
-    assert scene.finger is not None
-    priors = (*known_priors(scene), *size_priors(scene.finger))
+    priors = (*known_priors(scene), *size_priors(scene.fingertip))
     parts = norm.ppf(qmc.LatinHypercube(len(priors), seed=1).random(count))
     z = np.clip(_correlated(parts, scene.priors.correlation(priors)), -Z95, Z95)
     values = {prior.field: _values_at(prior, at) for prior, at in zip(priors, z.T, strict=True)}
-    behind_mm = scene.finger.length_mm - scene.finger.nail_length_mm
+    behind_mm = scene.fingertip.length_mm - scene.fingertip.nail_length_mm
     values["finger.length_mm"] = values["finger.nail_length_mm"] + behind_mm
     return [{field: float(column[i]) for field, column in values.items()} for i in range(count)]
 

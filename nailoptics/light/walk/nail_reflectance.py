@@ -199,19 +199,18 @@ class _Beam:
 
 def as_seen(scene: Scene) -> Scene:
     """A finger scene with what an eye sees: all of its skin, and enough of it behind the nail."""
-    assert scene.finger is not None
     # Skin is seen through its epidermis, whatever an infrared reading may leave out.
     light = Light(index_steps=scene.light.index_steps)
-    length_mm = max(scene.finger.length_mm, scene.finger.nail_length_mm + BEHIND_MM)
-    return scene.model_copy(update={"light": light, "finger": scene.finger.model_copy(update={"length_mm": length_mm})})
+    finger = scene.fingertip
+    length_mm = max(finger.length_mm, finger.nail_length_mm + BEHIND_MM)
+    return scene.model_copy(update={"light": light, "finger": finger.model_copy(update={"length_mm": length_mm})})
 
 
 @lru_cache(maxsize=2)
 def _built(scene: Scene) -> tuple[Geometry, DistanceGrid]:
     """The geometry without a board, and distances to its interfaces under the nail and around it."""
-    assert scene.finger is not None
     geometry = finger_geometry.build(scene, board=False)
     low, high = (np.array(corner) for corner in geometry.bounds_mm)
-    low[1] = max(low[1], -scene.finger.nail_length_mm / 2 - ASIDE_MM)
+    low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
     low[2] = max(low[2], -BELOW_MM)
     return geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=SPACING_MM)

@@ -119,8 +119,7 @@ class VoxelGrid:
     @staticmethod
     def under_nail(scene: Scene, geometry: Geometry) -> "VoxelGrid":
         """Cells from the plate through the bed into what lies below, over the whole nail."""
-        finger = scene.finger
-        assert finger is not None
+        finger = scene.fingertip
         half_u = finger.nail_width_mm / 2 * geometry.board_radius_mm / geometry.nail_radius_mm
         half_v, step = finger.nail_length_mm / 2, finger.bed_thickness_mm / BED_CELLS
         above = int(finger.nail_thickness_mm / step)

@@ -70,12 +70,6 @@ def _lab(colour: xr.Dataset, name: str) -> dict[str, str]:
     return {str(band): estimated(colour.sel(band=band), name) for band in colour.band.values}
 
 
-def _nail_width_mm(result: xr.Dataset) -> float:
-    finger = parse_scene(result.attrs["scene"], name="the stored scene").finger
-    assert finger is not None
-    return finger.nail_width_mm
-
-
 def _unknowns(result: xr.Dataset) -> str:
     """Uncertainty over the priors: of all together, and by each of them."""
     if "lab_spread" not in result:
@@ -137,7 +131,8 @@ def seen_by(result: xr.Dataset) -> str:
 
 def draw_strip(panels: Any, result: xr.Dataset) -> None:
     """Draw the nail under each force into as many panels, all to one scale."""
-    forces, nail, width_mm = result.force_n.values, _nail(result), _nail_width_mm(result)
+    forces, nail = result.force_n.values, _nail(result)
+    width_mm = parse_scene(result.attrs["scene"], name="the stored scene").fingertip.nail_width_mm
     for s, panel in enumerate(panels):
         colours, skin = result.srgb.values[nail, s], result.srgb.values[[0, -1], s]
         _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
@@ -168,7 +163,6 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     """
     from ...studies.colour.nail_colour import colour
 
-    assert scene.finger is not None
     update = {
         "blood": scene.blood.model_copy(update={"parameters": name, "tuning": None}),
         "priors": scene.priors.model_copy(update={"spread": False}),

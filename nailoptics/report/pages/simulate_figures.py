@@ -78,8 +78,7 @@ def bed(result: xr.Dataset, scene: Scene) -> "Figure":
     """Blood of the nail bed along the nail over time, as a part of that at rest, and where the white band ends."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    assert scene.finger is not None
-    half_mm, thin = scene.finger.nail_length_mm / 2, _thin(result)
+    half_mm, thin = scene.fingertip.nail_length_mm / 2, _thin(result)
     part = thin.blood_fraction.to_numpy() / scene.blood.rest_blood_fraction
     figure, axes = style.panels(9.2, 2.8)
     colours = LinearSegmentedColormap.from_list("blood", BLOOD)

@@ -31,14 +31,13 @@ TILE_MM, PLACE_SHARE = 1.5, 12
 
 def patches_of(scene: Scene) -> tuple[Patch, ...]:
     """Places along the middle of a scene's finger, the first and the last on skin, and tiles over its half."""
-    assert scene.finger is not None
-    half = scene.finger.nail_length_mm / 2
+    half = scene.fingertip.nail_length_mm / 2
     pitch = 2 * half / PLACES
     v_mm = [-half - 1.5 * SKIN_MM, *(-half + pitch * (np.arange(PLACES) + 0.5)), half + 1.2 * SKIN_MM]
     along = [Patch((0.0, float(v)), (ACROSS_MM, min(pitch, SKIN_MM)), PLACE_SHARE) for v in v_mm]
     tiles = []
     for v in np.arange(-half - 2.5 * TILE_MM, half + 3 * TILE_MM, TILE_MM):
-        for u in np.arange(TILE_MM / 2, scene.finger.width_mm / 2 - TILE_MM / 2, TILE_MM):
+        for u in np.arange(TILE_MM / 2, scene.fingertip.width_mm / 2 - TILE_MM / 2, TILE_MM):
             tiles.append(Patch((float(u), float(v)), (TILE_MM, TILE_MM)))
     return (*along, *tiles)
 

@@ -137,14 +137,13 @@ def _redness_left(redness: Array, pale: Array) -> Array:
 
 def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
     """Colours in every state, with standard errors."""
-    assert scene.finger is not None
     none = np.zeros((1, states.shape[1]))
     read = rays.reflectance(np.vstack([states, none]), viewing)
     lab = viewer.lab(read)
     middle, pale, tiles = lab[:, :ALONG, :-1], lab[:, :ALONG, -1], read[0, ALONG:, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
     on_nail, v_mm = slice(1, ALONG - 1), np.array([patch.center_mm[1] for patch in rays.patches[:ALONG]])
-    half = scene.finger.nail_length_mm / 2
+    half = scene.fingertip.nail_length_mm / 2
     part = _redness_left(middle[:, on_nail, :, 1], pale[:, on_nail, 1])
     band = white_band_mm(v_mm[on_nail], part, ends_mm=(-half, half))
     reflected = read[:, :ALONG, :-1]
@@ -201,15 +200,14 @@ def photographs(scene: Scene, result: xr.Dataset, *, states: Sequence[int], back
 
     result : what `colour` returned for the scene.
     """
-    assert scene.finger is not None
     tiles, colours = result.tile_mm.values, linear(result.tile_srgb.values)
     hit = colours[:, 0].mean(-1) > MISSED
     # A tile across the nail's edge is neither.
-    reach = np.abs(tiles) + 0.5 * result.attrs["tile_size_mm"]
-    edge = scene.finger.nail_radius_mm * np.sin(0.5 * scene.finger.nail_width_mm / scene.finger.nail_radius_mm)
-    on_nail = (reach[:, 0] <= edge) & (reach[:, 1] <= scene.finger.nail_length_mm / 2)
-    inner = np.abs(tiles) - 0.5 * result.attrs["tile_size_mm"]
-    off_nail = (inner[:, 0] >= edge) | (inner[:, 1] >= scene.finger.nail_length_mm / 2)
+    finger, half_mm = scene.fingertip, 0.5 * result.attrs["tile_size_mm"]
+    radius_mm, half_v_mm = finger.nail_radius_mm, finger.nail_length_mm / 2
+    edge_mm = [radius_mm * np.sin(0.5 * finger.nail_width_mm / radius_mm), half_v_mm]
+    on_nail = (np.abs(tiles) + half_mm <= edge_mm).all(1)
+    off_nail = (np.abs(tiles) - half_mm >= edge_mm).any(1)
     drawn = hit & (on_nail | off_nail)
     shown = colours[drawn][:, list(states)].swapaxes(0, 1)
     return photograph(scene, tiles[drawn], on_nail[drawn], shown, size=scene.colour.photograph_px, backend=backend)

@@ -92,8 +92,7 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
     photons = max(1, round(SCATTERING_SHARE * max(t.photons for t in transfer.traces)))
     limit = None if options.max_seconds is None else SCATTERING_SHARE * options.max_seconds
     fewer = replace(options, photons=photons, relative_error=None, max_seconds=limit)
-    finger, log, square = transfer.scene.finger, [], []
-    assert finger is not None
+    finger, log, square = transfer.scene.fingertip, [], []
     for k, factor in enumerate(SCATTERING_FACTORS):
         changed = finger.model_copy(update={"bed_scattering": factor * finger.bed_scattering})
         scene = transfer.scene.model_copy(update={"finger": changed})
@@ -162,8 +161,7 @@ def _led_errors(
     read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
     over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
-    assert scene.finger is not None
-    contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.finger.bed_scattering)
+    contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.fingertip.bed_scattering)
     denser = contrast * (sweep.blood - sweep.blood[0])
     rows = []
     # Where a photodiode saw nothing, or nothing changes, there is no answer: NaN.

@@ -119,8 +119,7 @@ def _unknown(scene: Scene, prior: Prior) -> Change:
 
 def _parts(scene: Scene) -> Iterator[Change]:
     """The scene's parts and effects, each with what leaves it out, or puts it in."""
-    assert scene.finger is not None
-    light, board, finger = scene.light, scene.board, scene.finger
+    light, board, finger = scene.light, scene.board, scene.fingertip
     steps, similar, melanin = light.index_steps, light.similarity, finger.melanin_fraction
     text = "one index everywhere" if steps else "refraction where the index changes"
     yield Change("index steps", steps, text, {"light": {"index_steps": not steps}})

@@ -171,14 +171,12 @@ def explain(
 
 def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[Measurement]:
     """All effects of a scene; first those that need no trace, then those of its own geometry."""
-    finger = scene.finger
-    assert finger is not None
     out: list[Measurement] = []
     for change in changes_of(scene):
         changed = revised(scene, change.changes)
         same_light = light_digest(changed) == light_digest(scene)
         out.append((partial(by_change, change, tolerance), *([] if same_light else [changed])))
-    denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * finger.bed_scattering}})
+    denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * scene.fingertip.bed_scattering}})
     out.append((partial(blood_scattering, tolerance), denser))
     shape = shape_of(scene)
     planned = sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
@@ -243,8 +241,7 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     the part of it that the light's path has there.
     """
     scene = base.transfer.scene
-    assert scene.finger is not None
-    reading, factor = difference(base, denser).reading, scene.finger.bed_scattering
+    reading, factor = difference(base, denser).reading, scene.fingertip.bed_scattering
     moved = np.diff(end_states(scene), axis=0)[0]
     contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
     paths = np.stack(

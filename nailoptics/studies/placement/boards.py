@@ -55,8 +55,7 @@ def check_two_zones(scene: Scene, command: str) -> None:
 
 def fingers(scene: Scene) -> tuple[FingerCase, ...]:
     """The fingers that a layout must serve."""
-    assert scene.finger is not None
-    return rules(scene).fingers or (FingerCase(name=scene.finger.digit),)
+    return rules(scene).fingers or (FingerCase(name=scene.fingertip.digit),)
 
 
 @dataclass(frozen=True)
@@ -90,9 +89,8 @@ def worn_on(scene: Scene, case: FingerCase | Person, *, light_only: bool = False
         for field, value in case.values.items():
             scene = at_value(scene, field, value)
         return cut_to(scene, room_mm(scene))
-    assert scene.finger is not None
-    optics = {name: getattr(scene.finger, name) for name in (*ABSORBING, *SCATTERING)}
-    finger = scene.finger if case.digit is None else Finger(digit=case.digit, **optics)
+    optics = {name: getattr(scene.fingertip, name) for name in (*ABSORBING, *SCATTERING)}
+    finger = scene.fingertip if case.digit is None else Finger(digit=case.digit, **optics)
     if light_only:
         return scene.model_copy(update={"finger": finger})
 

@@ -108,12 +108,11 @@ def over_people(
 def _reason(resolution: "_Resolution", layout: CandidateLayout, person: boards.Person) -> str:
     """By which property of a person a layout's resolution is coarsest, in words; empty where there was no time."""
     worn, usual = boards.worn_on(layout.board, person), boards.worn_on(layout.board, person.first)
-    assert worn.finger is not None and usual.finger is not None
     middle = {prior: nodes_of(prior)[1] for prior in known_priors(usual)}
     changed = {prior.name: at_value(worn, prior.field, value) for prior, value in middle.items()}
-    sizes = [prior.field.removeprefix("finger.") for prior in size_priors(usual.finger)]
-    update = {name: getattr(usual.finger, name) for name in (*sizes, "length_mm")}
-    changed["size of the finger"] = worn.model_copy(update={"finger": worn.finger.model_copy(update=update)})
+    sizes = [prior.field.removeprefix("finger.") for prior in size_priors(usual.fingertip)]
+    update = {name: getattr(usual.fingertip, name) for name in (*sizes, "length_mm")}
+    changed["size of the finger"] = worn.model_copy(update={"finger": worn.fingertip.model_copy(update=update)})
     resolution.light.clear()
     try:
         own_mn, *others_mn = [1e3 * resolution.of(layout, person, one)[0] for one in (worn, *changed.values())]

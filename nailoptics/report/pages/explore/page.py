@@ -229,8 +229,7 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
 
 
 def _board(scene: Scene) -> dict[str, Any]:
-    finger, layout, board = scene.finger, scene.layout, scene.board
-    assert finger is not None
+    finger, layout, board = scene.fingertip, scene.layout, scene.board
     walls = [{"side": wall.name, **_edges(wall)} for wall in layout.barriers]
     return {
         "outline": list(_edges(layout.outline).values()),
