@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import checks
 from ..errors import InputError
-from ..scene.base import USUAL_BLOOD_FRACTION, USUAL_MELANIN_FRACTION, USUAL_PULP_BLOOD_FRACTION, USUAL_SO2
+from ..scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
 from ..scene.finger import DermisAbsorption
 from .spectra import (
     Array,
@@ -62,19 +62,6 @@ BLOOD_REDUCED_SCATTERING_PER_MM = 1.34
 # Bone of the phalanx with the blood that it holds, no spectrum known that holds for it.
 _BONE_MU_A_PER_MM = 0.18
 
-# Blood by volume at rest, where it is not given. Regions that are not named carry none.
-REST_BLOOD_FRACTION: dict[str, float] = {"bed": USUAL_BLOOD_FRACTION, "pulp": USUAL_PULP_BLOOD_FRACTION}
-
-
-@dataclass(frozen=True)
-class OpticalProperties:
-    """What a photon needs to know of a region."""
-
-    mu_a_per_mm: Values
-    mu_s_per_mm: Values
-    g: Values
-    n: Values
-
 
 @dataclass(frozen=True)
 class Absorption:
@@ -82,11 +69,6 @@ class Absorption:
 
     base_per_mm: Values
     per_blood_fraction_per_mm: Values
-
-    def mu_a_per_mm(self, blood_fraction: ArrayLike) -> Values:
-        """mu_a at a blood fraction of 0-1. [mm^-1]"""
-        blood = checks.fraction("blood_fraction", blood_fraction)
-        return _plain(self.base_per_mm + blood * self.per_blood_fraction_per_mm)
 
 
 def absorption(
@@ -125,8 +107,7 @@ def absorption(
     if dermis_absorption not in get_args(DermisAbsorption):
         raise InputError(_unknown("dermis_absorption", dermis_absorption, get_args(DermisAbsorption)))
     base = _base_per_mm(region, wavelength, melanin, dermis_absorption)
-    carries_blood = region in REST_BLOOD_FRACTION
-    slope = blood_mu_a_per_mm(wavelength, so2) if carries_blood else np.zeros_like(wavelength)
+    slope = blood_mu_a_per_mm(wavelength, so2) if region in ("bed", "pulp") else np.zeros_like(wavelength)
     return Absorption(base_per_mm=_plain(base), per_blood_fraction_per_mm=_plain(slope))
 
 
@@ -201,29 +182,6 @@ def blood_scattering_contrast(wavelength_nm: float, *, bed_scattering: float = 1
     """
     mu_s, g, _ = scattering("bed", wavelength_nm)
     return BLOOD_REDUCED_SCATTERING_PER_MM / (bed_scattering * float(mu_s * (1 - g))) - 1
-
-
-def optical_properties(
-    region: Region,
-    wavelength_nm: ArrayLike,
-    *,
-    blood_fraction: ArrayLike | None = None,
-    so2: ArrayLike = USUAL_SO2,
-    melanin_fraction: float = USUAL_MELANIN_FRACTION,
-    dermis_absorption: DermisAbsorption = "jacques_baseline",
-) -> OpticalProperties:
-    """mu_a, mu_s, g and n of a region; parameters and errors are those of `absorption`.
-
-    blood_fraction : Volume of blood in bed or pulp, 0-1; at rest if not given. The other regions carry none.
-
-    Returns: floats where the inputs are, else arrays of their broadcast shape.
-    """
-    absorbs = absorption(
-        region, wavelength_nm, so2=so2, melanin_fraction=melanin_fraction, dermis_absorption=dermis_absorption
-    )
-    blood = REST_BLOOD_FRACTION.get(region, 0.0) if blood_fraction is None else blood_fraction
-    mu_s, g, n = scattering(region, wavelength_nm)
-    return OpticalProperties(mu_a_per_mm=absorbs.mu_a_per_mm(blood), mu_s_per_mm=mu_s, g=g, n=n)
 
 
 def _plain(value: ArrayLike) -> Values:
