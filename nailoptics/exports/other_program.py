@@ -13,7 +13,6 @@ from .. import light
 from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..light import ProgressCallback, optics
 from ..light.transfer.records import LedTrace, moments_of
-from ..light.transfer.reweight import transmission
 from ..options import Requested
 from ..scene import Scene, parse_scene
 from ..statistics import stderr_or_nan
@@ -187,7 +186,7 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
     at_rest = optics.absorption(scene, wavelength)
     regions = [*dict.fromkeys(absorber.region for absorber in optics.absorbing(scene))]
     columns = np.array([[a.region == region for region in regions] for a in optics.absorbing(scene)], np.float32)
-    made = [(trace, _weights(trace, at_rest), trace.path_mm @ columns) for trace in both]
+    made = [(trace, trace.weight_at(at_rest, np.ones(1)), trace.path_mm @ columns) for trace in both]
     each = [moments_of(t.photons, t.photodiode, weight, path_mm, len(names)) for t, weight, path_mm in made]
     covariances = np.stack([trace.covariance(at_rest, np.ones(1), count=len(names)) for trace in both])
     read = [i for i in range(len(names)) if all(m.effective_photons[i] >= LEAST_PHOTONS for m in each)]
@@ -198,7 +197,7 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
     for factor in BLOOD_FACTORS:
         fraction = min(factor * scene.blood.rest_blood_fraction, 1.0)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=np.full(optics.zones(scene).count, fraction))
-        changes[fraction] = _pair(_ratio(t, _weights(t, mu_a) - w, w) for t, w, _ in made)
+        changes[fraction] = _pair(_ratio(t, t.weight_at(mu_a, np.ones(1)) - w, w) for t, w, _ in made)
     by_region = {name: [_ratio(t, w * path[:, r], w) for t, w, path in made] for r, name in enumerate(regions)}
     return ProgramComparison(
         program=theirs.program,
@@ -216,11 +215,6 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
 
 def _pair(both: Iterable[tuple[Any, Any]]) -> Pair:
     return Pair(*(float(number) for estimate in both for number in estimate))
-
-
-def _weights(trace: LedTrace, mu_a: np.ndarray) -> np.ndarray:
-    """Weight of each photon at an absorption, (1, r) float, (n,) float."""
-    return np.asarray(trace.weight * transmission(trace.path_mm, mu_a - trace.mu_a, np.ones(1)))
 
 
 def _ratio(trace: LedTrace, above: np.ndarray, below: np.ndarray) -> tuple[float, float]:

@@ -21,8 +21,7 @@ from . import backend as backends
 from . import optics
 from .identity import light_scene
 from .tracing.store import LightStore, made_of, stored_or_made
-from .transfer.records import FINGER_BATCH_PHOTONS
-from .transfer.reweight import attenuation
+from .transfer.records import FINGER_BATCH_PHOTONS, attenuation
 
 if TYPE_CHECKING:
     from .walk.finger import FingerTracer

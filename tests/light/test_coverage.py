@@ -232,7 +232,7 @@ class Urn:
 def stopped(seed: int, target: float) -> tuple[float, float]:
     """Relative departure from the truth, and relative standard error, of a run that stops at a tolerance."""
     urn = Urn()
-    rule = LedStoppingCriterion(urn.scene, 0, Accuracy(relative_error=target), np.zeros(1), full=urn.batch_photons)
+    rule = LedStoppingCriterion(urn.scene, 0, Accuracy(relative_error=target), full=urn.batch_photons)
     engine = LightEngine(urn.scene, Backend("llvm", None, ENGINES, "made up"))
     engine._opened = urn
     take_batches(LedSource(urn.scene, 0, engine, seed=seed), rule)

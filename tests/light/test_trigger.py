@@ -22,7 +22,7 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
     spread : standard deviation of the logarithm of the photons' weights.
     """
     rng = np.random.default_rng(seed)
-    trigger = LedStoppingCriterion(SCENE, 0, Accuracy(relative_error=target), np.zeros(1), full=PHOTONS)
+    trigger = LedStoppingCriterion(SCENE, 0, Accuracy(relative_error=target), full=PHOTONS)
     number = 0
     while trigger.next_batch():
         detected = int(rng.binomial(PHOTONS, PROBABILITY))

@@ -61,7 +61,7 @@ def trace(
     for led in range(len(scene.leds)):
         source = LedSource(scene, led, engine, stores, seed=options.seed)
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
-        trigger = LedStoppingCriterion(scene, led, required, source.mu_a, full=engine.full, seconds=seconds)
+        trigger = LedStoppingCriterion(scene, led, required, full=engine.full, seconds=seconds)
         ending = take_batches(source, trigger, progress)
         complaint = complaint or trigger.unmet_reason(ending)
         if ending is Ending.INTERRUPTED:

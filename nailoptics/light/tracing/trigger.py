@@ -20,7 +20,6 @@ from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
 from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
 from ..transfer.records import COLUMNS, LedTrace, joined
-from ..transfer.reweight import transmission
 
 T = TypeVar("T")
 
@@ -185,17 +184,14 @@ class LedStoppingCriterion:
     very many photons of which some photodiode has detected none, which no number of photons will mend; or the memory.
     """
 
-    def __init__(
-        self, scene: Scene, led: int, required: Accuracy, mu_a: np.ndarray, *, full: int, seconds: float = math.inf
-    ) -> None:
-        """mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    def __init__(self, scene: Scene, led: int, required: Accuracy, *, full: int, seconds: float = math.inf) -> None:
+        """full : photons of a full batch.
 
-        full : photons of a full batch.
         seconds : for this LED. [s]
         """
         self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
-        (self._rest_mu_a, self._share), self._mu_a = rest_state(scene, led), mu_a
+        self._at_rest = rest_state(scene, led)
         self._traces: list[LedTrace] = []
         # Weights of all batches and their squares by photodiode.
         self._total = np.zeros((2, len(self.photodiodes)))
@@ -209,7 +205,7 @@ class LedStoppingCriterion:
         """Take in the next batch."""
         self._traces.append(batch)
         self._bytes += sum(getattr(batch, column).nbytes for column in COLUMNS)
-        weight = batch.weight * transmission(batch.path_mm, self._rest_mu_a - self._mu_a, self._share)
+        weight = batch.weight_at(*self._at_rest)
         count = len(self.photodiodes)
         self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
         self.photons, self.batches = self.photons + batch.photons, self.batches + 1

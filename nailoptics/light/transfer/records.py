@@ -17,7 +17,6 @@ from ...statistics import (
     stderr_or_nan,
     upper_limit_95,
 )
-from .reweight import attenuation, transmission
 
 # What is recorded of a photon for each photodiode that it, or a copy of it, reached.
 COLUMNS = ("photon", "photodiode", "weight", "path_mm")
@@ -34,6 +33,34 @@ def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[in
     for name, shape in shapes.items():
         if arrays[name].shape != shape or not np.isfinite(arrays[name]).all():
             raise CorruptError(f"{name} is not finite, or of shape {arrays[name].shape} in place of {shape}")
+
+
+def attenuation(path_mm: np.ndarray, mu_a: np.ndarray) -> np.ndarray:
+    """What each photon's weight is multiplied by in other states, (n,) or (n, m) float.
+
+    path_mm : (n, r) float. Path in each absorber. [mm]
+    mu_a : (r,) or (m, r) float. Absorption, less that for which the weights hold. [mm^-1]
+    """
+    return np.asarray(np.exp(-(path_mm @ mu_a.T)))
+
+
+def transmissions(path_mm: np.ndarray, mu_a: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """The same over an LED's line, in many states that differ in few absorbers, (n, states) float.
+
+    mu_a : (states, q, r) float. Absorption over the line, less that for which the weights hold. [mm^-1]
+    share : (q,) float. Weights of the line.
+    """
+    out = np.zeros((len(path_mm), len(mu_a)))
+    fixed = np.ptp(mu_a, axis=0).max(0) == 0
+    path = path_mm.astype(float)
+    for q, part in enumerate(share):
+        # What no state changes is worked out once; each zone's few values once each, not once per state.
+        factor = part * attenuation(path[:, fixed], mu_a[0, q, fixed])[:, None]
+        for k in np.flatnonzero(~fixed):
+            values, which = np.unique(mu_a[:, q, k], return_inverse=True)
+            factor = factor * attenuation(path[:, [k]], values[:, None])[:, which]
+        out += factor
+    return out
 
 
 @dataclass(frozen=True)
@@ -160,18 +187,25 @@ class LedTrace:
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in COLUMNS})
 
-    def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
-        """Sums over the photons of `count` photodiodes at a state.
+    def weight_at(self, mu_a: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """The records' weights at a state, averaged over the LED's line, (n,) float.
 
-        mu_a : (q, r) float. Absorption over the LED's line. [mm^-1]
+        mu_a : (q, r) float. Absorption over the line. [mm^-1]
         share : (q,) float. Weights of the line.
         """
-        weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
+        factor = np.zeros(len(self.path_mm))
+        for mu, part in zip(mu_a - self.mu_a, share, strict=True):
+            factor += part * attenuation(self.path_mm, mu)
+        return self.weight * factor
+
+    def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
+        """Sums over the photons of `count` photodiodes at a state, as `weight_at` takes it."""
+        weight = self.weight_at(mu_a, share)
         return moments_of(self.photons, self.photodiode, weight, self.path_mm, count)
 
     def covariance(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> np.ndarray:
         """Covariance of what `count` photodiodes detect at a state, as `moments` has it, (count, count) float."""
-        weight = self.weight * transmission(self.path_mm, mu_a - self.mu_a, share)
+        weight = self.weight_at(mu_a, share)
         mean = np.bincount(self.photodiode, weight, minlength=count) / self.photons
         square = covariance_of_sums(self.photon, self.photodiode, weight, count) / self.photons
         return np.asarray((square - np.outer(mean, mean)) / (self.photons - 1))

@@ -11,7 +11,7 @@ from ...scene import Scene
 from ...statistics import left_out, stderr_of_mean
 from .. import optics
 from .interpolation import ChebyshevBox
-from .reweight import attenuation, transmissions
+from .records import attenuation, transmissions
 from .transfer import Transfer
 
 # Interpolation may be off by this part of a reading; no trace has a standard error near it.

@@ -32,7 +32,7 @@ from ...light.board_map import Arrivals, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
 from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, stored_or_made
-from ...light.transfer.reweight import transmissions
+from ...light.transfer.records import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2

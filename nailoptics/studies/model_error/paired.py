@@ -15,7 +15,7 @@ from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
-from ...light.transfer.reweight import transmissions
+from ...light.transfer.records import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Scene
 from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife
