@@ -22,7 +22,6 @@ from benchmarks.parameter_search import (
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, bounds, parameters, respond, steady_state
 from nailoptics.hemodynamics.parameters import beds, each_bed
-from nailoptics.paper import protocols
 from nailoptics.paper.claims import RULES, as_rows, evaluate
 from nailoptics.paper.responses import (
     CURVE_PA,
@@ -80,7 +79,7 @@ def test_simulation_and_subject_meet_all_rules_together(evaluated):
 def test_where_the_band_of_the_subject_ends_depends_on_the_contact(evaluated, monkeypatch):
     """Expected: on the contact of a touch on one side, 50 mm^2, it grows past 4 N by more than the rule allows."""
     rule = next(claim.rule for claim in evaluated["subject"] if claim.rule.text.startswith("growth of the band from 4"))
-    monkeypatch.setattr(protocols, "DISTAL_AREA_MM2", 50.0)
+    monkeypatch.setattr("nailoptics.paper.responses.DISTAL_AREA_MM2", 50.0)
     set_alone = {name: each_bed(np.atleast_1d, value) for name, value in parameters("subject").as_dict().items()}
     assert rule.high < rule.measure(simulate_responses_of_many(set_alone, [rule]))[0] < 0.06
 
