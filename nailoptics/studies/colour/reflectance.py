@@ -12,8 +12,8 @@ import numpy as np
 
 from ...light import optics
 from ...light.identity import light_scene
-from ...light.transfer.interpolation import ChebyshevBox
 from ...light.transfer.records import attenuation
+from ...light.transfer.series import ChebyshevBox
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...scene import Scene, Viewing
 from ...statistics import Array, left_out

@@ -12,8 +12,7 @@ from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat
 from ...light import ProgressCallback, Transfer, optics, trace
 from ...light.tracing import Trigger, accuracy
-from ...light.transfer.interpolation import ChebyshevBox
-from ...light.transfer.series import read_replicates
+from ...light.transfer.series import ChebyshevBox, read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import Array, seed_of

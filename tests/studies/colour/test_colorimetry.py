@@ -7,7 +7,7 @@ import pytest
 
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import StageProgress
-from nailoptics.light.transfer.interpolation import ChebyshevBox
+from nailoptics.light.transfer.series import ChebyshevBox
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Viewing
 from nailoptics.studies.colour import adaptive_sampling
