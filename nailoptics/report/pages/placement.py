@@ -40,6 +40,8 @@ TOLERATED = (
     f"Change in percent of what the best is ranked by if board or photodiode lies {STEP_MM:g} mm off, the board is "
     f"turned by {TURN_DEG:g} degrees, or an LED is {100 * POWER:.0f} % off its power."
 )
+# What a summary has of the bound of the relaxed design.
+BOUND = ("bound", "above_bound")
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING = {
     "Error over touches [mN]": ("force_error_n", 1e3, 0),
@@ -79,6 +81,7 @@ def page(result: xr.Dataset) -> str:
                 *map(small, _people(ranking)),
                 small(rough_words(ranking)),
                 small(checked),
+                small(_bound(result)),
             ),
             _limits(result),
             section("The best layout", *layout),
@@ -165,6 +168,19 @@ def _people(ranking: list[dict[str, Any]]) -> list[str]:
         worst = f"{row['worst_person']} ({quantity(row['worst_resolution_n'], 'N')})"
         lines.append(f"Coarsest with {row['layout']}: {worst}{reason}{off}.")
     return lines
+
+
+def _bound(result: xr.Dataset) -> str:
+    """How near the best layout comes to what no layout on the search's grid reaches; empty where that is not known."""
+    if "bound" not in result:
+        return ""
+    rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
+    factor, unit = (1e3, " mN") if set(rules.weights) <= {"worst", "mean", "force"} else (1.0, "")
+    percent, where = estimated(result, "above_bound", 100), f"{sites} places"
+    photodiodes = f"{rules.photodiodes} photodiodes " + (
+        "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
+    )
+    return TEXTS["bound"].format(percent, photodiodes, where, estimated(result, "bound", factor) + unit)
 
 
 def _limits(result: xr.Dataset) -> str:
@@ -346,6 +362,8 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "rank_by": result.attrs["rank_by"],
         "layouts_given": int(result.attrs["layouts_given"]),
         "limits": [*filter(None, [_over_touches(result)]), *(why(row) for row in budgets_of(result))],
+        "best_possible": {"words": _bound(result)}
+        | {name: with_stderr(result, name) for name in BOUND if name in result},
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
@@ -365,7 +383,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}")
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
-    words = [rough_words(ranking), summary["verified_by_mitsuba"]]
+    words = [rough_words(ranking), summary["best_possible"]["words"], summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 
 

@@ -22,6 +22,7 @@ from ...sensor.information import operating_point
 from ..force.touch_error import TouchError
 from . import boards, candidates, search
 from .candidates import CandidateLayout
+from .certificate import beside_the_bound, certify
 from .objective import JUDGE_SHARE, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
@@ -81,7 +82,7 @@ def place(
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
-    layouts, searched = _candidates(base, of_fingers, searching, people, report_progress)
+    layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)
     least = _least_boards(layouts) if searched else 0
     ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
@@ -92,6 +93,9 @@ def place(
     report_progress("check", 0.0, scores[0].relative_error)
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
+    if bound:
+        responses = scores[0].responses[: len(on_fingers)]
+        checked = checked.merge(beside_the_bound(bound, responses, of_fingers, len(searched)))
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
@@ -143,8 +147,9 @@ def _candidates(
     cache: PhotonMapCache,
     people: Sequence[boards.Person],
     report_progress: StageProgress,
-) -> tuple[list[CandidateLayout], list[search.SearchedSite]]:
-    """All layouts to evaluate, given, searched and the paper's, and every site of the LEDs that the search tried.
+) -> tuple[list[CandidateLayout], list[search.SearchedSite], tuple[float, float] | None]:
+    """All layouts to evaluate, given, searched and the paper's, every site of the LEDs that the search tried, and what
+    no layout on its grid falls below, as `certify`.
 
     people : whose nails the board of the search must fit, too.
     """
@@ -157,7 +162,9 @@ def _candidates(
     straight = boards.searchable_board(base, rules)
     for person in people:
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
-    searched = search.Search(straight, objective, cache).run(report_progress) if rules.search else []
+    layout_search = search.Search(straight, objective, cache)
+    searched = layout_search.run(report_progress) if rules.search else []
+    bound = certify(layout_search, report_progress) if searched else None
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
         log.warning(
@@ -172,7 +179,7 @@ def _candidates(
             f"placement: {len(base.leds)} LEDs and {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm "
             "have no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
         )
-    return layouts, searched
+    return layouts, searched, bound
 
 
 def _least_boards(layouts: Sequence[CandidateLayout]) -> int:

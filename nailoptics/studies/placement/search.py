@@ -21,6 +21,7 @@ from ...scene.rectangles import Rectangle
 from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.electronics import stage_ohm
 from ...sensor.information import brightest_current_a, response
+from ...statistics import left_out
 from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
@@ -264,6 +265,7 @@ class Search:
     """A search as far as it is.
 
     results : every site of the LEDs that was given photodiodes, by row and places.
+    designs : of each row, by the first photons.
     """
 
     def __init__(self, base: Scene, objective: Objective, cache: PhotonMapCache) -> None:
@@ -271,7 +273,7 @@ class Search:
         self.base, self.rules, self.objective, self.cache = base, objective.rules, objective, cache
         self.sites = Sites(base, self.rules)
         self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
-        self._designs: dict[LedRow, RowDesign] = {}
+        self.designs: dict[LedRow, RowDesign] = {}
 
     @cached_property
     def _ambient_a_per_mm2(self) -> float:
@@ -288,7 +290,7 @@ class Search:
         waiting = self.sites.rows(step)
         while waiting and step >= self.rules.led_step_mm / FINEST:
             for i, (row, places) in enumerate(waiting.items()):
-                design = self._designs.setdefault(row, self._design(row, places, FIRST_PHOTONS))
+                design = self.designs.setdefault(row, self._design(row, places, FIRST_PHOTONS))
                 for done in self._trace(design, places, report_progress):
                     part = (report_progress.seconds - start) / available
                     by_count = (i + done) / len(waiting) / 2
@@ -306,13 +308,18 @@ class Search:
             if report_progress.is_over(SEARCH_SHARE):
                 break
             # The photodiodes once more, by more photons.
-            places = [[place] for place in best.places_mm]
-            design = self._design(best.row, places, SEARCH_PHOTONS, starts=LAST_STARTS)
-            for _ in self._trace(design, places, report_progress):
-                pass
-            if all(design.columns) and (again := design.best(best.places_mm)):
+            design = self.traced(best, SEARCH_PHOTONS, report_progress)
+            if design and (again := design.best(best.places_mm)):
                 self._store([again])
         return list(self.results.values())
+
+    def traced(self, site: SearchedSite, photons: int, report_progress: StageProgress) -> RowDesign | None:
+        """A design of one site with its LEDs traced; None where time ends before."""
+        places = [[place] for place in site.places_mm]
+        design = self._design(site.row, places, photons, starts=LAST_STARTS)
+        for _ in self._trace(design, places, report_progress):
+            pass
+        return design if all(design.columns) else None
 
     @property
     def ranked(self) -> list[SearchedSite]:
@@ -354,19 +361,22 @@ class Search:
             self.cache.forget(board)
 
     def _columns(self, led: int, board: Scene, design: RowDesign) -> np.ndarray:
-        """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float."""
+        """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float; by all
+        photons and without each block of them, (fingers, 1 + blocks, m + s, c), where there are several."""
         columns, kinds, one = [], design.places.photodiodes, self.base.leds[led]
-        conditions = self.cache.conditions
-        by_finger = [light.over(design.places.areas).mean(0) for light, *_ in self.cache.of(board).maps]
+        conditions, replicates = self.cache.conditions, self.cache.blocks > 1
+        lit = [light.over(design.places.areas) for light, *_ in self.cache.of(board).maps]
+        by_finger = [left_out(values) if replicates else values[0] for values in lit]
         # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
-            brightest_current_a(values, one, kinds, condition.point)
+            brightest_current_a(values[0] if replicates else values, one, kinds, condition.point)
             for values, condition in zip(by_finger, conditions, strict=True)
         ]
         outside_a = self._ambient_a_per_mm2 * np.array([area.area_mm2 for area in design.places.areas])
         ohm = stage_ohm(kinds, self.base.electronics, largest_a=np.max(brightest_a, axis=0) + outside_a)
         for finger, (values, condition) in enumerate(zip(by_finger, conditions, strict=True)):
-            read = response(values, self.base, led, kinds, condition.point, feedback_ohm=ohm)
+            how = {"replicates": replicates, "feedback_ohm": ohm}
+            read = response(values, self.base, led, kinds, condition.point, **how)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
 
@@ -393,7 +403,7 @@ class Search:
         }
 
     def _has_new(self, row: LedRow, places: list[list[Point]]) -> bool:
-        had = self._designs[row].columns if row in self._designs else [{} for _ in places]
+        had = self.designs[row].columns if row in self.designs else [{} for _ in places]
         return any(place not in column for column, led_places in zip(had, places, strict=True) for place in led_places)
 
     def _beside(self, best: SearchedSite, led: int, step_mm: float) -> list[Point]:

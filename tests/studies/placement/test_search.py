@@ -41,7 +41,7 @@ class MadeLight:
     """Maps of light that falls off with the distance from the LED, faster in the red, and sees the zones between."""
 
     def __init__(self, conditions: list[FingerCondition]) -> None:
-        self.conditions, self.traced = conditions, {}
+        self.conditions, self.traced, self.blocks = conditions, {}, 1
 
     def of(self, board: Scene) -> TracedBoard:
         return self.traced.setdefault(digest(board), TracedBoard([[PhotonMap(board.layout.outline, values=4)]]))
@@ -194,7 +194,7 @@ def test_wiring_chooses_elements_where_they_are():
     layout = search.shortlist(one.base, one.rules, found)[0].scene
     assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
     assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
-    information = one._designs[best.row].information(best.places_mm)
+    information = one.designs[best.row].information(best.places_mm)
     every = {c: float(one.objective.score(information[:, list(c)].sum(1))) for c in combinations(range(8), 3)}
     assert layout.photodiodes[0].wired == min(every, key=lambda c: every[c])
 

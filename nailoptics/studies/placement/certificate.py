@@ -1,0 +1,205 @@
+"""A lower bound of what any layout on the search's grid reaches: the relaxed design, in which places have weights.
+
+Information adds up over photodiodes, M(w) = M_0 + sum_k w_k M_k, where a layout has weights 0 and 1. Each figure that
+layouts are ranked by is, on a finger, a standard error s = (c^T M^-1 c)^1/2 of one combination of the unknowns with the
+body's as nuisance. s^-2 is concave in M (Pukelsheim), so that log s, the logarithm of the worst or the mean of several
+and their weighted sum are convex in w: a tangent at any design lies below all of them. The least of a tangent over all
+weights from 0 to 1 that sum to the number of photodiodes, of which places too near each other share 1, is a linear
+programme, and its value bounds every layout. Designs are mixtures of what these programmes return (Frank-Wolfe); the
+multiplicative algorithm (Yu) finds each mixture, and the gap between its figure and the best tangent ends the search.
+
+It holds for the given fingers, the resistor that fits each place, and LEDs where they were tried; a quantile over
+people is not convex and the error over touches is none of one sample.
+
+References: Boyd, Vandenberghe 2004, Convex Optimization, sec. 7.5; Joshi, Boyd 2009, IEEE Trans. Signal Process. 57,
+451 (sensor selection); Pukelsheim 2006, Optimal Design of Experiments, ch. 3; Yu 2010, Ann. Stat. 38, 1593.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+from scipy.sparse import csr_array, hstack, vstack
+
+from ...light.tracing import StageProgress
+from ...sensor.information import Response
+from ...statistics import jackknife
+from ...variables import Estimate, described
+from .objective import Objective
+from .search import SEARCH_PHOTONS, SEARCH_SHARE, RowDesign, Search, SearchedSite
+from .sites import PhotodiodePlaces
+
+Array = NDArray[np.float64]
+
+# The bound is taken as found at this gap of the logarithm, or after so many programmes and steps for each mixture.
+GAP, PROGRAMMES, STEPS = 5e-4, 30, 100
+# Weight by which slopes are taken, and the power of the mean over fingers by which the worst of them is approached.
+WEIGHT, POWER = 1e-3, 200.0
+# Groups of photons for the error of the bound, and sites that are traced further while one of them bounds all others.
+BLOCKS, TRACED = 16, 8
+# A grid of more places than this has no bound, which would take minutes.
+MOST_PLACES = 4000
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The bound for LEDs at one site.
+
+    log : logarithm of what no layout falls below. weights : (free places,) float, of the relaxed design.
+    """
+
+    log: float
+    weights: Array
+
+
+def _tangents(objective: Objective, total: Array, information: Array) -> list[tuple[float, Array, Array]]:
+    """Of each figure that ranks, its weight, and values and slopes of convex functions of which the largest is its
+    logarithm: (r,) and (r, m) float, by the weights of places; of the worst finger one of each finger.
+
+    total : (fingers, n) float. information : (fingers, m, n) float. Of a photodiode at each place.
+    """
+    steps = np.array([0.0, 1.0, 2.0])[:, None, None] * WEIGHT
+    moved, tangents = total[:, None, None] + steps * information[:, None], []
+    by_finger = [replace(objective, points=[point]) for point in objective.points]
+    for name, weight in objective.rules.weights.items():
+        values = [one.value(name, at[None]) for one, at in zip(by_finger, moved, strict=True)]
+        here, once, twice = np.log(np.stack(values, 1))
+        slopes, here = (4 * once - 3 * here - twice) / (2 * WEIGHT), here[:, 0]
+        if name == "mean":
+            slopes, here = (_shares(here) @ slopes)[None], np.log(np.exp(here).mean(keepdims=True))
+        tangents.append((weight, here, slopes))
+    return tangents
+
+
+def _shares(logs: Array, power: float = 1.0) -> Array:
+    """The part of each in the slope of a mean of powers, from the logarithms of its terms."""
+    terms = np.exp(power * (logs - logs.max()))
+    return np.asarray(terms / terms.sum())
+
+
+def _windows(places: PhotodiodePlaces) -> csr_array:
+    """Which places (columns) lie within one spacing of another across and along: a photodiode at one of them excludes
+    the others."""
+    ahead = places.centers_mm - places.centers_mm[:, None]
+    is_near = np.all((ahead > -1e-9) & (ahead < np.array(places.spacing_mm) - 1e-9), axis=-1)
+    return csr_array((is_near | np.eye(places.free, dtype=bool)).astype(float))
+
+
+def lower_bound(
+    information: Array,
+    places: PhotodiodePlaces,
+    chosen: Sequence[int],
+    objective: Objective,
+    *,
+    given: Array,
+    allowed: Array | None = None,
+    enough: float = np.inf,
+) -> Bound:
+    """The bound of the score's logarithm over all as many photodiodes as are chosen on the free places.
+
+    information : (fingers, m, n) float. Of a photodiode at each place. given : (fingers, n) float. Of those that stay.
+    chosen : a layout, from which it begins. allowed : (m,) bool. Places that may be taken; all if not given.
+    enough : a bound above this is returned as it is.
+    """
+    free = places.free
+    most = np.ones(free) if allowed is None else allowed.astype(float)
+    weights = np.bincount(chosen, minlength=free).astype(float)
+    designs, mixture, best, windows = [weights], np.ones(1), Bound(-np.inf, weights), _windows(places)
+    for _ in range(PROGRAMMES):
+        total = given + np.einsum("m,fmn->fn", weights, information)
+        log_bound, design = _least_tangent(_tangents(objective, total, information), weights, windows, most)
+        if log_bound > best.log:
+            best = Bound(log_bound, weights)
+        if np.log(objective.score(total)) - best.log < GAP or best.log > enough:
+            break
+        designs, mixture = [*designs, design], np.append(0.7 * mixture, 0.3)
+        of_designs = np.einsum("dm,fmn->fdn", np.array(designs), information)
+        for _ in range(STEPS):
+            tangents = _tangents(objective, given + np.einsum("d,fdn->fn", mixture, of_designs), of_designs)
+            falls = -sum(weight * _shares(values, POWER) @ slopes for weight, values, slopes in tangents)
+            if falls.max() - mixture @ falls < GAP / 4:
+                break
+            mixture = mixture * np.sqrt(np.maximum(falls, 0.0))
+            mixture /= mixture.sum()
+        weights = mixture @ np.array(designs)
+    return best
+
+
+def _least_tangent(
+    tangents: list[tuple[float, Array, Array]], weights: Array, windows: csr_array, most: Array
+) -> tuple[float, Array]:
+    """The least of the tangents at a design over all weights of as many photodiodes, none above `most`, and where."""
+    free, figures, cuts, ends = len(weights), len(tangents), [], []
+    for k, (_, values, slopes) in enumerate(tangents):
+        cuts.append(np.hstack([slopes, np.tile(-np.eye(figures)[k], (len(values), 1))]))
+        ends.append(slopes @ weights - values)
+    found = linprog(
+        np.append(np.zeros(free), [weight for weight, *_ in tangents]),
+        A_ub=vstack([hstack([windows, csr_array((windows.shape[0], figures))]), csr_array(np.vstack(cuts))]),
+        b_ub=np.concatenate([np.ones(windows.shape[0]), *ends]),
+        A_eq=np.append(np.ones(free), np.zeros(figures))[None],
+        b_eq=[weights.sum()],
+        bounds=[*((0.0, end) for end in most), *[(None, None)] * figures],
+        method="highs",
+    )
+    return (float(found.fun), found.x[:free]) if found.success else (-np.inf, weights)
+
+
+def _site_bound(design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf) -> Bound:
+    """The bound for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
+    places, row = design.places, design.row
+    chosen = [places.areas.index(area) for area in site.photodiodes]
+    allowed = None if row.side else design.sites.are_beside(places.areas[: places.free], site.places_mm)
+    free, staying = information[:, : places.free], information[:, places.free :].sum(1)
+    return lower_bound(free, places, chosen, design.objective, given=staying, allowed=allowed, enough=enough)
+
+
+def certify(search: Search, report_progress: StageProgress) -> tuple[float, float] | None:
+    """What no layout on the search's grid falls below, and its standard error by the noise of the light; None where
+    time ends before, or the grid is too fine.
+
+    It is the least bound of all sites. That of few photons comes out low, as their noise adds to the information: it
+    is traced further until no other is lower, or `TRACED` were.
+    """
+    sites, objective = search.ranked, search.objective
+    bounds: dict[SearchedSite, Bound] = {}
+    for site in sites:
+        design = search.designs[site.row]
+        if report_progress.is_over(SEARCH_SHARE) or design.places.free > MOST_PLACES:
+            return None
+        bounds[site] = _site_bound(design, site, design.information(site.places_mm), np.log(sites[0].score))
+    again, errors = Search(search.base, objective, replace(search.cache, blocks=BLOCKS)), dict[SearchedSite, float]()
+    for k in range(TRACED + 1 if sites else 0):
+        site = min(bounds, key=lambda site: bounds[site].log)
+        if site in errors:
+            break
+        photons = SEARCH_PHOTONS if k < TRACED else search.designs[site.row].photons
+        design = again.traced(site, photons, report_progress)
+        if design is None:
+            return None
+        replicates = design.information(site.places_mm)
+        bounds[site] = bound = _site_bound(design, site, replicates[:, 0])
+        weights = np.append(bound.weights, np.ones(replicates.shape[2] - len(bound.weights)))
+        scores = objective.score(np.einsum("m,fbmn->fbn", weights, replicates))
+        errors[site] = float(jackknife(np.log(scores)))
+    search.cache.photons += again.cache.photons
+    if not sites or not np.isfinite(bounds[site].log):
+        return None
+    least = np.exp(bounds[site].log)
+    return float(least), float(least * errors[site])
+
+
+def beside_the_bound(
+    bound: tuple[float, float], responses: Sequence[Sequence[Response]], objective: Objective, sites: int
+) -> xr.Dataset:
+    """The bound as variables, with the best layout's distance from it, by other photons.
+
+    responses : of the best, by finger and LED (1 + blocks, photodiodes). sites : of the LEDs that were tried.
+    """
+    replicates = objective.score(objective.total(responses))
+    ratio, error = float(replicates[0]) / bound[0], float(jackknife(np.log(replicates)))
+    above = Estimate(ratio - 1, ratio * np.hypot(error, bound[1] / bound[0]))
+    return xr.Dataset(described(__package__, bound=Estimate(*bound), above_bound=above, bounded_sites=sites))

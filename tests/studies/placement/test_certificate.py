@@ -1,0 +1,75 @@
+"""The bound of the relaxed design: below every layout there is, and near the best of them."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from nailoptics.scene import Placement
+from nailoptics.scene.rectangles import Rectangle
+from nailoptics.sensor import information
+from nailoptics.studies.placement.certificate import _tangents, lower_bound
+from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement.sites import PhotodiodePlaces
+from nailoptics.tissue import BloodZones
+
+from .test_place import AT
+
+RANKED = ({"worst": 1.0}, {"mean": 1.0}, {"worst": 0.6, "share": 0.4})
+
+
+def grid_of(rng: np.random.Generator, columns: int = 5, rows: int = 4) -> tuple[PhotodiodePlaces, np.ndarray]:
+    """Places .5 mm apart, of photodiodes with a spacing of two of them, and their information on two fingers."""
+    centers = [(0.5 * i, 0.8 * j - 1.2) for i in range(columns) for j in range(rows)]
+    areas = tuple(Rectangle.around("", center, (0.7, 0.7)) for center in centers)
+    places = PhotodiodePlaces(areas, (), len(areas), (0.75, 0.75))
+    fingers = []
+    for reach_mm in rng.uniform(0.8, 1.8, 2):
+        led = np.array([-1.5, rng.uniform(-1.0, 1.0)])
+        away = np.linalg.norm(places.centers_mm - led, axis=-1)
+        zones, light = BloodZones((float(rng.uniform(-0.5, 0.5)),), 2.0), np.exp(-away / reach_mm)
+        slope = light[:, None] * zones.weights((places.centers_mm[:, 1] + led[1]) / 2) * 1e-6 * away[:, None]
+        one, waves = np.ones(len(away)), np.stack([slope[:, 0], slope.sum(1), 1e-7 * light], -1)
+        read = information.Response(
+            one, (3e-6 + 3e-5 * light) ** 2, slope, slope, 0 * one, body_v=rng.uniform(1, 30, 3) * waves
+        )
+        fingers.append(information.fisher_information(read))
+    return places, np.stack(fingers)
+
+
+@pytest.mark.parametrize("rank_by", RANKED, ids="-".join)
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_no_layout_beats_the_bound_and_the_best_is_near_it(rank_by, count):
+    """Expected: brute force over all layouts of 20 places stays above the bound; what a search begins from only
+    changes how far the bound is from the best."""
+    objective = Objective(Placement(rank_by=rank_by), [AT, AT])
+    gaps = []
+    for seed in range(6):
+        places, of_places = grid_of(np.random.default_rng(seed))
+        away = np.abs(places.centers_mm[:, None] - places.centers_mm)
+        excluded = np.all(away < np.array(places.spacing_mm) - 1e-9, axis=-1)
+        layouts = [
+            c for c in combinations(range(places.free), count) if not any(excluded[a, b] for a, b in combinations(c, 2))
+        ]
+        scores = objective.score(of_places[:, np.array(layouts)].sum(2))
+        given = np.zeros((2, of_places.shape[-1]))
+        log_bound = lower_bound(of_places, places, layouts[0], objective, given=given).log
+        gaps.append(float(np.log(scores.min()) - log_bound))
+    assert min(gaps) > -1e-9
+    # Two unknowns need two photodiodes at least, of which there are no halves; more come nearer.
+    assert max(gaps) < (0.1 if count < 4 else 0.015) and np.median(gaps) < 0.03
+
+
+@pytest.mark.parametrize("rank_by", RANKED, ids="-".join)
+def test_a_tangent_lies_below_the_score_of_every_design(rank_by):
+    """Expected: the figures are convex in the weights, so that a tangent at one design bounds all others."""
+    rng = np.random.default_rng(1)
+    objective, (_, of_places) = Objective(Placement(rank_by=rank_by), [AT, AT]), grid_of(rng)
+    designs = rng.dirichlet(np.full(of_places.shape[1], 0.2), 200) * rng.uniform(1, 8, (200, 1))
+    totals = np.einsum("dm,fmn->fdn", designs, of_places)
+    scores = np.log(objective.score(totals))
+    for k in range(5):
+        tangents = _tangents(objective, totals[:, k], of_places)
+        assert sum(weight * values.max() for weight, values, _ in tangents) == pytest.approx(scores[k])
+        below = sum(w * (v[:, None] + s @ (designs - designs[k]).T).max(0) for w, v, s in tangents)
+        assert (scores - below).min() > -1e-6
