@@ -171,7 +171,7 @@ def _people(ranking: list[dict[str, Any]]) -> list[str]:
 
 
 def _bound(result: xr.Dataset) -> str:
-    """How near the best layout comes to what no layout on the search's grid reaches; empty where that is not known."""
+    """How near the best searched layout comes to what none on the search's grid reaches; empty where it is unknown."""
     if "bound" not in result:
         return ""
     rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)

@@ -195,9 +195,9 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
 def beside_the_bound(
     bound: tuple[float, float], responses: Sequence[Sequence[Response]], objective: Objective, sites: int
 ) -> xr.Dataset:
-    """The bound as variables, with the best layout's distance from it, by other photons.
+    """The bound as variables, with the best searched layout's distance from it, by other photons.
 
-    responses : of the best, by finger and LED (1 + blocks, photodiodes). sites : of the LEDs that were tried.
+    responses : of that layout, by finger and LED (1 + blocks, photodiodes). sites : of the LEDs that were tried.
     """
     replicates = objective.score(objective.total(responses))
     ratio, error = float(replicates[0]) / bound[0], float(jackknife(np.log(replicates)))

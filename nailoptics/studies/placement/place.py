@@ -93,8 +93,9 @@ def place(
     report_progress("check", 0.0, scores[0].relative_error)
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
-    if bound:
-        responses = scores[0].responses[: len(on_fingers)]
+    best_searched = [score for layout, score in zip(layouts, scores, strict=True) if layout.origin == "searched"][:1]
+    if bound and best_searched:
+        responses = best_searched[0].responses[: len(on_fingers)]
         checked = checked.merge(beside_the_bound(bound, responses, of_fingers, len(searched)))
     if store is not None:
         store.close()

@@ -4,10 +4,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from small_scenes import PLACEMENT
 
-from nailoptics.scene import Placement
+from nailoptics.report.pages.placement import PLACEMENT as report
+from nailoptics.scene import Placement, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
+from nailoptics.studies.placement import place
 from nailoptics.studies.placement.certificate import _tangents, lower_bound
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.sites import PhotodiodePlaces
@@ -73,3 +76,22 @@ def test_a_tangent_lies_below_the_score_of_every_design(rank_by):
         assert sum(weight * values.max() for weight, values, _ in tangents) == pytest.approx(scores[k])
         below = sum(w * (v[:, None] + s @ (designs - designs[k]).T).max(0) for w, v, s in tangents)
         assert (scores - below).min() > -1e-6
+
+
+@pytest.mark.long
+def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, tmp_path):
+    """Expected: by other photons the search's best lies above the bound within the error of both, and page, terminal
+    and summary say by how much."""
+    rules = 'photodiodes = 4\nphotodiode_step_mm = 0.5\nfixed = ["ir"]\n'
+    requested = parse_scene(PLACEMENT[: PLACEMENT.index("[placement]")] + f"[placement]\n{rules}")
+    with fewer_photons():
+        found = place.place(requested, photons=1 << 17)
+    above, error = float(found.above_bound), float(found.above_bound_stderr)
+    assert -2 * error < above < 0.2 and 0 < error < 0.1
+    best = int(np.flatnonzero(found.origin == "searched")[0])
+    assert float(found.bound) * (1 + above) == pytest.approx(float(found.force_resolution_n[best]))
+    assert int(found.bounded_sites) == found.sizes["led_site"]
+    report.write(found, tmp_path)
+    words = report.summary(found)["best_possible"]["words"]
+    assert "no 4 photodiodes on the 0.5 mm grid" in words and words in (tmp_path / "place.html").read_text("utf-8")
+    assert words in report.lines(found, report.summary(found))
