@@ -124,11 +124,7 @@ def draw_change(axes: "Axes", result: xr.Dataset, scene: Scene | None, *, led: i
     _not_too_close(axes)
     # From the tip down, as on the nail.
     look: dict[str, Any] = {"reverse": True, "loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-    axes.legend(title=f"at {hold_s:.3g} s", ncols=_legend_columns(len(photodiodes)), **look)
-
-
-def _legend_columns(photodiodes: int) -> int:
-    return 1 + (photodiodes - 1) // 16
+    axes.legend(title=f"at {hold_s:.3g} s", ncols=1 + (len(photodiodes) - 1) // 16, **look)
 
 
 def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "Figure":
