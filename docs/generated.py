@@ -275,9 +275,15 @@ def library() -> str:
 
 
 def _module(name: str, module: Any) -> str:
+    """A module's functions, but for those that the package has, too."""
     public = [key for key, item in sorted(vars(module).items()) if callable(item) and not inspect.isclass(item)]
-    functions = [f".. autofunction:: nailoptics.{name}.{key}\n" for key in public if key[0] != "_"]
-    return f".. py:module:: nailoptics.{name}\n\n{inspect.getdoc(module)}\n\n" + "\n".join(functions)
+    functions = [
+        f".. autofunction:: nailoptics.{name}.{key}\n"
+        for key in public
+        if key[0] != "_" and key not in nailoptics.__all__
+    ]
+    heading = f".. py:module:: nailoptics.{name}\n\n.. rubric:: nailoptics.{name}\n\n"
+    return heading + f"{inspect.getdoc(module)}\n\n" + "\n".join(functions)
 
 
 def _rst(text: str) -> str:

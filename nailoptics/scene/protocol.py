@@ -24,6 +24,7 @@ CLOSING_N, CLOSING_S, CLOSING_CORNERS = (1.5, 2.0), 20.0, 64
 class Protocol(NamedTuple):
     """Corners between which the force is linear: (k,) float each.
 
+    time_s, force_n : when, and how hard the finger is to press. [s], [N]
     proximal_share : 1 where the proximal side is touched, 0 where the distal one is; it changes within a rest.
     """
 

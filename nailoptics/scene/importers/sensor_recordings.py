@@ -102,7 +102,8 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
 class Recording:
     """Readings over time.
 
-    name : what messages call it. names : (R,) str, of the readings.
+    name : what messages call it.
+    names : (R,) str, of the readings.
     time_s : (T,) float, rising. [s]
     volts : (R, T) float; NaN in a gap. [V]
     force_n : (T,) float or None where no force was measured. [N]
