@@ -119,7 +119,7 @@ def lower_bound(
         of_designs = np.einsum("dm,fmn->fdn", np.array(designs), information)
         for _ in range(STEPS):
             tangents = _tangents(objective, given + np.einsum("d,fdn->fn", mixture, of_designs), of_designs)
-            falls = -sum(weight * _shares(values, POWER) @ slopes for weight, values, slopes in tangents)
+            falls = -np.sum([weight * _shares(values, POWER) @ slopes for weight, values, slopes in tangents], axis=0)
             if falls.max() - mixture @ falls < GAP / 4:
                 break
             mixture = mixture * np.sqrt(np.maximum(falls, 0.0))
@@ -177,11 +177,11 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
         if site in errors:
             break
         photons = SEARCH_PHOTONS if k < TRACED else search.designs[site.row].photons
-        design = again.traced(site, photons, report_progress)
-        if design is None:
+        further = again.traced(site, photons, report_progress)
+        if further is None:
             return None
-        replicates = design.information(site.places_mm)
-        bounds[site] = bound = _site_bound(design, site, replicates[:, 0])
+        replicates = further.information(site.places_mm)
+        bounds[site] = bound = _site_bound(further, site, replicates[:, 0])
         weights = np.append(bound.weights, np.ones(replicates.shape[2] - len(bound.weights)))
         scores = objective.score(np.einsum("m,fbmn->fbn", weights, replicates))
         errors[site] = float(jackknife(np.log(scores)))

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, islice, product
+from typing import Any
 
 import numpy as np
 
@@ -308,8 +309,8 @@ class Search:
             if report_progress.is_over(SEARCH_SHARE):
                 break
             # The photodiodes once more, by more photons.
-            design = self.traced(best, SEARCH_PHOTONS, report_progress)
-            if design and (again := design.best(best.places_mm)):
+            once_more = self.traced(best, SEARCH_PHOTONS, report_progress)
+            if once_more and (again := once_more.best(best.places_mm)):
                 self._store([again])
         return list(self.results.values())
 
@@ -375,7 +376,7 @@ class Search:
         outside_a = self._ambient_a_per_mm2 * np.array([area.area_mm2 for area in design.places.areas])
         ohm = stage_ohm(kinds, self.base.electronics, largest_a=np.max(brightest_a, axis=0) + outside_a)
         for finger, (values, condition) in enumerate(zip(by_finger, conditions, strict=True)):
-            how = {"replicates": replicates, "feedback_ohm": ohm}
+            how: dict[str, Any] = {"replicates": replicates, "feedback_ohm": ohm}
             read = response(values, self.base, led, kinds, condition.point, **how)
             columns.append(self.objective.columns(finger, led, read))
         return np.stack(columns)
