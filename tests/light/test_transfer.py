@@ -77,6 +77,8 @@ def test_the_standard_error_of_a_mean_path_is_that_of_resampling():
     assert seen.mean_path_mm_stderr.values == pytest.approx(means.std(axis=0), rel=0.1)
 
 
+# Of some seeds, or by another backend, few photons bear the error of the state farthest away.
+@pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
 @pytest.mark.jit
 @pytest.mark.parametrize(("upper", "lower"), [(0.05, 0.3), (0.0, 0.05), (0.2, 0.02)])
 def test_another_state_meets_a_fresh_trace_of_it(jit_backend, traced, upper, lower):

@@ -174,6 +174,8 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
     rng, count : Per lane: its generator, and how many photons it walks.
     """
     width = dr.width(count)
+    # Opaque, or each number of lanes would have a kernel of its own.
+    lanes_in_all = dr.opaque(mi.UInt32, width)
     photon = _launch(layers, rng, dr.arange(mi.UInt32, width))
     events = dr.zeros(mi.UInt32, width)
     active = count > 0
@@ -192,7 +194,7 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
         if photon.outcome > 0:
             ends.record(photon, layer, True)
             ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
-            photon = _launch(layers, photon.rng, photon.index + width)
+            photon = _launch(layers, photon.rng, photon.index + lanes_in_all)
             count -= 1
         # Whoever ended has begun anew; so no loop carries this along.
         photon.outcome = mi.UInt32(0)
