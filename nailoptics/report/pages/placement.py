@@ -173,7 +173,7 @@ def _people(ranking: list[dict[str, Any]]) -> list[str]:
 def _bound(result: xr.Dataset) -> str:
     """How near the best searched layout comes to what none on the search's grid reaches; empty without a search."""
     if "bound" not in result:
-        return "" if not result.sizes["led_site"] else TEXTS["no_bound"]
+        return "" if not result.sizes.get("led_site") else TEXTS["no_bound"]
     rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
     factor, unit = (1e3, " mN") if set(rules.weights) <= {"worst", "mean", "force"} else (1.0, "")
     percent, where = estimated(result, "above_bound", 100), f"{sites} places"
