@@ -154,21 +154,27 @@ def worn(scene: Scene, v_mm: float, wired: tuple[tuple[int, ...], tuple[int, ...
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    ("v_mm", "wired"),
+    ("v_mm", "wired", "ratio"),
     [
-        (2.0, ((6, 8, 10, 12), (3, 5, 7, 9))),
-        (3.2, ((6, 8, 10, 12), (3, 5, 7, 9))),
-        (3.2, ((6,), (9,))),
+        (2.0, ((6, 8, 10, 12), (3, 5, 7, 9)), (1 / 1.3, 1.3)),
+        (3.2, ((6, 8, 10, 12), (3, 5, 7, 9)), (1 / 1.3, 1.3)),
+        (3.2, ((6,), (9,)), (1 / 1.3, 1.3)),
+        (2.0, ((1, 5, 10, 14), (1, 5, 10, 14)), (1.3, 2.0)),
     ],
 )
 def test_predict_errs_over_touches_as_is_computed(
-    chosen_jit: Any, shared_light: None, scene: Scene, v_mm: float, wired: tuple[tuple[int, ...], tuple[int, ...]]
+    chosen_jit: Any,
+    shared_light: None,
+    scene: Scene,
+    v_mm: float,
+    wired: tuple[tuple[int, ...], tuple[int, ...]],
+    ratio: tuple[float, float],
 ) -> None:
-    """Rationale: eight bodies wear the prototype's board, with the paper's photodiodes, with them farther
-    from the LED, and with two of these, and make the touches; who wears it is known exactly,
+    """Rationale: eight bodies wear the prototype's board, with the paper's photodiodes, with them farther from the LED,
+    with two of these, and with photodiodes spread over the arrays, and make the touches; who wears it is known exactly,
     as by a calibration without error.
-    Expected: the rms error of `predict` over the touches is within a factor of 1.3 of the computed one; eight records
-    know it to some 15 %.
+    Expected: the rms error of `predict` over the touches is within a factor of 1.3 of the computed one, but for the
+    spread ones, as docs/placing.md says; eight records know it to some 15 %.
     """
     sensor = worn(scene, v_mm, wired)
     touches, table = TouchError(sensor, 0.5), open_table(sensor, photons=1_000_000)[1]
@@ -202,4 +208,4 @@ def test_predict_errs_over_touches_as_is_computed(
         estimated = predict(known, replace(recording, names=table.names))
         force_n = np.asarray(recording.force_n)
         error2.append(np.mean((estimated.force_n.values - force_n)[force_n >= TOUCH_N] ** 2))
-    assert 1 / 1.3 < np.sqrt(np.mean(error2)) / computed_n < 1.3
+    assert ratio[0] < np.sqrt(np.mean(error2)) / computed_n < ratio[1]
