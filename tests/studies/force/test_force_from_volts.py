@@ -105,7 +105,7 @@ def subject(table: ReadingTable) -> Subject:
         update={"blood": scene.blood.model_copy(update={"parameters": "listed", "rest_blood_fraction": REST})}
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("nailoptics.studies.force.calibrate.vessels", lambda _: VESSELS)
+        patch.setattr("nailoptics.studies.force.person.vessels", lambda _: VESSELS)
         recordings = [
             _record(table, _cycle(2.0), site, seed=seed, pulse_pa=500.0)
             for seed, site in enumerate(("proximal", "distal"))
