@@ -163,7 +163,7 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     assert np.isfinite(turned).all() and np.isnan(led.tolerance_ranking.sel(deviation="left"))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_board_for_several_fingers_is_glued_with_what_of_it_every_nail_bears(chosen_jit):
     """Expected: a board as large as the nail of the little finger has room beside its place, without its edge there."""
     fingers = '[placement]\nfingers = [{ name = "index" }, { name = "little", digit = "little" }]\n'
