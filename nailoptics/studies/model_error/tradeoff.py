@@ -225,17 +225,14 @@ def tradeoff(
     except (NotReachedError, KeyboardInterrupt) as error:
         unmet = f"{str(error).rstrip('.') or 'interrupted'}; {len(levels)} levels were measured before."
 
-    def place(level: Level) -> tuple[float, float, bool]:
-        # The full model first among those that cost the same.
-        return level.seconds(tolerance), level.setup_seconds, level.name != REFERENCE
-
     chosen = fastest(levels, tolerance) or reference
     selected = revised(scene, chosen.changes)
     if relative := chosen.relative_error(tolerance):
         selected = selected.model_copy(update={"accuracy": type(scene.accuracy)(relative_error=relative)})
     about = light.attributes() | ({"cut_off": unmet} if unmet else {})
-    seconds = time.perf_counter() - start
-    result = Tradeoff(tuple(sorted(levels, key=place)), tolerance, chosen, selected, seconds, about)
+    # The full model first among those that cost the same.
+    levels.sort(key=lambda level: (level.seconds(tolerance), level.setup_seconds, level.name != REFERENCE))
+    result = Tradeoff(tuple(levels), tolerance, chosen, selected, time.perf_counter() - start, about)
     if unmet:
         raise NotReachedError(unmet, result=result)
     return result

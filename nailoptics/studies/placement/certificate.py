@@ -25,10 +25,10 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array, hstack, vstack
 
 from ...light.tracing import StageProgress
-from ...sensor.information import Response
 from ...statistics import jackknife
 from ...variables import Estimate, described
-from .objective import Objective
+from .candidates import CandidateLayout
+from .objective import LayoutScore, Objective
 from .search import SEARCH_PHOTONS, SEARCH_SHARE, RowDesign, Search, SearchedSite
 from .sites import PhotodiodePlaces
 
@@ -193,13 +193,21 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
 
 
 def beside_the_bound(
-    bound: tuple[float, float], responses: Sequence[Sequence[Response]], objective: Objective, sites: int
+    bound: tuple[float, float] | None,
+    layouts: Sequence[CandidateLayout],
+    scores: Sequence[LayoutScore],
+    objective: Objective,
+    *,
+    sites: int,
 ) -> xr.Dataset:
-    """The bound as variables, with the best searched layout's distance from it, by other photons.
+    """The bound as variables, with the distance from it of the best searched layout, by other photons; none without it.
 
-    responses : of that layout, by finger and LED (1 + blocks, photodiodes). sites : of the LEDs that were tried.
+    layouts, scores : best first, by finger, then person. sites : of the LEDs that were tried.
     """
-    replicates = objective.score(objective.total(responses))
+    searched = [score for layout, score in zip(layouts, scores, strict=True) if layout.origin == "searched"]
+    if bound is None or not searched:
+        return xr.Dataset()
+    replicates = objective.score(objective.total(searched[0].responses[: len(objective.points)]))
     ratio, error = float(replicates[0]) / bound[0], float(jackknife(np.log(replicates)))
     above = Estimate(ratio - 1, ratio * np.hypot(error, bound[1] / bound[0]))
     return xr.Dataset(described(__package__, bound=Estimate(*bound), above_bound=above, bounded_sites=sites))

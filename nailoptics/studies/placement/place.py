@@ -93,10 +93,7 @@ def place(
     report_progress("check", 0.0, scores[0].relative_error)
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
-    best_searched = [score for layout, score in zip(layouts, scores, strict=True) if layout.origin == "searched"][:1]
-    if bound and best_searched:
-        responses = best_searched[0].responses[: len(on_fingers)]
-        checked = checked.merge(beside_the_bound(bound, responses, of_fingers, len(searched)))
+    checked = checked.merge(beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
