@@ -63,6 +63,12 @@ class Nail:
         self._kind, (module, _, name) = kind, KINDS[known].rpartition(".")
         self._report: Report = getattr(import_module(f".pages.{module}", __package__), name)
 
+    def __repr__(self) -> str:
+        return f"<{self._kind}: plot() of {', '.join(self.figures)}; report(), summary(), scene>"
+
+    def _repr_html_(self) -> str:
+        return str(self.html())
+
     @property
     def figures(self) -> tuple[str, ...]:
         """Names of the figures of this kind of result, the most telling first; `plot` says what one of them lacks."""

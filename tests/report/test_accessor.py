@@ -39,6 +39,7 @@ def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
     titles = [[axes.get_title("left") for axes in result.nail.plot("volts", led=k).axes] for k in (0, 1)]
     assert titles[0] and titles == [titles[0]] * 2
     assert result.nail.scene == nail.parse_scene(result.attrs["scene"])
+    assert "plot() of readings, touch" in repr(result.nail) and result.nail._repr_html_().startswith("<pre>")
     inline = result.nail.report()._repr_html_()
     assert inline.startswith("<iframe srcdoc=") and html.escape(page(result)[:500]) in inline
     assert figures["readings"]._repr_png_().startswith(b"\x89PNG")

@@ -225,7 +225,7 @@ def test_signs_are_judged_by_where_a_zone_lies_whatever_its_name(undrawn, make):
 
 
 def test_signs_are_no_key_figure_of_a_board_over_one_half_or_that_follows_none(undrawn, make):
-    result, words = make(section=False), "readings change as in the paper"
+    result, words = make(section=False), "readings of this finger change as in the paper"
     assert words in page(result)
     of_one_half = result.copy()
     of_one_half["zone_of_photodiode"] = 0 * result.zone_of_photodiode

@@ -214,7 +214,7 @@ def _signs(readings: "pd.DataFrame", result: xr.Dataset) -> list[tuple[str, str]
     right = np.sign(readings.volts_change) == np.where(distal, 1, -1)
     if not right.any() or distal.nunique() == 1:
         return []
-    words = "readings change as in the paper: proximal ones fall, distal ones rise"
+    words = "readings of this finger change as in the paper: proximal ones fall, distal ones rise"
     least = readings.z_score[right].min()
     if np.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
