@@ -115,6 +115,11 @@ def stage_ohm(photodiodes: Photodiodes, amplifier: Electronics, *, largest_a: Ar
     return np.where(np.isnan(given), fitted_ohm(largest_a + _dark_a(photodiodes, amplifier), amplifier), given)
 
 
+def has_resistors(scene: Scene) -> bool:
+    """Whether no photodiode's resistor is left to be fitted: the amplifier's is stated, or each has its own."""
+    return scene.electronics.feedback_ohm != "auto" or all(p.feedback_ohm is not None for p in scene.photodiodes)
+
+
 def with_resistors(scene: Scene, largest_a: Array) -> Scene:
     """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents.
 

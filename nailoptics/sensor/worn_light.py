@@ -107,7 +107,7 @@ def _slid(scene: Scene) -> tuple[float, Board]:
 def with_fitted_resistors(scene: Scene) -> Scene:
     """The scene with a resistor at every photodiode where it has "auto", the same for every command: fitted to the
     upper end of the 95 % interval of the brightest LED through a bed without blood, beside [ambient] or a lamp."""
-    if scene.electronics.feedback_ohm != "auto":
+    if electronics.has_resistors(scene):
         return scene
     ambient_a = ambient_bound_a(scene, usual=LAMP)
     read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))

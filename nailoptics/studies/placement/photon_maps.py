@@ -207,7 +207,7 @@ class PhotonMapCache:
     def with_resistors(self, layout: Scene, board: Scene) -> Scene:
         """The layout with resistors for the brightest light of any LED on any finger, beside [ambient] or a lamp, where
         it has "auto"."""
-        if layout.electronics.feedback_ohm != "auto":
+        if electronics.has_resistors(layout):
             return layout
         photodiodes = [element.photodiode for element in layout.layout.photodiodes]
         lit_a = [
