@@ -69,7 +69,7 @@ def courses(result: xr.Dataset) -> "Figure":
         _not_too_close(axes)
         axes.tick_params(labelbottom=True)
         if len(lines) > 1:
-            axes.legend(loc="upper right", fontsize=7, handlelength=1.8)
+            axes.legend(loc="best", fontsize=7, handlelength=1.8)
     return figure
 
 
