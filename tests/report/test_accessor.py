@@ -209,7 +209,7 @@ def test_every_study_shows_itself(chosen_jit):
         nail.tradeoff(prototype, **how),
         nail.oximeter(quiet("pulse_oximeter"), **how),
         nail.colour(quiet("nail_colour"), **how),
-        nail.place(quiet("placement"), **how),
+        nail.place(quiet("placement").with_(**{"placement.led_step_mm": 4.0}), **how),
         nail.explore(prototype, **how),
     ):
         all_shown(result)
