@@ -5,8 +5,10 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,30 @@ def shared_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shared_light(shared_store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Light comes from the shared store: for tests of what is made of it, not of how it is traced."""
     monkeypatch.setenv("NAILOPTICS_STORE", str(shared_store))
+
+
+@pytest.fixture(scope="session")
+def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[None]]:
+    """Lets a placement look at its best layout, and at what is unknown of the finger, with a quarter of the photons,
+    and at the board glued elsewhere with an eighth.
+
+    Each number's error grows with that, and tests that compare two of them bound those errors, too.
+    """
+
+    @contextmanager
+    def fewer() -> Iterator[None]:
+        tracer = import_module("nailoptics.light.board_map").BoardTracer
+        verification, tolerances = (
+            import_module(f"nailoptics.studies.placement.{name}") for name in ("verification", "tolerances")
+        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("NAILOPTICS_STORE", str(shared_store))
+            patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
+            patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
+            patch.setattr(tolerances, "JUDGE_PHOTONS", tolerances.JUDGE_PHOTONS // 8)
+            yield
+
+    return fewer
 
 
 @pytest.fixture(scope="session")

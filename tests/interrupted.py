@@ -1,23 +1,25 @@
-"""A command in a process of its own that gets a real Ctrl-C as it comes to a place."""
+"""A command, in a process of its own or in this one, that gets a real Ctrl-C as it comes to a place."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import threading
 from dataclasses import dataclass
+from functools import reduce
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nailoptics.cli import run
 
 ENVIRONMENT = {"PYTHONPATH": str(Path(__file__).parents[1])}
 # At the call it waits on stdin, until the signal has come; every call is reported.
 CHILD = """
-import functools, importlib, json, sys
-module, names, number, constants, *sys.argv[1:] = sys.argv[1:]
-for place, value in json.loads(constants).items():
-    of, _, constant = place.partition(":")
-    assert hasattr(importlib.import_module(of), constant), place
-    setattr(sys.modules[of], constant, value)
+import functools, importlib, sys
+module, names, number, *sys.argv[1:] = sys.argv[1:]
 *owners, name = names.split(".")
 owner = functools.reduce(getattr, owners, importlib.import_module(module))
 function, calls = getattr(owner, name), 0
@@ -53,17 +55,15 @@ def interrupted_at(
     call: int = 1,
     twice: bool = False,
     ignored: bool = False,
-    constants: dict[str, object] | None = None,
 ) -> Ended:
     """The end of `nailoptics ARGUMENTS` that gets a SIGINT as it calls a place, MODULE:NAME, so many times.
 
     twice : whether another follows once the first was answered.
     ignored : whether it begins with SIGINT ignored.
-    constants : other values, as JSON has them, of module constants by MODULE:NAME.
     """
     module, _, name = place.partition(":")
     process = subprocess.Popen(
-        [sys.executable, "-c", CHILD, module, name, str(call), json.dumps(constants or {}), *arguments],
+        [sys.executable, "-c", CHILD, module, name, str(call), *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -94,3 +94,33 @@ def interrupted_at(
     said = [line for line in err.splitlines() if not line.startswith("call ")]
     assert "Traceback" not in before + err
     return Ended(process.returncode, out, said, len(err.splitlines()) - len(said))
+
+
+@dataclass(frozen=True)
+class Interrupting:
+    """Interrupts commands of this process, which need not be loaded anew: for what becomes of their results."""
+
+    monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str]
+
+    def at(self, place: str, *arguments: str, call: int = 1, twice: bool = False) -> Ended:
+        """As `interrupted_at`."""
+        module, _, names = place.partition(":")
+        *owners, name = names.split(".")
+        owner: Any = reduce(getattr, owners, import_module(module))
+        function, calls = getattr(owner, name), 0
+
+        def watched(*given: Any, **options: Any) -> Any:
+            nonlocal calls
+            calls += 1
+            if calls == call:
+                for _ in range(1 + twice):
+                    os.kill(os.getpid(), signal.SIGINT)
+            return function(*given, **options)
+
+        with self.monkeypatch.context() as patch:
+            patch.setattr(owner, name, watched)
+            code = run([*arguments])
+        out, err = self.capfd.readouterr()
+        assert calls >= call and "Traceback" not in err
+        return Ended(code, out, err.splitlines(), calls - call)

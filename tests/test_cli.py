@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from listed_variables import assert_listed
 from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics
@@ -405,6 +406,7 @@ def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_ji
     page = Path(files[0]).read_text(encoding="utf-8")
     assert "<svg" in page or "data:image" in page
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=.http", page)
+    assert_listed(folder, "result.nc")
     assert all(line.startswith("nailoptics: LED ir, error ") for line in err.splitlines()), err
 
 

@@ -8,25 +8,26 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
-from interrupted import ENVIRONMENT, interrupted_at
+from interrupted import ENVIRONMENT, Interrupting, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
+from nailoptics.studies.colour import adaptive_sampling
 from nailoptics.studies.colour.reflectance import NODES
+from nailoptics.studies.exploration import explore
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
-EXPLORE = ("explore", "prototype", "--photons", "49152", "-o", "page.html")
-# A page of two wavelengths, with little light around its sources.
+EXPLORE = ("explore", "prototype", "--photons", "12288", "-o", "page.html")
+# A page of two wavelengths, with small batches, little light around its sources and coarse cells.
 SMALL_PAGE = {
-    "nailoptics.studies.exploration.explore:FURTHER_LEDS": ("led_660",),
-    "nailoptics.studies.exploration.explore:FLUENCE_PHOTONS": 1 << 12,
+    "LEAST_BATCH": 1 << 10,
+    "DISTANCE_MM": 0.4,
+    "FURTHER_LEDS": ("led_660",),
+    "FLUENCE_PHOTONS": 1 << 12,
 }
 # Rays of a colour's first round and of its parts, as one to ten, as they are in the package.
 PILOT = 24_000
-SMALL_ROUNDS = {
-    "nailoptics.studies.colour.adaptive_sampling:PILOT": PILOT,
-    "nailoptics.studies.colour.adaptive_sampling:MOST_AT_ONCE": 10 * PILOT,
-}
+SMALL_ROUNDS = {"PILOT": PILOT, "MOST_AT_ONCE": 10 * PILOT}
 FINGER = SMALL_FINGER_BEST + "[priors]\nspread = false\n"
 SIMULATE = ("simulate", "finger.toml", "--photons", "8000", "-o", "out")
 COMPLETE = "nailoptics: interrupted; every file that was written is complete."
@@ -40,6 +41,20 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.fixture
+def interrupting(
+    jit_backend: object, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Interrupting:
+    """Interrupts commands of this process."""
+    return Interrupting(monkeypatch, capfd)
+
+
+@pytest.fixture
+def small_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in SMALL_PAGE.items():
+        monkeypatch.setattr(explore, name, value)
+
+
 def written(folder: Path) -> set[str]:
     """Files below a folder, but for the scene."""
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {"finger.toml"}
@@ -47,21 +62,21 @@ def written(folder: Path) -> set[str]:
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, chosen_jit):
+def test_explore_ends_within_a_batch_and_writes_no_page_of_too_little(folder, interrupting, small_page):
     """A batch of every group of each wavelength gives its errors: at the third of the first nothing can be shown."""
-    ended = interrupted_at(BATCH, *EXPLORE, call=3, constants=SMALL_PAGE)
+    ended = interrupting.at(BATCH, *EXPLORE, call=3)
     assert (ended.code, ended.later) == (130, 0) and not written(folder)
-    assert ended.said[-1].startswith("nailoptics: interrupted with 12288 of 98304 photons. ")
+    assert ended.said[-1].startswith("nailoptics: interrupted with 3072 of 24576 photons. ")
     assert "No page was written." in ended.said[-1]
 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_explore_keeps_what_it_has_of_every_wavelength(folder, chosen_jit):
+def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, small_page):
     """Expected: in the second round of batches a page of both, which says so."""
-    ended = interrupted_at(BATCH, *EXPLORE[:3], "98304", *EXPLORE[4:], call=26, constants=SMALL_PAGE)
+    ended = interrupting.at(BATCH, *EXPLORE[:3], "24576", *EXPLORE[4:], call=26)
     assert (ended.code, ended.later) == (3, 0) and written(folder) == {"page.html"}
-    why = "interrupted with 106496 of 147456 photons."
+    why = "interrupted with 26624 of 36864 photons."
     assert ended.said[-1] == f"nailoptics: {why} What was reached is in page.html."
     page = Path("page.html").read_text(encoding="utf-8")
     assert why in page.split("</header>")[0]
@@ -86,7 +101,7 @@ def test_a_second_interrupt_ends_the_command_at_once(folder, chosen_jit, store):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit):
+def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, interrupting):
     """While rays are walked, and while the first photograph is made; expected: no photograph is begun after it."""
     Path("finger.toml").write_text(FINGER + "[colour]\nphotograph_px = [40, 30]\n")
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
@@ -94,7 +109,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
         "nailoptics.studies.colour.adaptive_sampling:walk_colour",
         "nailoptics.studies.colour.nail_colour:photograph",
     ):
-        ended = interrupted_at(place, *command)
+        ended = interrupting.at(place, *command)
         assert (ended.code, ended.later) == (3, 0), ended.said
         assert ended.said[-1].endswith("What was reached is in out.") and "interrupted" in ended.said[-1]
         assert written(folder / "out") == {"colour.nc", "colour.html", "strip.png"}
@@ -102,18 +117,20 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, chosen_jit
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_the_rays_that_a_colour_waits_for_are_given_up(folder, chosen_jit):
+def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, monkeypatch):
     """Expected: at the second wavelength of the second round, of ten times as many rays, the first's are kept."""
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
     place = "nailoptics.light.walk.nail_reflectance:NailReflectance.reflect"
-    ended = interrupted_at(place, *command, call=NODES + 2, constants=SMALL_ROUNDS)
+    for name, value in SMALL_ROUNDS.items():
+        monkeypatch.setattr(adaptive_sampling, name, value)
+    ended = interrupting.at(place, *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, store):
+def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, interrupting, store):
     """An interrupt while light is traced, and a second one; expected: neither a fault of ours nor a subject."""
     recording = Path("recording.csv")
     names = "time_s,force_n,site,proximal.6,proximal.8,proximal.10,proximal.12,distal.3,distal.5,distal.7,distal.9"
@@ -123,7 +140,7 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, chosen_jit, st
     recording.write_text("\n".join([names, *lines]) + "\n")
     command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
     for twice in (True, False):
-        ended = interrupted_at("nailoptics.light.tracing.trace_scene:LedSource.batch", *command, twice=twice)
+        ended = interrupting.at("nailoptics.light.tracing.trace_scene:LedSource.batch", *command, twice=twice)
         assert (ended.code, ended.later) == (130, 0)
         assert ended.said[-1] in (COMPLETE, "nailoptics: interrupted; no subject was written.")
         assert written(folder) - {"recording.csv"} == {str(path.relative_to(folder)) for path in store.rglob("*.dat")}

@@ -1,35 +1,22 @@
 """What commands write has the variables that the page of output files lists, and pages type commands that exist.
 
-The slow tests take shipped scenes as they are, and more photons, the others scenes that were made small. Notebooks run
-when the pages are built, in test_pages.py.
+Here of shipped scenes as they are; each study's tests hold what it writes to the same list. Notebooks run when the
+pages are built, in test_pages.py.
 """
 
-import json
 import re
-import runpy
 import shlex
 import shutil
 from pathlib import Path
 
 import pytest
+from listed_variables import assert_listed
 
 import nailoptics
-from nailoptics.assets import data_dir
 from nailoptics.cli import app, run
-from nailoptics.report import style
-from nailoptics.scene import files
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-# These have photons of their own that --photons does not decide.
-FEW = {
-    "colour.nail_colour.OWN_PHOTONS": 2000,
-    # So many, on any machine, in place of as many as there is time for.
-    "model_error.paired.PILOT_PHOTONS": 1 << 16,
-    "model_error.paired.PLANNED_SHARE": 0,
-}
-# What makes a shipped scene small: one element of each array.
-SMALLER = {r"wired = \[(\d+), [^\]]*\]": r"wired = [\1]"}
 # Beside `simulate` and `compare`, what writes results of the shipped scenes, with few photons.
 COMMANDS = (
     "oximeter pulse_oximeter -o oximeter --recording worn.csv --photons 20000",
@@ -47,58 +34,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_light: None) 
     return tmp_path
 
 
-@pytest.fixture
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shipped scenes made small: what is typed stays the same."""
-    shipped = shutil.copytree(data_dir("scenes"), tmp_path / "shipped")
-    for one in shipped.glob("*.toml"):
-        text = one.read_text(encoding="utf-8")
-        for pattern, by in SMALLER.items():
-            text = re.sub(pattern, by, text, flags=re.M)
-        # Priors of scattering and thickness would each take traces of their own.
-        one.write_text(text + "\n[priors]\nown_traces = false\n", encoding="utf-8")
-    monkeypatch.setattr(files, "data_dir", lambda name: shipped if name == "scenes" else data_dir(name))
-
-
-def with_few_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few photons where --photons decides none, and pages whose figures are made but not written as pictures."""
-    for name, photons in FEW.items():
-        monkeypatch.setattr(f"nailoptics.studies.{name}", photons)
-    monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
-    monkeypatch.setattr(style, "write_figure", lambda figure, path, **_: path.write_bytes(b""))
-
-
-def listed_as_written(folder: Path) -> None:
-    """What commands wrote has the variables that the page of output files lists, under their words."""
-    found = runpy.run_path(str(DOCS / "collect_variables.py"))["collect"](folder)
-    listed = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
-    for name, made in found.items():
-        for variable, words in made["variables"].items():
-            known = listed[name]["variables"].get(variable)
-            # A unit is not listed where it is that of what was swept.
-            assert known is not None and known == words | {"units": known["units"] and words["units"]}, (name, variable)
-
-
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.jit
-@pytest.mark.parametrize("small_scenes", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.filterwarnings("ignore::nailoptics.light.ReweightWarning")
-def test_what_studies_write_has_the_variables_that_the_page_lists(
-    small_scenes, folder, jit_backend, monkeypatch, request
-):
-    if small_scenes:
-        request.getfixturevalue("small")
-        with_few_of_its_own(monkeypatch)
+def test_what_studies_write_has_the_variables_that_the_page_lists(folder, jit_backend):
     for command in COMMANDS:
         assert run(command.split()) in ({0, 3} if command.startswith("tradeoff") else {0}), command
-    listed_as_written(folder)
-
-
-@pytest.mark.jit
-def test_what_simulate_and_compare_write_has_the_variables_that_the_page_lists(folder, small, jit_backend):
     for command in ("simulate", "compare"):
         assert run([command, "prototype", "-o", command, "--photons", "20000"]) == 0
-    listed_as_written(folder)
+    assert_listed(folder, "result.nc", "compare.nc", "oximeter.nc", "oxygen.nc", "colour.nc", "tradeoff.nc")
 
 
 @pytest.mark.slow
@@ -109,7 +53,7 @@ def test_what_place_and_predict_write_has_the_variables_that_the_page_lists(fold
     assert run(["simulate", "calibration", "--recording", "known.csv", "-o", "known", *few]) == 0
     assert run(["calibrate", "calibration", "known.csv", "-o", "me.toml", *few]) == 0
     assert run(["predict", "me.toml", "known.csv", "-o", "predicted"]) == 0
-    listed_as_written(folder)
+    assert_listed(folder, "result.nc", "place.nc", "predict.nc")
 
 
 def test_every_command_that_a_page_types_exists():

@@ -1,4 +1,7 @@
-"""Results that show themselves: the figures, pages, summaries and files of the command line, from Python."""
+"""Results that show themselves: the figures, pages, summaries and files of the command line, from Python.
+
+Here those that take next to no light; each study's tests show a traced one.
+"""
 
 import ast
 import html
@@ -10,7 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from made_exploration import made_exploration
-from matplotlib.figure import Figure
+from shown import all_shown
 
 import nailoptics as nail
 from nailoptics.cli import run
@@ -22,29 +25,21 @@ PACKAGE = Path(nail.__file__).parent
 TITLE = {"title": "nailoptics: touch to volts"}
 
 
-def all_shown(result):
-    """The figures of a result, each drawn, after its page, summary and files have been made, too."""
-    shown, again = result.nail, json.dumps(result.nail.summary(), default=str)
-    assert shown.report().startswith("<!doctype html>") and shown.html().startswith("<pre>") and len(again) > 2
-    drawn = {name: shown.plot(name) for name in shown.figures}
-    assert all(isinstance(one, Figure) and one.axes for one in drawn.values())
-    return drawn
-
-
 def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
     result = make(leds=2).assign_attrs(TITLE)
     figures = all_shown(result)
     assert list(figures) == list(result.nail.figures) == ["readings", "touch", "volts", "section"]
-    assert result.nail.summary() == SIMULATION.summary(result) and result.nail.report() == page(result)
+    shown, report = page(result), result.nail.report()
+    assert result.nail.summary() == SIMULATION.summary(result) and report == shown
     titles = [[axes.get_title("left") for axes in result.nail.plot("volts", led=k).axes] for k in (0, 1)]
     assert titles[0] and titles == [titles[0]] * 2
     assert result.nail.scene == nail.parse_scene(result.attrs["scene"])
     assert "plot() of readings, touch" in repr(result.nail) and result.nail._repr_html_().startswith("<pre>")
-    inline = result.nail.report()._repr_html_()
-    assert inline.startswith("<iframe srcdoc=") and html.escape(page(result)[:500]) in inline
+    inline = report._repr_html_()
+    assert inline.startswith("<iframe srcdoc=") and html.escape(shown[:500]) in inline
     assert figures["readings"]._repr_png_().startswith(b"\x89PNG")
     written = result.nail.report(tmp_path / "here" / "page.html")
-    assert written == {"report": tmp_path / "here/page.html"} and written["report"].read_text("utf-8") == page(result)
+    assert written == {"report": tmp_path / "here/page.html"} and written["report"].read_text("utf-8") == shown
 
 
 def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make, tmp_path):
@@ -192,28 +187,3 @@ def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     assert json.loads(json.dumps(check["leds"])) == printed["leds"] and len(check["pairs"]) == len(printed["pairs"])
     assert {"scene", *check.nail.summary()} == printed.keys()
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")
-def test_every_study_shows_itself(chosen_jit):
-    def quiet(name):
-        return nail.load_scene(name).with_(**{"priors.spread": False})
-
-    how = {"photons": 20_000, "backend": chosen_jit.name}
-    prototype = quiet("prototype")
-    for result in (
-        nail.simulate(prototype, picture=True, **how),
-        nail.compare(prototype, **how),
-        nail.explain(prototype, **how),
-        nail.tradeoff(prototype, **how),
-        nail.oximeter(quiet("pulse_oximeter"), **how),
-        nail.colour(quiet("nail_colour"), **how),
-        nail.place(quiet("placement").with_(**{"placement.led_step_mm": 4.0}), **how),
-        nail.explore(prototype, **how),
-    ):
-        all_shown(result)
-    swept = nail.sweep(prototype, {"blood.so2": [0.9, 0.97]}, workers=1, **how)
-    assert swept.nail.plot().axes[0].get_xlabel().startswith("so2") and "2 scenes" in swept.nail.report()
-    with pytest.raises(nail.InputError, match="needs a sweep of study"):
-        swept.nail.plot("photographs")

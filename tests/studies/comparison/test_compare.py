@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 from hostile_names import HOSTILE, assert_text_alone
+from listed_variables import assert_listed
+from shown import all_shown
 
 from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
@@ -311,6 +313,8 @@ def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, 
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 5 and "src=" not in page and "http:" not in page and "https:" not in page
     assert cli.run(["compare", "prototype", "-o", str(tmp_path), "--require", "-1"]) == 2
+    all_shown(xr.load_dataset(tmp_path / "compare.nc"), page=False)
+    assert_listed(tmp_path, "compare.nc")
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shown import all_shown
 
 from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
@@ -363,6 +364,7 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
     assert isinstance(result, Explanation)
     names = [e.name for e in result.effects]
     assert "index steps" in names and "barrier" not in names
+    all_shown(result)
 
 
 @pytest.mark.long

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from listed_variables import assert_listed
+from shown import all_shown
 
 from nailoptics import cli, load_scene
 from nailoptics.assets import data_dir
@@ -212,6 +214,8 @@ def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp
     printed = json.loads(capsys.readouterr().out)
     assert printed["chosen"] == found.chosen.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
     assert {path.name for path in tmp_path.iterdir()} == set(tradeoff_page.TRADEOFF.files)
+    all_shown(found, page=False)
+    assert_listed(tmp_path, "tradeoff.nc")
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, tmp_
     rules = 'photodiodes = 4\nphotodiode_step_mm = 0.5\nfixed = ["ir"]\n'
     requested = parse_scene(PLACEMENT[: PLACEMENT.index("[placement]")] + f"[placement]\n{rules}")
     with fewer_photons():
-        found = place.place(requested, photons=1 << 17)
+        found = place.place(requested.with_(**{"priors.spread": False}), photons=1 << 17)
     above, error = float(found.above_bound), float(found.above_bound_stderr)
     assert -2 * error < above < 0.2 and 0 < error < 0.1
     best = int(np.flatnonzero(found.origin == "searched")[0])
