@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..assets import data_dir
+from ..assets import data_dir, read_toml
 from ..checks import Array
 from ..hemodynamics.for_scene import blood_over_touch
 from ..light import Transfer, trace
@@ -23,20 +23,20 @@ SLOW_HZ, QUICK_HZ = 20.0, 200.0
 
 
 def people() -> list[Scene]:
-    """The shipped people."""
-    return [load_scene(path) for path in sorted((data_dir("scenes") / "subjects").glob("*.toml"))]
+    """The bodies of scenes/subjects with the paper's two beds, set "subject", and each its own walls and contact."""
+    paths, own = sorted((data_dir("scenes") / "subjects").glob("*.toml")), read_toml("paper_claims.toml")["people"]
+    paper: dict[str, Any] = dict.fromkeys(("body", "blood.tuning", "blood.zones", "blood.decay_length"))
+    paper["blood.parameters"] = "subject"
+    return [load_scene(path).with_(paper | fields) for path, fields in zip(paths, own, strict=True)]
 
 
 def read_people(scenes: Sequence[Scene]) -> PeopleReadings:
-    """Trace people's sensors and read them under the touches of Figs. 15 to 18, without rhythms and drift of a body."""
+    """Trace people's sensors and read them under the touches of Figs. 15 to 18."""
     melanin = [value_of(scene, MELANIN) for scene in scenes]
-    people = []
-    for scene in scenes:
-        still = scene.model_copy(update={"body": None})
-        light = trace(still, photons=PHOTONS, seed=SEED)
-        people.append([_read_side(light, side, (min(melanin), max(melanin))) for side in (0, 1)])
-    fields = {name: [[person[side][name] for person in people] for side in (0, 1)] for name in people[0][0]}
-    return PeopleReadings(**{name: np.array(values) for name, values in fields.items()})
+    lights = [trace(scene, photons=PHOTONS, seed=SEED) for scene in scenes]
+    sides = [[_read_side(light, side, (min(melanin), max(melanin))) for light in lights] for side in (0, 1)]
+    fields = {name: np.array([[person[name] for person in side] for side in sides]) for name in sides[0][0]}
+    return PeopleReadings(**fields)
 
 
 def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dict[str, Array]:

@@ -1,7 +1,10 @@
-"""Draw the bodies of the eight people in scenes/subjects, from a stated seed. Run: python draw_people.py
+"""Draw the bodies of the eight people in scenes/subjects, and their vessels for the paper's figures, from stated seeds.
 
-Writes into the scenes, in place: the whole [finger] table, blood at rest, of bed and pulp, with its saturation, and the
-LED's flux. Vessels, contact, pulse and board stay as they are.
+    python draw_people.py            # writes the bodies
+    python draw_people.py vessels    # prints the people of assets/paper_claims.toml
+
+Bodies are written into the scenes, in place: the whole [finger] table, blood at rest, of bed and pulp, with its
+saturation, and the LED's flux. Vessels, contact, pulse and board stay as they are.
 - Digits are given. A size is that of the digit (`nailoptics.scene.finger.ANATOMY`) times a factor with the spread of
   index fingers; the factors of one person are correlated (assets/priors.toml).
 - Melanin is that of eight groups of people, from the lightest ring finger to the darkest back of a hand, as
@@ -9,18 +12,26 @@ LED's flux. Vessels, contact, pulse and board stay as they are.
 - Tissue and blood are drawn from the joint prior (assets/priors.toml), each within the range of its own prior:
   as that was when the scenes were drawn, since another prior draws other people.
 - The flux keeps every reading below the range of the converter.
+
+Vessels of the figures: factors on the walls of the set "subject" are drawn from their joint prior, each within its own
+range, until the distal bed is no softer than the set's, which would have two balances. The contact is that on which a
+held proximal touch of some 1.15 N, less what the pulp's creep takes of it, shuts the vein: the readings of all subjects
+level past 1 N.
 """
 
 import re
+import sys
 
 import numpy as np
 
 from nailoptics.assets import data_dir, read_toml
+from nailoptics.hemodynamics.parameters import parameters
 from nailoptics.scene import Finger, Prior, Priors
 from nailoptics.scene.finger import ANATOMY
 from nailoptics.scene.priors import size_priors
 from nailoptics.scene.vessels import FACTORS
 from nailoptics.statistics import Z95
+from nailoptics.studies.people import people
 from nailoptics.studies.prior_uncertainty import prior_of
 
 SEED = 36
@@ -39,6 +50,10 @@ PEOPLE = (
 SIZE_SD = {prior.field.removeprefix("finger."): prior_of(prior)[1] for prior in size_priors(Finger())}
 SIZE_CORRELATION = read_toml("priors.toml")["sizes"]["correlation"]
 FLUX_MW = (0.9, 1.5)
+VESSELS_SEED = 0
+WALLS = ("blood.wall_stiffness", "blood.vein_stiffness", "blood.distal_stiffness")
+# Force of a proximal touch that shuts the vein, and the standard deviation of its logarithm. [N]
+CLOSING_N, CLOSING_SD = 1.15, 0.07
 # Drawn otherwise, or not at all: the scenes have vessels and contact of their own.
 NOT_DRAWN = (
     "finger.melanin_fraction",
@@ -67,7 +82,23 @@ def tissue(priors: tuple[Prior, ...], rng: np.random.Generator) -> dict[str, flo
     return {prior.field: float(np.exp(x) if prior.scale == "log" else x) for prior, x in drawn}
 
 
-def main() -> None:
+def vessels() -> list[dict[str, float]]:
+    """Factors on the walls of the set "subject" and contact area [mm^2] of each of the people."""
+    rng, p, rows = np.random.default_rng(VESSELS_SEED), parameters("subject"), []
+    priors = tuple(prior for prior in Priors().of_finger() if prior.field in WALLS)
+    wall_pa = p.vein_stiffness_n_per_m * p.vein_diameter_m / p.vein_area_m2
+    for scene in people():
+        factor = dict.fromkeys(WALLS, 0.0)
+        while factor[WALLS[0]] * factor[WALLS[2]] < 1.0:
+            factor = tissue(priors, rng)
+        closing_pa = p.arterial_pressure_pa + factor[WALLS[0]] * factor[WALLS[1]] * wall_pa
+        force_n = CLOSING_N * np.exp(CLOSING_SD * rng.normal()) * (1.0 - (scene.touch.creep or 0.0))
+        row = {name: factor[name] for name in WALLS} | {"touch.contact_area_mm2": 1e6 * force_n / closing_pa}
+        rows.append({name: float(f"{value:.3g}") for name, value in row.items()})
+    return rows
+
+
+def bodies() -> None:
     rng = np.random.default_rng(SEED)
     priors = tuple(prior for prior in Priors().of_finger() if not prior.field.startswith(NOT_DRAWN))
     for i, (digit, group, melanin) in enumerate(PEOPLE, 1):
@@ -91,4 +122,8 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:] == ["vessels"]:
+        for row in vessels():
+            print("    { " + ", ".join(f'"{name}" = {value}' for name, value in row.items()) + " },")
+    else:
+        bodies()

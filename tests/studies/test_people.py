@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from benchmarks.parameter_search import largest_loop_gain
 
+from nailoptics.assets import read_toml
+from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.paper.claims import PEOPLE_RULES, Claim, evaluate_people
 from nailoptics.paper.responses import CURVE_PA, N_PER_CM2, PHASE_S, PeopleReadings
+from nailoptics.scene.priors import shipped_priors
 from nailoptics.studies import people
 from nailoptics.studies.prior_uncertainty import at_value
 
@@ -62,6 +66,19 @@ def test_interval_of_a_mean_over_people_is_that_of_student():
     assert claim.half_95 == pytest.approx(3.182 * part.std(ddof=1) / 2, rel=1e-3)
 
 
+def test_vessels_and_contacts_lie_in_their_priors_and_have_one_balance():
+    for fields, scene in zip(read_toml("paper_claims.toml")["people"], people.people(), strict=True):
+        for prior in (one for one in shipped_priors() if one.field in fields):
+            assert prior.low <= fields[prior.field] <= prior.high
+        assert largest_loop_gain(vessels(scene).as_dict()).max() < 1.0
+
+
+@pytest.mark.slow
+def test_people_meet_every_rule_of_the_papers_subjects():
+    claims = evaluate_people(people.read_people(people.people()))
+    assert len(claims) == 11 and not [claim.rule.text for claim in claims if not claim.met]
+
+
 @pytest.fixture(scope="module")
 def readings() -> PeopleReadings:
     """A thumb, and a narrow little nail."""
@@ -77,10 +94,11 @@ def test_proximal_readings_fall_and_distal_ones_rise_until_the_touch_ends(readin
 
 
 @pytest.mark.long
-def test_taylor_fits_each_person_within_a_hundredth_of_the_change(readings):
+def test_taylor_fits_each_person_but_for_the_blood_in_venules(readings):
+    """Expected: 3.2 % of the distal bed's blood lies in venules that a light touch empties, which no D^2 follows."""
     for values, fit in ((readings.cycle, readings.cycle_fit), (np.abs(readings.press_on), np.abs(readings.press_fit))):
-        missed = np.abs(values - fit[..., : values.shape[-1]]).reshape(4, -1).max(1)
-        assert (missed < 0.02 * np.abs(values).reshape(4, -1).max(1)).all()
+        missed = np.abs(values - fit[..., : values.shape[-1]]).reshape(2, 2, -1).max(2)
+        assert (missed < [[0.005], [0.035]] * np.abs(values).reshape(2, 2, -1).max(2)).all()
 
 
 @pytest.mark.long
