@@ -9,11 +9,11 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class WriteCommit(BuildHookInterface):
-    """Adds `nailoptics/_commit.txt`, which `nailoptics.commit` reads."""
+    """Adds `nailoptics/_commit.txt`, which `nailoptics.version` reads."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Called by hatchling before it builds; an editable install reads its clone."""
-        commit = runpy.run_path(str(Path(self.root) / "nailoptics/commit.py"))["commit"]()
+        commit = runpy.run_path(str(Path(self.root) / "nailoptics/version.py"))["commit"]()
         if commit is None or version == "editable" or (Path(self.root) / "nailoptics/_commit.txt").is_file():
             return
         self.folder = tempfile.TemporaryDirectory()

@@ -4,13 +4,12 @@ import importlib
 from typing import Any
 
 from .display import Displayed, show_datasets
-from .version import __version__ as __version__
 
 # Where each public name lives, as the stub for type checkers says, line by line: `import nailoptics` imports none.
 with open(f"{__file__}i", encoding="utf-8") as _stub:
-    _WORDS = [line.split() for line in _stub if line.startswith("from .") and "__version__" not in line]
+    _WORDS = [line.split() for line in _stub if line.startswith("from .")]
 _HOMES = {name: home for _, home, _, name, *_ in _WORDS} | {"scene": "."}
-__all__ = [*_HOMES]
+__all__ = [name for name in _HOMES if name != "__version__"]
 
 
 def _accessor(shown: object) -> Any:
@@ -27,7 +26,7 @@ def __getattr__(name: str) -> Any:
     if _HOMES[name] == ".":
         return importlib.import_module(f".{name}", __name__)
     found = getattr(importlib.import_module(_HOMES[name], __name__), name)
-    if not isinstance(found, type):
+    if callable(found) and not isinstance(found, type):
         from .options import spell_out
 
         spell_out(found)
@@ -35,4 +34,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*_HOMES]

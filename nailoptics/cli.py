@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from . import __version__, terminal
-from .commit import commit
+from . import terminal
 from .errors import (
     InputError,
     NotReachedError,
@@ -25,6 +24,7 @@ from .errors import (
 from .io import check_writable, leave_dask_out, make_folder, to_json, write_text
 from .options import TraceOptions
 from .terminal import say
+from .version import __version__, commit
 
 if TYPE_CHECKING:
     from .report.files import Report
@@ -317,7 +317,7 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     Args:
         output: Page to write.
     """
-    from .report.pages.explore.page import EXPLORATION, page
+    from .report.pages.explore import EXPLORATION, page
     from .studies.exploration.explore import explore as study
 
     _check_file(output, ".html", "a page")

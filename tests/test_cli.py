@@ -18,9 +18,9 @@ from small_scenes import SMALL_FINGER, phantom
 import nailoptics
 from nailoptics import cli
 from nailoptics.cli import run
-from nailoptics.commit import commit
 from nailoptics.errors import InputError
 from nailoptics.light import Transfer, backend
+from nailoptics.version import commit
 
 ROOT = Path(nailoptics.__file__).parents[1]
 PROTOTYPE = (ROOT / "scenes/prototype.toml").read_text(encoding="utf-8")

@@ -28,7 +28,7 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 ORDER = [
     {"display", "errors", "version"},
     {"assets"},
-    {"checks", "commit", "statistics", "io"},
+    {"checks", "statistics", "io"},
     {"options", "variables"},
     {"scene"},
     {"hemodynamics"},

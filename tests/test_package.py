@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import nailoptics
-from nailoptics import assets, commit
+from nailoptics import assets, version
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -214,7 +214,9 @@ def test_the_commit_is_that_of_the_clone_or_of_its_work_tree(tmp_path, monkeypat
     git("worktree", "add", "-q", "--detach", tree, "HEAD~1")
     last, before = git("rev-parse", "HEAD", "HEAD~1").split()
     monkeypatch.setenv("GIT_DIR", str(tmp_path))
-    assert commit._of_clone(clone) == last and commit._of_clone(tree) == before
+    for root, expected in ((clone, last), (tree, before)):
+        monkeypatch.setattr(version, "_ROOT", root)
+        assert version.commit.__wrapped__() == expected
 
 
 def test_the_licence_is_the_one_that_the_package_names():
@@ -262,18 +264,18 @@ def test_the_command_exists():
 def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
     """Expected: an installed package tells the commit that its wheel was built from, a clone its own."""
     built = tmp_path / "_commit.txt"
-    monkeypatch.setattr(commit, "_BUILT_FROM", built)
-    before = commit.commit.__wrapped__()
+    monkeypatch.setattr(version, "_BUILT_FROM", built)
+    before = version.commit.__wrapped__()
     built.write_text("0123abc\n", encoding="utf-8")
-    assert commit.commit.__wrapped__() == "0123abc" != before
+    assert version.commit.__wrapped__() == "0123abc" != before
 
 
 def test_results_name_versions_and_the_commit_where_it_is_known(monkeypatch):
-    monkeypatch.setattr(commit, "commit", lambda: "0123abc")
-    found = commit.code_attributes({"nailoptics": "1", "numpy": "2"})
+    monkeypatch.setattr(version, "commit", lambda: "0123abc")
+    found = version.code_attributes({"nailoptics": "1", "numpy": "2"})
     assert found == {"versions": "nailoptics=1 numpy=2", "commit": "0123abc"}
-    monkeypatch.setattr(commit, "commit", lambda: None)
-    assert list(commit.code_attributes()) == ["versions"]
+    monkeypatch.setattr(version, "commit", lambda: None)
+    assert list(version.code_attributes()) == ["versions"]
 
 
 WITHOUT_POSIX = """

@@ -14,7 +14,7 @@ from PIL import Image
 
 from nailoptics.report import style
 from nailoptics.report.pages import colour as colour_page
-from nailoptics.report.pages.simulate_figures import draw_change
+from nailoptics.report.pages.simulate import draw_change
 from nailoptics.scene import parse_scene
 
 

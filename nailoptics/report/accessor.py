@@ -7,19 +7,17 @@ from importlib import import_module
 from inspect import signature
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..errors import InputError
 from ..scene import Scene, parse_scene
+from . import style
 from .files import Report, write_files
 from .html import Html, escaped
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 # The report of each kind, by its class or, of Datasets, by their title.
 KINDS = {
-    "Exploration": "explore.page.EXPLORATION",
+    "Exploration": "explore.EXPLORATION",
     "Explanation": "explain.EXPLANATION",
     "PaperFigures": "paper.PAPER",
     "Scene": "scene.SCENE",
@@ -82,7 +80,7 @@ class Nail:
             raise InputError(f'"{self._kind}" has no scene; take the one that it was made of.')
         return parse_scene(scene) if isinstance(scene, str) else scene
 
-    def plot(self, figure: str | None = None, **which: Any) -> "Figure":
+    def plot(self, figure: str | None = None, **which: Any) -> "style.Figure":
         """Draw a figure of the page as a matplotlib Figure.
 
         figure : one of `figures`; the first if not given.
@@ -137,7 +135,7 @@ class Nail:
         return Html(f'<pre>{escaped(lines)}</pre><img src="data:image/png;base64,{picture}">')
 
 
-def _png(figure: "Figure") -> bytes:
+def _png(figure: "style.Figure") -> bytes:
     data = BytesIO()
     figure.savefig(data, format="png", dpi=110, facecolor="white")
     return data.getvalue()

@@ -3,16 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import xarray as xr
 
 from ..io import turn, write_bytes, write_dataset, write_text
 from ..scene import Scene, to_toml
-from .style import write_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from . import style
 
 # What commands call their files, by their endings; of several, the first.
 ROLES = {".html": "report", ".nc": "result", ".toml": "scene", ".csv": "csv", ".png": "picture"}
@@ -41,7 +38,7 @@ class Report:
     page: Callable[[Any], str]
     summary: Callable[[Any], dict[str, Any]]
     lines: Callable[[Any, dict[str, Any]], Iterable[object]]
-    figures: Mapping[str, Callable[..., "Figure"]]
+    figures: Mapping[str, Callable[..., "style.Figure"]]
     others: Callable[..., Mapping[str, Any]] | None = None
     scene: Callable[[Any], object] = _scene_of
 
@@ -74,7 +71,7 @@ def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:
             elif isinstance(made, bytes):
                 write_bytes(path, made)
             elif hasattr(made, "savefig"):
-                write_figure(made, path)
+                style.write_figure(made, path)
             if content is not None:
                 written.setdefault(ROLES.get(path.suffix, ""), path)
     return {role: written[role] for role in ROLES.values() if role in written}

@@ -6,14 +6,11 @@ import html
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from unicodedata import category
 
 from . import style
 from .numbers import significant
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PROVENANCE = {
     "digest": "Digest of the scene",
@@ -126,7 +123,7 @@ def details(summary: str, *content: Html) -> Html:
     return Html("\n".join([f"<details><summary>{escaped(summary)}</summary>", *content, "</details>"]))
 
 
-def figure(drawing: "Figure", caption: str, *, narrow: bool = False) -> Html:
+def figure(drawing: "style.Figure", caption: str, *, narrow: bool = False) -> Html:
     """A figure with its caption."""
     svg, kind = style.to_svg(drawing, description=caption), ' class="narrow"' if narrow else ""
     return Html(f'<figure{kind}><div class="scroll">{svg}</div><figcaption>{escaped(caption)}</figcaption></figure>')

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,10 +12,6 @@ from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..tissue import BloodZones
 from . import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NAIL, BOARD, BARRIER, SILICON, LED = "#f3ddd2", "#d9a441", "#2b2d31", "#8d949c", "#ffd84a"
 TISSUE = {
@@ -71,7 +67,7 @@ def level_holding(part: float, density: np.ndarray) -> float | None:
     return float(level) if density.min() < level < density.max() else None
 
 
-def draw_rectangle(axes: "Axes", r: Rectangle, **look: Any) -> None:
+def draw_rectangle(axes: "style.Axes", r: Rectangle, **look: Any) -> None:
     """Draw a rectangle of the board with the tip upwards."""
     from matplotlib.patches import Polygon
 
@@ -79,14 +75,14 @@ def draw_rectangle(axes: "Axes", r: Rectangle, **look: Any) -> None:
 
 
 @style.drawing()
-def top_view(scene: Scene) -> "Figure":
+def top_view(scene: Scene) -> "style.Figure":
     """The board on the nail, seen from above and rolled flat: what is where, and which blood lies below."""
     figure, axes = style.panels(6.4, 6.0, room_in=style.Room(left=0.55, top=0.1))
     draw_top_view(axes, scene)
     return figure
 
 
-def draw_top_view(axes: "Axes", scene: Scene) -> None:
+def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
     """Draw the top view into axes."""
     layout, finger = scene.layout, scene.fingertip
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
@@ -114,7 +110,7 @@ def draw_top_view(axes: "Axes", scene: Scene) -> None:
     axes.grid(False)
 
 
-def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> None:
+def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float) -> None:
     """Tint the nail by the blood zones below it, as smoothly as they pass into each other."""
     from matplotlib.colors import to_rgb
 
@@ -132,7 +128,7 @@ def _blood_zones(axes: "Axes", scene: Scene, half_u: float, half_v: float) -> No
         axes.text(*at, name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
 
 
-def _label_parts(axes: "Axes", scene: Scene, half_v: float) -> tuple[int, int]:
+def _label_parts(axes: "style.Axes", scene: Scene, half_v: float) -> tuple[int, int]:
     """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies, but where
     the line to a name would cross another part.
 
@@ -183,7 +179,7 @@ def _cut(result: xr.Dataset) -> xr.DataArray:
 
 
 @style.drawing()
-def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
+def section(scene: Scene | None, result: xr.Dataset) -> "style.Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
     if "section_region" not in result:
         raise InputError('figure = "section" needs the paths of light: simulate(scene, picture=True).')
@@ -202,7 +198,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "Figure":
     return figure
 
 
-def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
+def draw_section(axes: "style.Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
     """Draw the close view of the section under the board, with one LED's path density, into axes."""
     cut = _cut(result)
     low_y, high_y, low_z, high_z = _close_view(scene, cut)
@@ -215,7 +211,7 @@ def draw_section(axes: "Axes", scene: Scene | None, result: xr.Dataset, *, led: 
     axes.set(xlim=(low_y, high_y), ylim=(low_z, high_z))
 
 
-def _paths(axes: "Axes", cut: xr.DataArray, density: np.ndarray) -> None:
+def _paths(axes: "style.Axes", cut: xr.DataArray, density: np.ndarray) -> None:
     """Where light passes, over three decades, and the densest places that hold half and 90 % of it."""
     from matplotlib.colors import LogNorm
     from scipy.ndimage import gaussian_filter
@@ -250,7 +246,7 @@ def _paths(axes: "Axes", cut: xr.DataArray, density: np.ndarray) -> None:
             axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
 
 
-def _regions(axes: "Axes", cut: xr.DataArray) -> None:
+def _regions(axes: "style.Axes", cut: xr.DataArray) -> None:
     """Fill each region with its colour."""
     from matplotlib.colors import to_rgba
 
@@ -261,7 +257,7 @@ def _regions(axes: "Axes", cut: xr.DataArray) -> None:
     axes.imshow(image, extent=extent(cut.y.values, cut.z.values), origin="lower", zorder=1)
 
 
-def _layers(axes: "Axes", cut: xr.DataArray, left: float, bottom: float) -> None:
+def _layers(axes: "style.Axes", cut: xr.DataArray, left: float, bottom: float) -> None:
     """Draw the borders of plate, bed and bone over the light, and name these where they meet the left edge."""
     column = int(np.argmin(abs(cut.y.values - (left + 0.1))))
     for name in LAYERS:
@@ -275,7 +271,7 @@ def _layers(axes: "Axes", cut: xr.DataArray, left: float, bottom: float) -> None
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
 
 
-def _parts_above(axes: "Axes", scene: Scene | None, led: int, top: float) -> None:
+def _parts_above(axes: "style.Axes", scene: Scene | None, led: int, top: float) -> None:
     """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
     if scene is None:
         return
@@ -296,7 +292,7 @@ def _close_view(scene: Scene | None, cut: xr.DataArray) -> tuple[float, float, f
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
 
 
-def _key(axes: "Axes", cut: xr.DataArray) -> None:
+def _key(axes: "style.Axes", cut: xr.DataArray) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 

@@ -3,22 +3,19 @@
 import math
 from collections.abc import Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from ..hemodynamics.for_scene import hold_end
+from ..light import RestReadings
 from ..scene import Scene
 from .files import run_summary
 from .maps import order_along_nail
 from .numbers import ASCII, aligned, prefix, quantity, significant, with_error, with_stderr
 from .uncertainty_section import spread_summary
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from ..light import RestReadings
 
 # Residuals of the reduced optics, and spreads over the priors where they were computed.
 RESIDUALS = ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")
@@ -27,7 +24,7 @@ SPREADS = ("reading_spread", "change_spread")
 PAGE_ALONE = ("Blood zone", "Of rest [%]", "z score [σ]", "SNR [1]")
 
 
-def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> "pd.DataFrame":
+def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> pd.DataFrame:
     """Every LED and photodiode, LED by LED, photodiodes from proximal to distal: at rest, change, noise.
 
     Columns are those of the summary and `zone`, `distance_mm`, `change_percent`; `z_score`, the change in standard
@@ -88,7 +85,7 @@ def simulation_summary(result: xr.Dataset) -> dict[str, Any]:
     return summary | spread_summary(result) | run_summary(result.attrs)
 
 
-def reading_rows(table: "pd.DataFrame") -> list[dict[str, str]]:
+def reading_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     """The readings in words, of `photodiode_readings`, for the page and the terminal; those at the limit have one."""
     names = ("volts_start", "volts_change_peak", "volts_noise_rms")
     scales = (prefix(float(table[name].abs().max())) for name in names)
@@ -154,7 +151,7 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     return [*lines, *summary.get("conclusions", [])]
 
 
-def rest_lines(rest: "RestReadings") -> list[str]:
+def rest_lines(rest: RestReadings) -> list[str]:
     """The readings of a trace, and where its light went."""
     names, lines = [f"{row['led']}  {row['photodiode']}" for row in rest.readings], []
     for name, row in zip(names, rest.readings, strict=True):

@@ -20,7 +20,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import FORMULA
-from nailoptics.report.pages.explore.page import MOST_POINTS, _readout, page
+from nailoptics.report.pages.explore import MOST_POINTS, _readout, page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.importers.positions import read_positions

@@ -13,12 +13,12 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from ... import checks, io
-from ...commit import code_attributes, code_versions
 from ...display import Displayed
 from ...errors import InputError
 from ...scene import Scene, digest, parse_scene, to_toml
 from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
 from ...variables import Variables, variable
+from ...version import code_attributes, code_versions
 from .. import optics
 from ..identity import light_digest
 from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, joined, moments_of

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,9 +14,6 @@ from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, image, section, small, table, texts
 from ..numbers import aligned, estimated, plain, range_of, significant
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = texts("colour")
 
@@ -147,7 +144,7 @@ def draw_strip(panels: Any, result: xr.Dataset) -> None:
 
 
 @style.drawing()
-def strip_figure(result: xr.Dataset) -> "Figure":
+def strip_figure(result: xr.Dataset) -> "style.Figure":
     """The nail under each force, in its colours, to scale."""
     count = result.sizes["state"]
     figure, axes = style.panels(max(1.35 * count, 5.6), 2.1, 1, count, squeeze=False)
@@ -174,7 +171,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
 
 
 @style.drawing()
-def _along_figure(result: xr.Dataset) -> "Figure":
+def _along_figure(result: xr.Dataset) -> "style.Figure":
     """L*, a* and b* along the nail, for each force, with 95 % intervals."""
     from matplotlib import colormaps
 
@@ -192,7 +189,7 @@ def _along_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def _over_force_figure(result: xr.Dataset) -> "Figure":
+def _over_force_figure(result: xr.Dataset) -> "style.Figure":
     """Difference to rest and the white band, over force."""
     figure, (change, band) = style.panels(7.2, 2.8, 1, 2)
     nail = range(*_nail(result).indices(result.sizes["place"]))

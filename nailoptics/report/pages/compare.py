@@ -1,7 +1,7 @@
 """The page of a comparison: how far Beer-Lambert (8) and Taylor (9) hold on a scene, and why not further."""
 
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,9 +13,6 @@ from ..files import Report, run_summary
 from ..html import Html, document, figure, section, small, subheading, table, texts
 from ..maps import led_name
 from ..numbers import estimated, plain, significant, with_stderr
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = texts("compare")
 
@@ -124,7 +121,7 @@ def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
 
 
 @style.drawing()
-def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "Figure":
+def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "style.Figure":
     """The error of Taylor (9) and Beer-Lambert (8), fitted over each range from the sweep's start, with 95 % intervals
     and lines at 1 and 5 %.
     """
@@ -153,7 +150,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "Figure":
 
 
 @style.drawing()
-def _error_parts_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "Figure":
+def _error_parts_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "style.Figure":
     """What the error of Taylor (9) is made of, photodiode by photodiode, where it is largest."""
     order = [j for _, j in _photodiodes(result)]
     rows, height_in = np.arange(len(order)), 1.3 + 0.42 * len(order)
@@ -182,7 +179,7 @@ def _error_parts_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood
     return figure
 
 
-def _changes_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "Figure":
+def _changes_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -> "style.Figure":
     """Every photodiode's traced change over a sweep beside the models, in percent of its reading at the start."""
     colours, order = zip(*_photodiodes(result), strict=True)
     changes = result.sel(sweep=sweep).isel(led=led, photodiode=list(order))

@@ -1,7 +1,7 @@
 """The page of an explanation: by how much every effect and every unknown changes the readings."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from .. import style
 from ..files import Report, scene_text
 from ..html import Html, document, escaped, figure, section, small, table, texts
 from ..numbers import aligned, significant, with_error
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = texts("explain")
 # What the axis shows of changes, and the height of a row of the figure. [%, inch]
@@ -68,7 +65,7 @@ def _kind(effect: Effect) -> str:
 
 
 @style.drawing()
-def draw(result: Explanation) -> "Figure":
+def draw(result: Explanation) -> "style.Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
     shown = [effect for effect in result.effects if math.isfinite(effect.change) and effect.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,9 +17,6 @@ from .. import style
 from ..files import Report
 from ..html import Html, details, document, figure, section, small, table, texts
 from ..numbers import cells, estimated, significant, with_error
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = texts("force")
 KINDS = TEXTS["kinds"].format(TOUCH_N)
@@ -163,7 +160,7 @@ def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
 
 
 @style.drawing()
-def _fit_figure(result: xr.Dataset) -> "Figure":
+def _fit_figure(result: xr.Dataset) -> "style.Figure":
     """All readings over the calibration, recorded and fitted, less their starts; below, their residuals."""
     parts = [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
     how: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False, "height_ratios": [3.0, 2.0]}
@@ -184,7 +181,7 @@ def _fit_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def _factor_figure(factors: dict[str, dict[str, Any]]) -> "Figure":
+def _factor_figure(factors: dict[str, dict[str, Any]]) -> "style.Figure":
     """What the recordings say of the person: factors on the scene's constants, with their 95 % intervals."""
     drawing, axes = style.panels(6.4, 0.6 + 0.28 * len(factors))
     for row, factor in enumerate(factors.values()):
@@ -200,7 +197,7 @@ def _factor_figure(factors: dict[str, dict[str, Any]]) -> "Figure":
 
 
 @style.drawing()
-def force_figure(result: xr.Dataset) -> "Figure":
+def force_figure(result: xr.Dataset) -> "style.Figure":
     """Force over time with its interval, beside the known force and the regressions' where they are known."""
     part = _thinned(result, "time")
     known = part.known_force_n.values
@@ -222,7 +219,7 @@ def force_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def _share_figure(result: xr.Dataset) -> "Figure":
+def _share_figure(result: xr.Dataset) -> "style.Figure":
     """Where the touch is, and on which side, the body's arterial pressure, and how well each sample fits."""
     part = _thinned(result, "time")
     figure, (place, side, body, fits) = style.panels(7.2, 5.8, 4, sharex=True)

@@ -1,7 +1,7 @@
 """Pages of an oximeter, forward from a scene and back from a recording, and their figures."""
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,10 +13,6 @@ from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TEXTS = texts("oximeter")
 
@@ -124,7 +120,7 @@ COLUMNS = 3
 
 
 @style.drawing()
-def overview_figure(result: xr.Dataset) -> "Figure":
+def overview_figure(result: xr.Dataset) -> "style.Figure":
     """The best photodiode's pulse, saturation over R, and what a touch does to it, side by side."""
     figure, (beat, curve, force) = style.panels(11.4, 3.8, 1, 3, width_ratios=[1, 1.4, 1])
     best = result.sel(photodiode=result.attrs["best"])
@@ -140,7 +136,7 @@ def overview_figure(result: xr.Dataset) -> "Figure":
     return figure
 
 
-def _calibration(panel: "Axes", result: xr.Dataset, colours: list[str]) -> None:
+def _calibration(panel: "style.Axes", result: xr.Dataset, colours: list[str]) -> None:
     """SpO2 over R of every photodiode with its interval, the textbook's line and that measured on fingers."""
     percent = 100 * result.so2.values
     for name, colour in zip(result.photodiode.values, colours, strict=True):
@@ -158,7 +154,7 @@ def _calibration(panel: "Axes", result: xr.Dataset, colours: list[str]) -> None:
 
 
 @style.drawing()
-def _disturbances_figure(result: xr.Dataset) -> "Figure":
+def _disturbances_figure(result: xr.Dataset) -> "style.Figure":
     """What is shown less what is true over everything that disturbs, a panel for each."""
     names, colours = result.attrs["disturbances"], style.place_colours(result.sizes["photodiode"])
     figure, panels = style.tiles(len(names), COLUMNS, 7.2, 2.1)
@@ -169,7 +165,7 @@ def _disturbances_figure(result: xr.Dataset) -> "Figure":
     return figure
 
 
-def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str]) -> None:
+def _disturbance(panel: "style.Axes", result: xr.Dataset, name: str, colours: list[str]) -> None:
     for j, colour in enumerate(colours):
         off, error = (result[key].values[j] for key in (f"off_by_{name}", f"off_by_{name}_stderr"))
         look: dict[str, Any] = {"color": colour, "marker": ".", "markersize": 4, "linewidth": 1.2}
@@ -184,7 +180,7 @@ def _disturbance(panel: "Axes", result: xr.Dataset, name: str, colours: list[str
 
 
 @style.drawing()
-def _over_time_figure(result: xr.Dataset) -> "Figure":
+def _over_time_figure(result: xr.Dataset) -> "style.Figure":
     """SpO2 with its interval, pulse rate and motion over a recording, of the best photodiode."""
     best = result.sel(photodiode=result.attrs["best"])
     figure, (oxygen, rate, moved) = style.panels(7.2, 4.8, 3, sharex=True, gridspec_kw={"height_ratios": [3, 1.5, 1]})

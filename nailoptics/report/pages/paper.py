@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,9 +34,6 @@ from ..files import Report
 from ..html import Html, document, escaped, image, section
 from ..numbers import aligned
 from .colour import draw_fig2
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 log = logging.getLogger(__name__)
 
@@ -141,7 +138,7 @@ def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
     return paths
 
 
-def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "Figure":
+def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "style.Figure":
     """One curve for each step of pressure, in panels of title, label and (pressure, time) values."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -166,20 +163,20 @@ def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "Figure":
     return figure
 
 
-def _figure_10(r: Responses) -> "Figure":
+def _figure_10(r: Responses) -> "style.Figure":
     width = 1e6 * np.concatenate([r.proximal_on, r.proximal_off], axis=-1)
     labels = ("$D_C + x_{C1}$ [µm]", "$D_V + x_V$ [µm]")
     return _steps_over_time([("Proximal capillaries", labels[0], width[0]), ("Vein", labels[1], width[2])])
 
 
-def _figure_11(r: Responses) -> "Figure":
+def _figure_11(r: Responses) -> "style.Figure":
     blood = np.concatenate([r.both_on, r.both_off], axis=-1)
     change = 1.0 - blood / blood[:, :, :1]
     labels = [f"change of $V_{{P{i + 1}}}$, Taylor (9) [rest blood]" for i in range(2)]
     return _steps_over_time([("Proximal reading", labels[0], change[0]), ("Distal reading", labels[1], change[1])])
 
 
-def _figure_12(r: Responses) -> "Figure":
+def _figure_12(r: Responses) -> "style.Figure":
     figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
     for i, (axis, blood, side) in enumerate(zip(axes, r.alone, _SIDES, strict=True)):
         axis.axvline(1.0, **_VEINS_SHUT)
@@ -189,7 +186,7 @@ def _figure_12(r: Responses) -> "Figure":
     return figure
 
 
-def _touches(r: Responses) -> "Figure":
+def _touches(r: Responses) -> "style.Figure":
     """Both readings over a cycle of force, loading and unloading, and over the subjects' step of force."""
     figure, axes = _touch_panels()
     for (side, over_time), axis in np.ndenumerate(axes):
@@ -206,7 +203,7 @@ def _touches(r: Responses) -> "Figure":
     return figure
 
 
-def _touch_panels() -> "tuple[Figure, Any]":
+def _touch_panels() -> "tuple[style.Figure, Any]":
     """Panels for Figs. 15 to 18: a side in each row, over force and over time."""
     figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
     for (side, over_time), axis in np.ndenumerate(axes):
@@ -297,7 +294,7 @@ def draw_haemoglobins(directory: Path) -> Path:
 
 
 @style.drawing()
-def _picture(result: PaperFigures, name: str = "") -> "Figure":
+def _picture(result: PaperFigures, name: str = "") -> "style.Figure":
     """The first picture whose file has these words in its name."""
     from matplotlib.image import imread
 

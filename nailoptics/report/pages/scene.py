@@ -1,6 +1,6 @@
 """A scene as a notebook shows it, its board on the nail and the section below it, and the page of its check."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import InputError
 from ...geometry import build
@@ -12,12 +12,9 @@ from ..files import Report
 from ..html import Html, document, escaped, figure, section
 from ..scene_description import blood_words, body_words, check_lines, touch_words
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @style.drawing()
-def draw(scene: Scene) -> "Figure":
+def draw(scene: Scene) -> "style.Figure":
     """The board on the nail from above, and the section below it; raises InputError for a phantom."""
     if scene.finger is None:
         raise InputError("a phantom has no board to draw; give a scene with [finger].")

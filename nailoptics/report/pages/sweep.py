@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,9 +16,6 @@ from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, prefix, significant
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Axes after which no more figures are drawn, and lines in one of them.
 FIGURES, LINES = 6, 12
@@ -71,7 +68,7 @@ def _axes(results: xr.Dataset) -> list[dict[str, str]]:
         else:
             shown = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
         place = results[name].attrs.get("long_name", "")
-        rows.append({"Axis": name, "Place in the scene": place, "Values": str(len(values)), "From, to": shown})
+        rows.append({"style.Axis": name, "Place in the scene": place, "Values": str(len(values)), "From, to": shown})
     return rows
 
 
@@ -97,7 +94,7 @@ def _varied(results: xr.Dataset) -> list[str]:
     return [n for n in axes_of(results) if len(np.unique(results[n])) > 1]
 
 
-def _along_axis(results: xr.Dataset, axis: str = "") -> "Figure":
+def _along_axis(results: xr.Dataset, axis: str = "") -> "style.Figure":
     """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
     return _along(results, str(_quantity(results)), axis or (_varied(results) or axes_of(results))[0])
 
@@ -115,7 +112,7 @@ def _held(results: xr.Dataset, name: str) -> str:
 
 
 @style.drawing()
-def _along(results: xr.Dataset, quantity: str, name: str) -> "Figure":
+def _along(results: xr.Dataset, quantity: str, name: str) -> "style.Figure":
     (dim,) = results[name].dims
     others = _others(results, name)
     values, errors = results[quantity].isel(others), results[f"{quantity}_stderr"].isel(others)
@@ -151,7 +148,7 @@ WIDTH, WORDS = 1.5, 1.9
 
 
 @style.drawing()
-def contact_sheet(results: xr.Dataset) -> "Figure":
+def contact_sheet(results: xr.Dataset) -> "style.Figure":
     """Photographs of up to 48 scenes in the order of the sweep; what is not done is black.
 
     results : what `batch.open_results` returns for a sweep of colours.

@@ -1,9 +1,9 @@
 """The page of a trace: what each photodiode detects of each LED, in one state of the blood or in several."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from ...light import Transfer, rest_of
@@ -14,10 +14,6 @@ from ..html import document, figure, section, table
 from ..maps import led_name
 from ..numbers import aligned, with_error
 from ..readings import rest_lines
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
 
 NAMES = ["detected_fraction", "detected_fraction_stderr", "effective_photons"]
 
@@ -32,7 +28,7 @@ def page(result: Transfer | xr.Dataset) -> str:
 
 
 @style.drawing()
-def draw(result: Transfer | xr.Dataset) -> "Figure":
+def draw(result: Transfer | xr.Dataset) -> "style.Figure":
     """Detected fraction of each photodiode, by LED and state."""
     readings = _readings(result)
     states, leds, count = (readings.sizes[name] for name in ("state", "led", "photodiode"))
@@ -56,7 +52,7 @@ def _readings(result: Transfer | xr.Dataset) -> xr.Dataset:
     return readings.assign({name: readings[name].expand_dims("state") for name in NAMES})
 
 
-def _table(result: Transfer | xr.Dataset) -> "pd.DataFrame":
+def _table(result: Transfer | xr.Dataset) -> pd.DataFrame:
     return _readings(result)[NAMES].to_dataframe().reset_index()
 
 

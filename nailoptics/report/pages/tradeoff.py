@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +13,6 @@ from .. import style
 from ..files import Report, scene_text
 from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, duration, significant, with_error
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TEXTS = texts("tradeoff")
 # What the axis shows of the errors, and the errors at which a level's curve is computed.
@@ -31,7 +27,7 @@ ERRORS = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
 SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 
-def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
+def page(result: Tradeoff, drawing: "style.Figure | None" = None) -> str:
     """The page around what `draw` drew."""
     rows = [row | lines for row, lines in zip(_rows(result), _lines(result), strict=True)]
     selected = _selected(result.lines, result.chosen.call) or "none is needed"
@@ -54,7 +50,7 @@ def page(result: Tradeoff, drawing: "Figure | None" = None) -> str:
 
 
 @style.drawing()
-def draw(result: Tradeoff) -> "Figure":
+def draw(result: Tradeoff) -> "style.Figure":
     """Error of every level against the time to its answer."""
     drawing, axes = style.panels(8.0, 5.0)
     axes.set(yscale="log", ylim=(100 * LEAST, 100 * MOST), ylabel="error of the worst photodiode [%]")
@@ -90,7 +86,7 @@ def _curve(level: Level) -> np.ndarray:
     return np.array([point for point in points if math.isfinite(point[0])]).reshape(-1, 2)
 
 
-def _names(axes: "Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float) -> None:
+def _names(axes: "style.Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float) -> None:
     """Names in a column at x, at least so far apart that each is read, with lines to their places."""
     heights = np.array(style.spread([float(np.log10(place[1])) for _, place in places], APART))
     heights = np.maximum(heights, np.log10(100 * LEAST) + APART * (0.5 + np.argsort(np.argsort(heights))))

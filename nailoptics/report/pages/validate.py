@@ -1,7 +1,7 @@
 """The page of `validate`: the model compared with tables measured on people, the largest disagreement first."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +10,6 @@ from .. import style
 from ..files import Report
 from ..html import Html, document, figure, section, small, table, texts
 from ..numbers import aligned, significant
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 TEXTS = texts("validate")
 
@@ -90,7 +87,7 @@ def _range(ends: np.ndarray) -> str:
 
 
 @style.drawing()
-def draw(quantity: Mapping[str, Any]) -> "Figure":
+def draw(quantity: Mapping[str, Any]) -> "style.Figure":
     """People and model with their intervals over what the quantity is measured over."""
     ((x_label, x),) = quantity["over"].items()
     drawing, axes = style.panels(5.5, 3.0)
@@ -124,7 +121,7 @@ def summary(result: Validation) -> dict[str, Any]:
     return made | dict(result.attributes)
 
 
-def _figure(result: Validation, quantity: str = "") -> "Figure":
+def _figure(result: Validation, quantity: str = "") -> "style.Figure":
     """One quantity that is a curve, the first that disagrees if none is named."""
     tables = sorted(summary(result)["tables"].items(), key=lambda item: item[1]["agrees"])
     curves = {name: one for name, one in tables if one.get("over")}

@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...commit import code_attributes
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import (
     MOST_VOLTS,
@@ -23,6 +22,7 @@ from ...scene.importers.sensor_recordings import (
 )
 from ...sensor.electronics import recorded_at_limit
 from ...variables import Estimate, Variables, described
+from ...version import code_attributes
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
 from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind

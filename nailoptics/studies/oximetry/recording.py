@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 
 from ... import hemodynamics
-from ...commit import code_attributes
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...hemodynamics.for_scene import blood_over_touch
@@ -20,6 +19,7 @@ from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
 from ...variables import Variables, variable
+from ...version import code_attributes
 from .ratio import saturation_of
 
 _NOISE = 61

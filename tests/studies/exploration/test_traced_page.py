@@ -7,7 +7,7 @@ import pytest
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
-from nailoptics.report.pages.explore.page import page
+from nailoptics.report.pages.explore import page
 from nailoptics.scene.files import parse_scene
 from nailoptics.statistics import MIN_EFFECTIVE_TERMS
 from nailoptics.studies.exploration import explore as study

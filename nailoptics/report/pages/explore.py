@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ....io import FORMULA
-from ....scene import Led, Photodiode, Scene
-from ....scene.base import MOST_PHOTODIODES
-from ....scene.rectangles import Rectangle
-from ....sensor import electronics
-from ....sensor.ambient import LAMP, SOURCES
-from ....statistics import MIN_EFFECTIVE_TERMS
-from ....studies.exploration.explore import (
+from ...io import FORMULA
+from ...scene import Led, Photodiode, Scene
+from ...scene.base import MOST_PHOTODIODES
+from ...scene.rectangles import Rectangle
+from ...sensor import electronics
+from ...sensor.ambient import LAMP, SOURCES
+from ...statistics import MIN_EFFECTIVE_TERMS
+from ...studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
     KERNEL_CHANGE_ERROR,
@@ -24,10 +24,10 @@ from ....studies.exploration.explore import (
     ColourTable,
     Exploration,
 )
-from ....studies.exploration.pair_table import NEAREST_MM
-from ... import maps
-from ...files import Report, run_summary
-from ...html import Html, Script, details, document, escaped, section, small, subheading
+from ...studies.exploration.pair_table import NEAREST_MM
+from .. import maps
+from ..files import Report, run_summary
+from ..html import Html, Script, details, document, escaped, section, small, subheading
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
@@ -62,7 +62,7 @@ def page(exploration: Exploration) -> str:
 
 
 def _text(*name: str) -> str:
-    return resources.files(__package__).joinpath(*name).read_text(encoding="utf-8")
+    return resources.files(__package__).joinpath("explore", *name).read_text(encoding="utf-8")
 
 
 def _library(file: str) -> str:
