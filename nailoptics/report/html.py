@@ -5,6 +5,7 @@ import hashlib
 import html
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from importlib import resources
 from typing import Any
 from unicodedata import category
@@ -12,19 +13,6 @@ from unicodedata import category
 from . import style
 from .numbers import significant
 
-PROVENANCE = {
-    "digest": "Digest of the scene",
-    "photons": "Photons",
-    "seed": "Seed",
-    "seeds": "Seeds",
-    "engine": "Engine",
-    "backend": "Backend",
-    "versions": "Versions",
-    "accuracy_reached": "Accuracy reached",
-    "cpu_seconds": "Processor time [s]",
-    "wall_seconds": "Time taken [s]",
-    "references": "After",
-}
 # Unicode's categories of invisible characters: they control, turn the writing round, or are no text at all.
 INVISIBLE = ("Cc", "Cf", "Cs")
 
@@ -37,10 +25,19 @@ class Script(str):
     """JavaScript that runs at the end of a page; no other does, nor does a page load anything unless it is served."""
 
 
-def texts(page: str) -> dict[str, str]:
-    """The longer texts of a page, by their names in texts.toml."""
-    file = resources.files(__package__).joinpath("pages", "texts.toml").read_text(encoding="utf-8")
-    return {name: " ".join(text.split()) for name, text in tomllib.loads(file)[page].items()}
+def texts(page: str) -> dict[str, Any]:
+    """The longer texts and the tables of words of a page, by their names in texts.toml."""
+    found = _texts()[page].items()
+    return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in found}
+
+
+@cache
+def _texts() -> dict[str, dict[str, Any]]:
+    return tomllib.loads(resources.files(__package__).joinpath("pages", "texts.toml").read_text(encoding="utf-8"))
+
+
+# What makes a result again, by its attributes.
+PROVENANCE = texts("provenance")
 
 
 def document(
@@ -113,6 +110,11 @@ def paragraph(text: str, *, kind: str = "") -> Html:
     return Html(f"<p class='{kind}'>{escaped(text)}</p>" if kind else f"<p>{escaped(text)}</p>")
 
 
+def preformatted(text: object) -> Html:
+    """Lines as they are, in a font of one width."""
+    return Html(f"<pre>{escaped(text)}</pre>")
+
+
 def small(text: str) -> Html:
     """A paragraph in small type, for notes; empty without a text."""
     return paragraph(text, kind="small") if text else Html()
@@ -143,11 +145,8 @@ def table(rows: Sequence[Mapping[str, object]], *, kind: str = "", groups: Seque
     groups : what each row belongs to; where that is not the same for all, each group has a heading.
     """
     opening, head = f'<table class="{kind}">' if kind else "<table>", list(rows[0]) if rows else []
-    lines = [
-        f'<div class="scroll">{opening}<thead><tr>',
-        *(f"<th>{escaped(title).replace(' [', '<br>[')}</th>" for title in head),
-    ]
-    lines.append("</tr></thead><tbody>")
+    heads = (f"<th>{escaped(title).replace(' [', '<br>[')}</th>" for title in head)
+    lines = [f'<div class="scroll">{opening}<thead><tr>', *heads, "</tr></thead><tbody>"]
     shown = groups[0] if groups and len(set(groups)) == 1 else None
     for i, row in enumerate(rows):
         if groups and groups[i] != shown:
@@ -167,14 +166,10 @@ def escaped(text: object) -> Html:
 
 
 def _provenance(attributes: Mapping[str, Any]) -> str:
-    lines = ["<section class='provenance'><h2>Reproduce this result</h2><dl>"]
-    for name, label in PROVENANCE.items():
-        if name not in attributes:
-            continue
-        value = attributes[name]
-        shown = significant(value) if isinstance(value, float) else value
-        lines.append(f"<div><dt>{label}</dt><dd>{escaped(shown)}</dd></div>")
-    lines.append("</dl>")
+    known = {label: attributes[name] for name, label in PROVENANCE.items() if name in attributes}
+    shown = {label: significant(value) if isinstance(value, float) else value for label, value in known.items()}
+    lines = [f"<div><dt>{label}</dt><dd>{escaped(value)}</dd></div>" for label, value in shown.items()]
+    lines = ["<section class='provenance'><h2>Reproduce this result</h2><dl>", *lines, "</dl>"]
     if "scene" in attributes:
-        lines.append(details("The scene, complete", Html(f"<pre>{escaped(attributes['scene'])}</pre>")))
+        lines.append(details("The scene, complete", preformatted(attributes["scene"])))
     return "\n".join([*lines, small("Terms and symbols: docs/glossary.md in the repository."), "</section>"])

@@ -13,13 +13,15 @@ from ..hemodynamics.for_scene import hold_end
 from ..light import RestReadings
 from ..scene import Scene
 from .files import run_summary
+from .html import texts
 from .maps import order_along_nail
-from .numbers import ASCII, aligned, prefix, quantity, significant, with_error, with_stderr
+from .numbers import ASCII, aligned, estimated, prefix, quantity, significant, with_error, with_stderr
 from .uncertainty_section import spread_summary
 
 # Residuals of the reduced optics, and spreads over the priors where they were computed.
 RESIDUALS = ("beer_lambert_residual_rms_v", "taylor_residual_rms_v")
 SPREADS = ("reading_spread", "change_spread")
+TEXTS = texts("readings")
 # What of the page's table has no room in a terminal.
 PAGE_ALONE = ("Blood zone", "Of rest [%]", "z score [σ]", "SNR [1]")
 
@@ -95,8 +97,8 @@ def reading_rows(table: pd.DataFrame) -> list[dict[str, str]]:
         distance = {"Distance to LED [mm]": significant(r.distance_mm)} if "distance_mm" in table else {}
         row = {"Photodiode": r.photodiode, "Blood zone": r.zone} | distance
         row[f"At rest [{letter}V]"] = with_error(r.volts_start / volts, r.volts_start_stderr / volts)
-        moved = with_error(r.volts_change / change, r.volts_change_stderr / change, sign=True)
-        row[f"Change [{change_letter}V]"] = moved
+        error = r.volts_change_stderr / change
+        row[f"Change [{change_letter}V]"] = with_error(r.volts_change / change, error, sign=True)
         row["Of rest [%]"] = significant(r.change_percent, 3, sign=True)
         row["z score [σ]"] = significant(r.z_score, 2)
         row[f"Peak change [{change_letter}V]"] = significant(r.volts_change_peak / change, 3, sign=True)
@@ -118,20 +120,12 @@ def disturbance_lines(result: xr.Dataset) -> list[str]:
     lines = []
     if "ambient_a" in result:
         most = result.isel(photodiode=int(result.ambient_a.argmax()))
-        volts = f"{with_error(float(most.ambient_volts), float(most.ambient_volts_stderr))} V"
-        left, noise, flicker = (
-            quantity(float(most[f"ambient_{name}"]), "V") for name in ("left_v", "noise_v", "flicker_v")
-        )
-        lines.append(
-            f"ambient light: at most {volts} at the stage's output ({most.photodiode.item()}), of which {left} are "
-            f"left in a reading, with {noise} of shot noise and {flicker} of flicker, rms"
-        )
+        rest = (quantity(float(most[f"ambient_{name}_v"]), "V") for name in ("left", "noise", "flicker"))
+        lines.append(TEXTS["ambient"].format(estimated(most, "ambient_volts"), most.photodiode.item(), *rest))
     if "false_force_n" in result:
         forces = zip(result.disturbance.values, result.false_force_n.values, strict=True)
         shown = ", ".join(f"{name} {quantity(float(force_n), 'N')}" for name, force_n in forces)
-        lines.append(
-            f"false force at the end of the hold (rms of waves; – where little blood is left to move): {shown}"
-        )
+        lines.append(TEXTS["false_force"].format(shown))
     return lines
 
 

@@ -30,25 +30,17 @@ def page(result: xr.Dataset, photographs: Sequence[bytes] = ()) -> str:
         (significant(float(last.delta_e_2000.max())), f"largest difference to rest {words}, CIEDE2000"),
         (f"{estimated(last, 'white_band_mm')} mm", f"white band {words}"),
     ]
-    strip = strip_figure(result)
-    captions = ("At rest.", f"A{words[1:]}.")
-    photos = [image(data, caption) for data, caption in zip(photographs, captions, strict=False)]
-    seen = figure(strip, TEXTS["strip"]), table(_by_force(result)), small(TEXTS["middle"])
+    photos = [image(data, text) for data, text in zip(photographs, ("At rest.", f"A{words[1:]}."), strict=False)]
+    strip = figure(strip_figure(result), TEXTS["strip"])
     body = [
-        section("The nail under force", *seen),
+        section("The nail under force", strip, table(_by_force(result)), small(TEXTS["middle"])),
         section("As a photograph", *photos, small(TEXTS["photograph"])) if photos else "",
         section("Along the nail", figure(_along_figure(result), "Colour along the nail; bands: 95 %.")),
         section("Over force", figure(_over_force_figure(result), "What an eye sees; bars: 95 %.")),
         _unknowns(result),
     ]
-    return document(
-        kicker="colour",
-        title="The colour of the nail under force",
-        lead=f"Seen by {seen_by(result)}; the nail is bare, without its board.",
-        cards=cards,
-        body=body,
-        attributes=result.attrs,
-    )
+    lead = f"Seen by {seen_by(result)}; the nail is bare, without its board."
+    return document(**TEXTS["page"], lead=lead, cards=cards, body=body, attributes=result.attrs)
 
 
 def _by_force(result: xr.Dataset) -> list[dict[str, str]]:
@@ -77,8 +69,7 @@ def _unknowns(result: xr.Dataset) -> str:
     for i in np.argsort(-nail.prior_lab_spread.values.max(1)):
         prior = nail.isel(prior=int(i))
         shown = range_of(str(prior.prior_field.item()), *prior.prior_range.values.tolist())
-        row = {"Prior": str(prior.prior.item()), "Range": shown}
-        rows.append(row | _lab(prior, "prior_lab_spread"))
+        rows.append({"Prior": str(prior.prior.item()), "Range": shown} | _lab(prior, "prior_lab_spread"))
     return section("Uncertainty over the priors", table(rows), small(TEXTS["priors"]))
 
 
@@ -115,14 +106,10 @@ def _nail_shape(panel: Any, colours: np.ndarray, v_mm: np.ndarray, *, width_mm: 
     panel.set_axis_off()
 
 
-LAMPS = {"D65": "daylight D65", "A": "incandescent light A", "LED-B3": "white LED-B3"}
-
-
 def seen_by(result: xr.Dataset) -> str:
     """By which light and observer the colours are shown, in words."""
-    lit = {"sky": "from all sides", "lamp": "at 45° all round"}[result.attrs["lit_by"]]
+    lamp, lit = (TEXTS[name][result.attrs[name]] for name in ("illuminant", "lit_by"))
     gloss = "included" if result.attrs["gloss"] else "excluded"
-    lamp = LAMPS[result.attrs["illuminant"]]
     return f"{lamp} {lit}, {result.attrs['observer']}° observer at 0°, gloss {gloss}; shown as sRGB"
 
 
@@ -160,11 +147,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     """
     from ...studies.colour.nail_colour import colour
 
-    update = {
-        "blood": scene.blood.model_copy(update={"parameters": name, "tuning": None}),
-        "priors": scene.priors.model_copy(update={"spread": False}),
-    }
-    quick = scene.model_copy(update=update)
+    quick = scene.with_(**{"blood.parameters": name, "blood.tuning": None, "priors.spread": False})
     path = directory / f"hemodynamics_{name}_fig2.png"
     style.write_figure(strip_figure(colour(quick, photons=FIG2_PHOTONS)), path)
     return path

@@ -15,16 +15,18 @@ from ..maps import led_name
 from ..numbers import estimated, plain, significant, with_stderr
 
 TEXTS = texts("compare")
+X_LABELS, WAYS, FORMULAS = (TEXTS[name] for name in ("axes", "ways", "formulas"))
+# Label, colour and marker of each part of the error of Taylor (9).
+PARTS = TEXTS["parts"]
 
 
 def page(result: xr.Dataset) -> str:
     """The page of a comparison."""
     decision = verdict(result, 0.05)
-    met, total, sweep = decision.surely_within, decision.readings, decision.sweep
-    over = "range of saturation" if sweep == "saturation" else f"{sweep} range"
+    over = "range of saturation" if decision.sweep == "saturation" else f"{decision.sweep} range"
     return document(
         kicker="reduced optics against traced light",
-        title=f"Taylor (9) holds to 5 % for {met} of {total} readings over the whole {over}",
+        title=TEXTS["title"].format(decision.surely_within, decision.readings, over),
         lead=verdict_line(decision),
         cards=_cards(result),
         body=[_led_section(result, led) for led in range(result.sizes["led"])],
@@ -39,8 +41,8 @@ def _led_section(result: xr.Dataset, led: int) -> Html:
     parts.append(small(TEXTS["limits"]))
     for sweep in map(str, result.sweep.values):
         parts.append(subheading(f"What Taylor (9) leaves out, over {sweep}"))
-        parts.append(figure(_error_parts_figure(result, led=led, sweep=sweep), TEXTS["split"]))
-        parts.append(figure(_changes_figure(result, led=led, sweep=sweep), TEXTS["readings"]))
+        for draw, caption in ((_error_parts_figure, TEXTS["split"]), (_changes_figure, TEXTS["readings"])):
+            parts.append(figure(draw(result, led=led, sweep=sweep), caption))
     return section(f"How far the models hold: {led_name(result, led)}", *parts)
 
 
@@ -48,17 +50,15 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
     """How many readings each fitted model meets, and what Taylor (9) leaves out first."""
     cards = []
     for within in (0.01, 0.05):
-        taylor, exact = (verdict(result, within, model=model) for model in ("taylor", "beer_lambert"))
-        words = f"readings that fitted Taylor (9), and Beer–Lambert (8), meet within {100 * within:g} % of their swing "
-        words += f"over the {taylor.sweep}"
+        taylor, exact = (verdict(result, within, model=model) for model in FORMULAS)
+        words = TEXTS["meet"].format(100 * within, taylor.sweep)
         cards.append((f"{taylor.surely_within} and {exact.surely_within} of {taylor.readings}", words))
     parts = np.abs(result.isel(sweep=0, point=-1).sel(way="fitted").part_error).median(("led", "photodiode"))
     # A part that no time was left to trace is not known.
-    if not (known := parts.dropna("part")).size:
-        return cards
-    worst, *_ = PARTS[str(known.part.values[int(known.values.argmax())])]
-    words = f"of the swing: the largest part of the error of Taylor (9), by the median of all readings: “{worst}”"
-    return [*cards, (f"{significant(100 * float(known.max()), 2)} %", words)]
+    if (known := parts.dropna("part")).size:
+        words = TEXTS["largest"].format(PARTS[str(known.part.values[int(known.values.argmax())])]["label"])
+        cards.append((f"{significant(100 * float(known.max()), 2)} %", words))
+    return cards
 
 
 def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[str]]:
@@ -90,20 +90,6 @@ def _interval(limits: xr.Dataset, name: str, by: float) -> str:
     return Html(f"{shown}<br><span class='small'>{ends}</span>")
 
 
-X_LABELS = {"force": "force [N]", "blood": "blood fraction of both zones [%]", "saturation": "oxygen saturation [%]"}
-# Name, colour and mark of each part of the error of Taylor (9).
-PARTS = {
-    "truncation": ("truncation to first order", "#e08a3c", "s"),
-    "one_path": ("single path length", "#7a5aa6", "D"),
-    "both_zones": ("both zones contribute", "#2f7fc9", "o"),
-    "blood_scattering": ("scattering by blood", "#4b8b5a", "^"),
-}
-WAY_TITLES = {
-    "fitted": "constants fitted to the readings",
-    "predicted": "no fit: own zone's mean path",
-    "predicted_both": "no fit: both zones' mean paths",
-}
-FORMULAS = {"taylor": "Taylor (9)", "beer_lambert": "Beer–Lambert (8)"}
 # Errors that the axes show, and those that are marked. [% of swing]
 SHOWN, MARKED = (0.01, 500.0), (1, 5)
 
@@ -162,13 +148,11 @@ def _error_parts_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood
         for row in rows[1::2]:
             axes.axhspan(row - 0.5, row + 0.5, color=style.GRID, alpha=0.5, lw=0)
         for k, part in enumerate(map(str, result.part.values)):
-            label, colour, mark = PARTS[part]
-            at, y = worst.sel(part=part), rows + 0.17 * (k - 1.5)
+            at, y, colour = worst.sel(part=part), rows + 0.17 * (k - 1.5), PARTS[part]["edgecolors"]
             size, spread = 100 * abs(at.part_error.values), 100 * Z95 * at.part_error_stderr.values
             axes.hlines(y, np.maximum(size - spread, 1e-3), size + spread, color=colour, lw=1.2)
-            faces = np.where(size > spread, colour, style.PAPER)
-            axes.scatter(size, y, 30, faces, marker=mark, edgecolors=colour, linewidths=1.0, zorder=3, label=label)
-        axes.set(title=WAY_TITLES[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
+            axes.scatter(size, y, 30, np.where(size > spread, colour, style.PAPER), zorder=3, lw=1.0, **PARTS[part])
+        axes.set(title=WAYS[str(way)], xscale="log", xlabel="absolute error of Taylor (9)\n[% of swing]")
         for tolerance in MARKED:
             axes.axvline(tolerance, color=style.INK, lw=0.8, ls=(0, (4, 2)))
     first = panels[0, 0]
@@ -185,13 +169,9 @@ def _changes_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -
     changes = result.sel(sweep=sweep).isel(led=led, photodiode=list(order))
     start = changes.reading.isel(point=0)
     models = {}
-    for label, way, model, ink, dashes in (
-        ("Beer–Lambert (8), no fit, own zone", "predicted", "beer_lambert", style.MUTED, (0, (1, 1.5))),
-        ("Beer–Lambert (8), no fit, both zones", "predicted_both", "beer_lambert", style.VEIN, (0, (6, 2))),
-        ("Taylor (9), fitted", "fitted", "taylor", style.INK, (0, (4, 2))),
-    ):
-        change = changes.model_reading.sel(way=way, model=model) / start - 1
-        models[label] = 100 * change.values, {"color": ink, "ls": dashes}
+    for (way, shown), ink in zip(TEXTS["shown"].items(), (style.MUTED, style.VEIN, style.INK), strict=True):
+        change = changes.model_reading.sel(way=way, model=shown["model"]) / start - 1
+        models[shown["label"]] = 100 * change.values, {"color": ink, "ls": (0, shown["dashes"])}
     x, traced = changes.setting.values * _display_scale(sweep), 100 * (changes.reading / start - 1).values
     named = dict(zip(changes.photodiode.values, colours, strict=True))
     labels = {"xlabel": X_LABELS[sweep], "ylabel": "change [%]"}
@@ -248,17 +228,11 @@ def paper_claim(result: xr.Dataset) -> dict[str, Any]:
 
 def verdict_line(decision: Verdict) -> str:
     """Whether a model holds over a sweep, how sure that is, and its largest error."""
-    largest, low, high = (f"{100 * x:.3g}" for x in (decision.worst_error, decision.worst_low, decision.worst_high))
-    name = FORMULAS[decision.model].replace("–", "-")
+    errors = (f"{100 * x:.3g}" for x in (decision.worst_error, decision.worst_low, decision.worst_high))
     of = f"{100 * decision.tolerance:g} % of the swing of all {decision.readings} readings over the {decision.sweep}"
     confidence = "over 99.9" if decision.sure > 0.999 else f"{100 * decision.sure:.3g}"
-    words = {
-        "met": f"{name} stays within {of} ({confidence} % confidence)",
-        "missed": f"{name} does not stay within {of} ({confidence} % confidence)",
-        "undecided": f"Whether {name} stays within {of} is undecided; trace more photons",
-    }
-    where = f"LED {decision.led}, photodiode {decision.photodiode}"
-    return f"{words[decision.outcome]}. Largest error: {largest} % (95 % interval {low} to {high} %), {where}."
+    words = TEXTS["verdict"][decision.outcome].format(FORMULAS[decision.model].replace("–", "-"), of, confidence)
+    return TEXTS["largest_error"].format(words, *errors, decision.led, decision.photodiode)
 
 
 COMPARISON = Report(

@@ -10,7 +10,7 @@ from ...studies.model_error.changes import lines_of, merged
 from ...studies.model_error.explain import Effect, Explanation
 from .. import style
 from ..files import Report, scene_text
-from ..html import Html, document, escaped, figure, section, small, table, texts
+from ..html import document, figure, preformatted, section, small, table, texts
 from ..numbers import aligned, significant, with_error
 
 TEXTS = texts("explain")
@@ -28,10 +28,9 @@ def page(result: Explanation) -> str:
     known = [effect for effect in result.effects if math.isfinite(effect.change)]
     required: list[str] = []
     for text, lines in _requires(result):
-        required += [text, Html(f"<pre>{escaped(lines)}</pre>") if lines else ""]
-    drawing, effects = "", table(_rows(result), kind="effects dense")
-    if known:
-        drawing = figure(draw(result), TEXTS["caption"])
+        required += [text, preformatted(lines) if lines else ""]
+    drawing = figure(draw(result), TEXTS["caption"]) if known else ""
+    effects = table(_rows(result), kind="effects dense")
     return document(
         kicker="effects on the readings",
         title=_title(known),

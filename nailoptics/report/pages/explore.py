@@ -27,7 +27,7 @@ from ...studies.exploration.explore import (
 from ...studies.exploration.pair_table import NEAREST_MM
 from .. import maps
 from ..files import Report, run_summary
-from ..html import Html, Script, details, document, escaped, section, small, subheading
+from ..html import Html, Script, details, document, preformatted, section, small, subheading, texts
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
@@ -37,11 +37,7 @@ MOST_POINTS = 6
 MOST_PAIRS, MOST_SCENE_BYTES = 4000, 1_000_000
 # At which the parts of the noise that grow with the resistance are much larger than the one that does not.
 LARGE_OHM = 1e9
-LIBRARIES = (
-    ("uPlot", "uPlot.iife.min.js", "https://github.com/leeoniya/uPlot"),
-    ("interact.js", "interact.min.js", "https://github.com/taye/interact.js"),
-    ("smol-toml", "smol-toml.cjs", "https://github.com/squirrelchat/smol-toml"),
-)
+TEXTS = texts("explore")
 
 
 def page(exploration: Exploration) -> str:
@@ -51,14 +47,9 @@ def page(exploration: Exploration) -> str:
     style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
     code = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
-    scripts = [Script(text) for text in (*(_library(file) for _, file, _ in LIBRARIES), code)]
-    return document(
-        kicker="explore",
-        title="Drag LEDs and photodiodes on the nail",
-        lead="All readings update at once, from light that was traced over the whole board.",
-        body=[Html(style + _text("workbench.html")), _licences(), Html(data), *scripts],
-        attributes=exploration.attributes,
-    )
+    scripts = [Script(text) for text in (*(_library(one["file"]) for one in TEXTS["libraries"]), code)]
+    body = [Html(style + _text("workbench.html")), _licences(), Html(data), *scripts]
+    return document(**TEXTS["page"], body=body, attributes=exploration.attributes)
 
 
 def _text(*name: str) -> str:
@@ -76,11 +67,10 @@ def _library(file: str) -> str:
 
 def _licences() -> Html:
     parts: list[Html] = []
-    for name, _, address in LIBRARIES:
-        licence = escaped(_text("vendor", f"{name.removesuffix('.js')}.LICENSE"))
-        parts += [subheading(name), small(address), Html(f"<pre>{licence}</pre>")]
-    opening = "uPlot draws, interact.js drags, smol-toml reads and writes scenes."
-    return section("Made with", opening, details("Licences of the libraries in this page", *parts))
+    for library in TEXTS["libraries"]:
+        licence = preformatted(_text("vendor", library["licence"]))
+        parts += [subheading(library["name"]), small(library["address"]), licence]
+    return section("Made with", TEXTS["made_with"], details("Licences of the libraries in this page", *parts))
 
 
 def _half(values: np.ndarray) -> str:
@@ -101,11 +91,8 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "basis": {"across": basis.across, "walled": basis.wall_mm is not None, "axes": basis.axes} | radial,
         # Nodes and weights by the number of points, from 0.
         "gauss": [[], *(np.stack(np.polynomial.legendre.leggauss(n), -1) for n in range(1, MOST_POINTS + 1))],
-        "polynomial": {
-            "exponents": polynomial.exponents,
-            "bloodFraction": polynomial.blood_fraction,
-            "so2": polynomial.so2,
-        },
+        "polynomial": {"exponents": polynomial.exponents, "so2": polynomial.so2}
+        | {"bloodFraction": polynomial.blood_fraction},
         "blocks": BLOCKS,
         "kernelError": KERNEL_ERROR,
         "kernelChangeError": KERNEL_CHANGE_ERROR,
@@ -145,23 +132,16 @@ def _bare(schema: Any, *, names: bool = False) -> Any:
     if not isinstance(schema, dict):
         return schema
     left_out = () if names else ("description", "title", "required")
-    return {
-        key: _bare(value, names=not names and key in ("properties", "$defs"))
-        for key, value in schema.items()
-        if key not in left_out
-    }
+    kept = {key: value for key, value in schema.items() if key not in left_out}
+    return {k: _bare(value, names=not names and k in ("properties", "$defs")) for k, value in kept.items()}
 
 
 def _colour(table: ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
-    return {
-        "nm": table.led.wavelength_nm,
-        "photons": table.photons,
-        "coefficients": _half(table.coefficients),
-        "direct": _half(table.direct),
-        "blocks": _half(table.blocks.transpose(1, 0, 2)),
-        "logFluence": _half(np.log(np.maximum(fluence, fluence[fluence > 0].min()))),
-    }
+    log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
+    kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
+    halves = {name: _half(values) for name, values in (kernels | {"logFluence": log_fluence}).items()}
+    return {"nm": table.led.wavelength_nm, "photons": table.photons} | halves
 
 
 def _fields(part: Led | Photodiode) -> dict[str, Any]:

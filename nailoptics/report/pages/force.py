@@ -19,14 +19,6 @@ from ..html import Html, details, document, figure, section, small, table, texts
 from ..numbers import cells, estimated, significant, with_error
 
 TEXTS = texts("force")
-KINDS = TEXTS["kinds"].format(TOUCH_N)
-# Columns of how well touches are estimated.
-SCORES = {
-    "Error, rms [mN]": ("rms_n", 1e3, 2),
-    "Of their size [%]": ("relative_error", 100.0, 2),
-    "In the 95 % interval [%]": ("coverage_95", 100.0, 2),
-    "Its half width, median [mN]": ("half_width_n", 1e3, 2),
-}
 
 
 def calibration_page(result: xr.Dataset) -> str:
@@ -38,14 +30,13 @@ def calibration_page(result: xr.Dataset) -> str:
         (significant(summary["chi2_per_dof"], 2), "chi-squared per degree of freedom"),
     ]
     return document(
-        kicker="calibration",
-        title="A person's sensor, calibrated",
+        **TEXTS["calibration"],
         lead=f"{count} recording{'s' if count > 1 else ''} of a known force, "
         f"{result.sizes['reading']} readings, {result.sizes['sample']} samples.",
         warnings=summary["warnings"],
         cards=cards,
         body=[
-            section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS)),
+            _touches_section(summary["quality"]),
             section("Recorded and fitted", figure(_fit_figure(result), TEXTS["fit"])),
             _person_section(summary),
             section("The readings", table(_readings(result, summary)), small(TEXTS["gains"])),
@@ -62,9 +53,8 @@ def _person_section(summary: dict[str, Any]) -> Html:
 def _subject_page(subject: Subject) -> str:
     """The page of a subject without the recordings that it was calibrated with."""
     summary = _subject_summary(subject)
-    body = [section("How well the touches are estimated", table(_kinds(summary["quality"])), small(KINDS))]
+    body = [_touches_section(summary["quality"]), _person_section(summary)]
     lead = f"{len(subject.light.names)} readings."
-    body.append(_person_section(summary))
     return document(kicker="subject", title="A person's sensor", lead=lead, body=body, attributes={})
 
 
@@ -73,10 +63,11 @@ def _judged_on(summary: dict[str, Any]) -> str:
     return "held-out touches" if summary["is_held_out"] else "touches that it was fitted to"
 
 
-def _kinds(touches: dict[str, dict[str, float]]) -> list[dict[str, str]]:
+def _touches_section(touches: dict[str, dict[str, float]], heading: str = "How well the touches are estimated") -> Html:
     """How well the touches of each kind are estimated."""
     known = {kind: scores for kind, scores in touches.items() if math.isfinite(scores["rms_n"])}
-    return [{"Touches": kind} | cells(scores, SCORES) for kind, scores in known.items()]
+    rows = [{"Touches": kind} | cells(scores, TEXTS["scores"]) for kind, scores in known.items()]
+    return section(heading, table(rows), small(TEXTS["kinds"].format(TOUCH_N)))
 
 
 def _factors(summary: dict[str, Any]) -> list[dict[str, str]]:
@@ -128,18 +119,16 @@ def prediction_page(result: xr.Dataset) -> str:
         methods = [{"Force by": name, of_touches: significant(1e3 * error, 2)} for name, error in errors.items()]
         inside = f"{100 * summary['coverage_95']:.0f} %", "of samples inside their 95 % interval"
         cards = [(f"{significant(1e3 * summary['rms_n'], 2)} mN", "error of the force, rms"), inside, *cards]
-    columns = {"At [s]": ("time_s", 1.0, 4), "After the known force [ms]": ("latency_s", 1e3, 2)}
-    events = table([{"Event": event["kind"]} | cells(event, columns) for event in summary["events"]])
+    events = table([{"Event": event["kind"]} | cells(event, TEXTS["events"]) for event in summary["events"]])
     switch = details(f"{len(summary['events'])} events", events) if summary["events"] else ""
     return document(
-        kicker="prediction",
-        title="Force from volts",
+        **TEXTS["prediction"],
         lead=f"{result.sizes['time']} samples; the interval has no upper bound in {100 * is_open:.0f} % of them.",
         warnings=warnings,
         cards=cards,
         body=[
             section("Force", figure(force_figure(result), TEXTS["force"]), table(methods) if methods else ""),
-            section("Touches", table(_kinds(summary["touches"])), small(KINDS)) if methods else "",
+            _touches_section(summary["touches"], "Touches") if methods else "",
             section("Place, body and fit", figure(_share_figure(result), TEXTS["share"])),
             section("The virtual switch", switch) if switch else "",
         ],

@@ -22,11 +22,10 @@ def oximeter_page(result: xr.Dataset) -> str:
     best = result.sel(photodiode=result.attrs["best"])
     a, b = best.linear.values.tolist()
     red, infrared = (f"{significant(1e2 * index, 2)} %" for index in best.perfusion_index.values.tolist())
+    disturbed = figure(_disturbances_figure(result), TEXTS["disturbance_curves"])
     return document(
-        kicker="pulse oximeter",
-        title="Oxygen from volts",
-        lead=f"{result.sizes['photodiode']} photodiodes, a heart that beats {result.attrs['rate_per_min']:g} times a "
-        "minute, and every saturation from one trace of each LED.",
+        **TEXTS["page"],
+        lead=TEXTS["lead"].format(result.sizes["photodiode"], result.attrs["rate_per_min"]),
         warnings=result.attrs["warnings"],
         cards=[
             (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
@@ -41,11 +40,7 @@ def oximeter_page(result: xr.Dataset) -> str:
                 small(TEXTS["calibration"]),
             ),
             section("Uncertainty of SpO2", table(_errors(result)), small(TEXTS["errors"])),
-            section(
-                "Sensitivity to disturbances",
-                figure(_disturbances_figure(result), TEXTS["disturbance_curves"]),
-                small(TEXTS["disturbances"]),
-            ),
+            section("Sensitivity to disturbances", disturbed, small(TEXTS["disturbances"])),
         ],
         attributes=result.attrs,
     )
@@ -68,12 +63,11 @@ def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
 def _errors(result: xr.Dataset) -> list[dict[str, str]]:
     """Level of each LED's reading, and the standard errors of SpO2 by their causes."""
     heads = [f"{led} [V]" for led in result.led.values] + [f"{cause} [%]" for cause in result.cause.values]
-    rows = []
+    heads, rows = ["Photodiode", *heads, "All, 8 s [%]", "All, one beat [%]"], []
     for name in result.photodiode.values:
         at = result.sel(photodiode=name)
         values = [*at.volts.values.mean(-1), *at.spo2_stderr_by_cause.values, at.spo2_stderr, at.spo2_stderr_beat]
-        cells = (significant(float(value), 2) for value in values)
-        rows.append({"Photodiode": name} | dict(zip([*heads, "All, 8 s [%]", "All, one beat [%]"], cells, strict=True)))
+        rows.append(dict(zip(heads, [name, *(significant(float(value), 2) for value in values)], strict=True)))
     return rows
 
 
@@ -87,8 +81,7 @@ def recording_page(result: xr.Dataset) -> str:
         known = f"{spo2} % (95 % interval {low} to {high} %), the middle of all still windows"
     caption = f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time are left out."
     return document(
-        kicker="pulse oximeter",
-        title="Oxygen from a recording",
+        **TEXTS["recording"],
         lead=f"SpO2 {known}; {result.sizes['time']} windows of {result.attrs['window_s']:g} s, motion in "
         f"{100 * best['motion']:.0f} % of the time.",
         body=[
@@ -225,21 +218,15 @@ def recording_summary(result: xr.Dataset) -> dict[str, Any]:
     for name in result.photodiode.values:
         data = result.sel(photodiode=name)
         there = np.isfinite(data.spo2.values)
-        row: dict[str, Any] = {
-            "windows": int(data.sizes["time"]),
-            "still": int(there.sum()),
-            "motion": float(data.motion.mean()),
-        }
+        row: dict[str, Any] = {"windows": int(data.sizes["time"]), "still": int(there.sum())}
+        row["motion"] = float(data.motion.mean())
         for key in ("ratio", "ratio_stderr", "spo2", "spo2_stderr", "spo2_low", "spo2_high", "rate_per_min"):
             row[key] = _median(data[key].values)
         row["perfusion_index"] = {k: _median(data[f"perfusion_index_{k}"].values[there]) for k in ("red", "infrared")}
         readings[str(name)] = row
     best = result.attrs["best"]
-    return {
-        "readings": readings,
-        "best": best,
-        **{k: readings[best][k] for k in ("spo2", "spo2_low", "spo2_high", "rate_per_min")},
-    }
+    shown = {k: readings[best][k] for k in ("spo2", "spo2_low", "spo2_high", "rate_per_min")}
+    return {"readings": readings, "best": best} | shown
 
 
 def _median(values: np.ndarray) -> float | None:

@@ -31,7 +31,7 @@ from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
 from .. import style
 from ..files import Report
-from ..html import Html, document, escaped, image, section
+from ..html import document, image, preformatted, section
 from ..numbers import aligned
 from .colour import draw_fig2
 
@@ -305,7 +305,7 @@ def _picture(result: PaperFigures, name: str = "") -> "style.Figure":
 
 
 def _page(result: PaperFigures) -> str:
-    claims = Html(f"<pre>{escaped(chr(10).join(lines(result.claims)))}</pre>")
+    claims = preformatted("\n".join(lines(result.claims)))
     drawn = [image(path.read_bytes(), path.stem) for path in result.pictures]
     body = [section("Its claims", claims), section("Its figures", *drawn)]
     return document(kicker="paper", title="The paper's figures and claims", lead="", body=body, attributes={})

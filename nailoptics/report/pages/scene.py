@@ -9,7 +9,7 @@ from ...scene import Scene
 from ...studies.scene_check import SceneCheck, check
 from .. import maps, style
 from ..files import Report
-from ..html import Html, document, escaped, figure, section
+from ..html import document, figure, preformatted, section
 from ..scene_description import blood_words, body_words, check_lines, touch_words
 
 
@@ -28,7 +28,7 @@ def page(checked: SceneCheck) -> str:
     """The page of a check."""
     caption = "The board on the nail, and the section below it."
     drawn = figure(draw(checked.scene), caption) if checked.scene.finger else ""
-    lines = Html(f"<pre>{escaped(chr(10).join(check_lines(summary(checked))))}</pre>")
+    lines = preformatted("\n".join(check_lines(summary(checked))))
     return document(
         kicker="check",
         title=repr(checked.scene)[1:-1],

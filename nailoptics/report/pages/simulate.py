@@ -28,13 +28,6 @@ from ..scene_description import blood_words, body_words, touch_words
 from ..uncertainty_section import spread_section
 
 TEXTS = texts("simulate")
-NAMES = {
-    "barrier": "barrier, opaque epoxy",
-    "cover": "cover and rim, opaque epoxy",
-    "photodiodes": "photodiodes that are read",
-    "silicon": "photodiodes not wired",
-    "leds": "LEDs, their own die too",
-}
 # Less of the light than this is not worth a row, at any LED.
 LEAST = 1e-4
 # Less alpha D^2 than this over the whole touch, Beer-Lambert (8) is as straight in D^2 as Taylor (9), and its
@@ -48,23 +41,9 @@ SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
 PANELS = 16
 DASHED = (0, (4, 2.5))
-# What moves over time: title, label and scale of a panel, and the variables in it.
-COURSES: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
-    ("Force on the fingertip", "force [N]", 1.0, ("force_n", "shear_n")),
-    ("Pressure that it makes", "pressure [kPa]", 1e-3, ("proximal_pressure_pa", "distal_pressure_pa")),
-    ("Arterial pressure", "pressure [kPa]", 1e-3, ("arterial_pressure_pa",)),
-    ("Capillaries", "diameter [µm]", 1e6, ("capillary_diameter_m",)),
-    ("Vein of the pulp", "diameter [µm]", 1e6, ("vein_diameter_m",)),
-    ("Blood in the nail bed", "blood fraction [%]", 100, ("blood_fraction",)),
-    ("Its oxygen", "saturation [%]", 100, ("so2",)),
-)
-LINES = {
-    "force_n": ("normal", style.INK),
-    "shear_n": ("shear, towards the tip", style.VEIN),
-    "proximal_pressure_pa": ("on the veins", style.ZONES[0]),
-    "distal_pressure_pa": ("on the capillaries", style.ZONES[1]),
-    "arterial_pressure_pa": ("", style.ZONES[0]),
-}
+# Colours of the lines of a touch; of any other, the veins'.
+LINES = {"force_n": style.INK, "proximal_pressure_pa": style.ZONES[0], "distal_pressure_pa": style.ZONES[1]}
+LINES |= {"arterial_pressure_pa": style.ZONES[0]}
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
 MODELS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -108,23 +87,22 @@ def _bed(result: xr.Dataset, scene: Scene | None) -> str:
 
 
 def _space_section(result: xr.Dataset, scene: Scene | None) -> Html:
-    board = "" if scene is None else figure(maps.top_view(scene), TEXTS["board"], narrow=True)
-    cut, ends = small("The section of the finger was not computed."), ""
+    parts = [] if scene is None else [figure(maps.top_view(scene), TEXTS["board"], narrow=True)]
     if "section_region" in result:
         shown = ("section", "paths") if "path_density" in result else ("section",)
-        cut = figure(maps.section(scene, result), " ".join(TEXTS[name] for name in shown))
+        parts.append(figure(maps.section(scene, result), " ".join(TEXTS[name] for name in shown)))
+    else:
+        parts.append(small("The section of the finger was not computed."))
     if "absorbed_fraction" in result:
-        ends = table(_light_ends(result), kind="ends") + small(TEXTS["ends"])
-    return section("The sensor on the finger", board, cut, Html(ends))
+        parts += [table(_light_ends(result), kind="ends"), small(TEXTS["ends"])]
+    return section("The sensor on the finger", *parts)
 
 
 def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
     """Where the light of each LED ends, the ends that take most first."""
-    leaves = {"leaves to the air": "reflected", "leaves up the finger": "transmitted"}
-    ends: dict[str, tuple[str, dict[str, Any]]] = {
-        text: ("energy_fraction", {"part": part}) for text, part in leaves.items()
-    }
-    ends |= {NAMES.get(r, r): ("absorbed_fraction", {"region": r}) for r in result.region.values.tolist()}
+    names: dict[str, str] = TEXTS["regions"]
+    ends = {names[part]: ("energy_fraction", {"part": part}) for part in ("reflected", "transmitted")}
+    ends |= {names.get(r, r): ("absorbed_fraction", {"region": r}) for r in result.region.values.tolist()}
     most = {text: float(result[name].sel(at).max()) for text, (name, at) in ends.items()}
     rows = []
     for text in sorted(filter(lambda text: most[text] >= LEAST, ends), key=lambda text: -most[text]):
@@ -137,20 +115,15 @@ def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _models_section(result: xr.Dataset, scene: Scene | None, readings: pd.DataFrame) -> Html:
-    lines: list[Html | str] = []
-    text = TEXTS["models"]
+    text, lines = TEXTS["models"], list[str]()
     if result.sizes["photodiode"] > PANELS:
         text += f" {PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
     for i in range(result.sizes["led"]):
-        if result.sizes["led"] > 1:
-            lines.append(subheading(maps.led_name(result, i)))
+        lines += [subheading(maps.led_name(result, i))] if result.sizes["led"] > 1 else []
         lines.append(figure(volts(result, scene, led=i), text))
     rows, notes = _fits(result, readings)
-    lines += [
-        subheading("Constants of Beer–Lambert (8) and Taylor (9)"),
-        _pair_table(rows, readings, scene, kind="fits"),
-        *map(small, (TEXTS["fits"], *notes)),
-    ]
+    fits = _pair_table(rows, readings, scene, kind="fits")
+    lines += [subheading("Constants of Beer–Lambert (8) and Taylor (9)"), fits, *map(small, (TEXTS["fits"], *notes))]
     if paths := _paths(result, readings):
         lines += [subheading("Mean path of the detected light"), TEXTS["mean_path"]]
         lines.append(_pair_table(paths, readings, scene, kind="paths"))
@@ -209,8 +182,7 @@ def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene | None) -> l
     if change_v.any() and (scene is None or scene.touch is None or scene.touch.proximal_share == SHARES["even"]):
         lines += _signs(usable, result)
     if "white_band_mm" in result:
-        words = "width of the white band at the tip at the end of the hold, with less than half its blood"
-        lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", words))
+        lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", TEXTS["white_band"]))
     # How far the models are from the traced light at worst, beside the noise.
     largest = usable[["beer_lambert_residual_rms_v", "taylor_residual_rms_v", "volts_noise_rms"]].max()
     exact, taylor, noise = (quantity(value, "V", digits=2) for value in largest)
@@ -220,16 +192,9 @@ def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene | None) -> l
 
 def _warnings(readings: pd.DataFrame) -> list[str]:
     """What the reader must know before trusting the numbers."""
-    lines = []
     full, usable = readings[readings.saturated], readings[~readings.saturated]
-    if len(full):
-        lines.append(
-            f"The converter is at its limit: {_list([*(full.photodiode + ' under ' + full.led)])}. These volts do not "
-            "measure the light; lower electronics.feedback_ohm or the LED's flux_mw, or raise electronics.adc_range_v."
-        )
-    if len(usable) and not usable.volts_change.any():
-        lines.append("No reading changes: the force does not change within the simulated time, or no blood moves.")
-    return lines
+    lines = [TEXTS["saturated"].format(_list([*(full.photodiode + " under " + full.led)]))] if len(full) else []
+    return [*lines, TEXTS["still"]] if len(usable) and not usable.volts_change.any() else lines
 
 
 def _signs(readings: pd.DataFrame, result: xr.Dataset) -> list[tuple[str, str]]:
@@ -239,8 +204,7 @@ def _signs(readings: pd.DataFrame, result: xr.Dataset) -> list[tuple[str, str]]:
     right = np.sign(readings.volts_change) == np.where(distal, 1, -1)
     if not right.any() or distal.nunique() == 1:
         return []
-    words = "readings of this finger change as in the paper: proximal ones fall, distal ones rise"
-    least = readings.z_score[right].min()
+    words, least = TEXTS["as_in_the_paper"], readings.z_score[right].min()
     if np.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
     wrong = [*readings.photodiode[~right]]
@@ -274,16 +238,7 @@ def _fits(result: xr.Dataset, readings: pd.DataFrame) -> tuple[list[dict[str, st
     straight.
     """
     largest_m2 = float(result.capillary_diameter_m.max()) ** 2
-    fields = {
-        "Beer–Lambert (8) V₀ [mV]": ("beer_lambert_v0_v", 1e-3),
-        "V₁ [mV]": ("beer_lambert_v1_v", 1e-3),
-        "α [10⁻³ µm⁻²]": ("beer_lambert_alpha_per_m2", 1e9),
-        "Beer–Lambert (8) residual, rms [µV]": ("beer_lambert_residual_rms_v", 1e-6),
-        "Taylor (9) V′₀ [mV]": ("taylor_v0_v", 1e-3),
-        "V′₁ [µV µm⁻²]": ("taylor_v1_v_per_m2", 1e6),
-        "Taylor (9) residual, rms [µV]": ("taylor_residual_rms_v", 1e-6),
-    }
-    rows, noted = [], dict[str, list[str]]()
+    fields, rows, noted = TEXTS["constants"], [], dict[str, list[str]]()
     for r in readings.itertuples():
         fit = result.sel(led=r.led, photodiode=r.photodiode)
         if r.saturated:
@@ -318,22 +273,22 @@ def _pair_table(rows: Sequence[dict[str, str]], readings: pd.DataFrame, scene: S
 def courses(result: xr.Dataset) -> "style.Figure":
     """The touch, and what it does to the vessels and to the blood of the nail bed and its oxygen, a panel for each."""
     thin, colours = _thin(result), style.place_colours(result.sizes["zone"])
-    shown = [course for course in COURSES if course[3][0] in result]
+    shown = [course for course in TEXTS["panels"] if course["of"][0] in result]
     room = style.Room(left=0.65, across=0.7, down=0.7)
     figure, panels = style.tiles(len(shown), 3, 9.2, 2.5, room_in=room, sharex=True)
-    for axes, (title, label, scale, names) in zip(panels, shown, strict=True):
+    for axes, course in zip(panels, shown, strict=True):
         lines: list[tuple[str, str, xr.DataArray]] = []
-        for name in names:
-            if name in result and "zone" in result[name].dims:
-                zones = zip(result.zone.values, colours, thin[name].transpose("zone", "time"), strict=True)
-                lines += [(str(zone), colour, values) for zone, colour, values in zones]
-            elif name in result:
-                lines.append((*LINES.get(name, ("", style.VEIN)), thin[name]))
+        for name in filter(result.__contains__, course["of"]):
+            if "zone" in result[name].dims:
+                zones = thin[name].transpose("zone", "time")
+                lines += zip(map(str, result.zone.values), colours, zones, strict=True)
+            else:
+                lines.append((TEXTS["lines"].get(name, ""), LINES.get(name, style.VEIN), thin[name]))
         for k, (text, colour, values) in enumerate(lines):
             # Curves that lie on one another are all visible.
             look = {"color": colour, "linestyle": ("-", DASHED)[k % 2], "label": style.plain(text)}
-            _line(axes, scale * values, **look)
-        _over_time(axes, result, title, label)
+            _line(axes, course["scale"] * values, **look)
+        _over_time(axes, result, course["title"], course["label"])
         _not_too_close(axes)
         axes.tick_params(labelbottom=True)
         if len(lines) > 1:

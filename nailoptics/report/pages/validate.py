@@ -16,26 +16,13 @@ TEXTS = texts("validate")
 
 def page(result: Validation) -> str:
     """The page of a validation."""
-    ranked = sorted(summary(result)["tables"].values(), key=lambda quantity: quantity["agrees"])
-    return document(
-        kicker="validation",
-        title="Comparison with measurements on people",
-        lead=TEXTS["lead"],
-        cards=[(f"{n} of {count}", f"{words} quantities agree") for words, (n, count) in result.counts().items()],
-        body=[
-            section(
-                "All quantities, what disagrees first",
-                table([row(quantity) for quantity in ranked], kind="compared"),
-                small(TEXTS["note"]),
-                *(f"No data: {name}." for name in result.no_data),
-            ),
-            *(
-                section(quantity["quantity"], figure_of(quantity), small(quantity.get("remark", "")))
-                for quantity in ranked
-            ),
-        ],
-        attributes=result.attributes,
-    )
+    ranked = [quantity for _, quantity in _ranked(summary(result))]
+    cards = [(f"{n} of {count}", f"{words} quantities agree") for words, (n, count) in result.counts().items()]
+    compared, missing = table(list(map(row, ranked)), kind="compared"), (f"No data: {name}." for name in result.no_data)
+    body = [section("All quantities, what disagrees first", compared, small(TEXTS["note"]), *missing)]
+    for quantity in ranked:
+        body.append(section(quantity["quantity"], figure_of(quantity), small(quantity.get("remark", ""))))
+    return document(**TEXTS["page"], lead=TEXTS["lead"], cards=cards, body=body, attributes=result.attributes)
 
 
 def figure_of(quantity: Mapping[str, Any]) -> Html:
@@ -64,9 +51,14 @@ def row(quantity: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _statistic(quantity: Mapping[str, Any]) -> str:
-    return (
-        f"z {significant(quantity['z'], 2)}" if "z" in quantity else f"coverage {significant(quantity['coverage'], 3)}"
-    )
+    if "z" in quantity:
+        return f"z {significant(quantity['z'], 2)}"
+    return f"coverage {significant(quantity['coverage'], 3)}"
+
+
+def _ranked(summary: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """The quantities of a summary by their names, what disagrees first."""
+    return sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"])
 
 
 def _units(quantity: Mapping[str, Any]) -> str:
@@ -102,10 +94,9 @@ def draw(quantity: Mapping[str, Any]) -> "style.Figure":
 
 def lines(summary: Mapping[str, Any]) -> list[str]:
     """Every quantity's verdict for the terminal, what disagrees first."""
-    rows = []
-    for name, quantity in sorted(summary["tables"].items(), key=lambda item: item[1]["agrees"]):
-        rows.append(row(quantity) | {"Quantity": name})
-        del rows[-1]["Accepted"]
+    rows = [row(quantity) | {"Quantity": name} for name, quantity in _ranked(summary)]
+    for one in rows:
+        del one["Accepted"]
     return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
 
 
@@ -123,8 +114,7 @@ def summary(result: Validation) -> dict[str, Any]:
 
 def _figure(result: Validation, quantity: str = "") -> "style.Figure":
     """One quantity that is a curve, the first that disagrees if none is named."""
-    tables = sorted(summary(result)["tables"].items(), key=lambda item: item[1]["agrees"])
-    curves = {name: one for name, one in tables if one.get("over")}
+    curves = {name: one for name, one in _ranked(summary(result)) if one.get("over")}
     return draw(curves[quantity or next(iter(curves))])
 
 
