@@ -10,7 +10,7 @@ from .numbers import cells, estimated, plain, range_of
 
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
-KINDS = {"reading": "Reading", "change": "Change", "resolution": "Resolution"}
+KINDS, TEXTS = ("reading", "change", "resolution"), texts("uncertainty")
 
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) ->
     traced = [row for row in rows if row["how"] != "not traced"]
     lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
     if left := [row["name"] for row in rows if row["how"] == "not traced"]:
-        lines.append(f"Not included, as each needs its own traces ([priors] own_traces = true): {', '.join(left)}.")
+        lines.append(TEXTS["not_included"].format(", ".join(left)))
     return lines
 
 
@@ -62,26 +62,19 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     usable = ~result.saturated.any("time")
     if not traced or not usable.any():
         return []
-    words = "Over their priors readings vary by {} and changes by {} (one standard deviation), most by {}."
     names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
     spreads = (
         _range(result[f"{kind}_spread"].where(usable), result[f"{kind}_spread_stderr"])
         for kind in ("reading", "change")
     )
-    lines = [words.format(*spreads, " and ".join(names))]
+    lines = [TEXTS["vary"].format(*spreads, " and ".join(names))]
     off, shift = [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE], result.reading_shift.where(usable)
     if off and np.isfinite(shift).any():
         ends = " to ".join(f"{100 * x:+.0f} %" for x in (np.nanmin(shift), np.nanmax(shift)))
-        lines.append(
-            f"The scene is not at the mean of its priors ({', '.join(off)}): readings over them are shifted by {ends} "
-            "on average, and vary about that."
-        )
+        lines.append(TEXTS["shifted"].format(", ".join(off), ends))
     signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
     unsure = "" if signs == count else "; at others it may, as responses to single priors are added up"
-    lines.append(f"The sign of the change holds in at least 97.5 % of draws at {signs} of {count} readings{unsure}.")
-    lines.append("The force that a sample resolves (noise / slope) varies as the changes do.")
-    lines.append("Not among these priors: how contact grows with force, and the number of blood zones.")
-    return lines
+    return [*lines, TEXTS["sign"].format(signs, count, unsure), TEXTS["resolved"], TEXTS["not_among"]]
 
 
 def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
@@ -90,18 +83,13 @@ def _of_layouts(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     compared = int(np.isfinite(result.resolution_spread.values).sum())
     lines = []
     if compared > 1 and nodes:
-        lines.append(
-            f"Of the {compared} top-ranked layouts {result.layout.values[0]} remains the best at {stays} of {nodes} "
-            f"values of the priors' parameters, in one sample; another is significantly better at "
-            f"{beaten or 'none'} of them."
-        )
+        lines.append(TEXTS["robust"].format(compared, result.layout.values[0], stays, nodes, beaten or "none"))
     if traced:
         most = max(traced, key=lambda row: row["resolution_spread"])["name"]
         n = result.resolution_at_node_n.isel(layout=0).values
         ends = " to ".join(f"{1e3 * x:.3g}" for x in (np.nanmin(n), np.nanmax(n)))
         spread = estimated(result.isel(layout=0), "resolution_spread", 100)
-        text = f"Its force resolution varies by {spread} % (one standard deviation)"
-        lines.append(f"{text}, from {ends} mN at the ends of their ranges, one at a time, most with {most}.")
+        lines.append(TEXTS["resolution"].format(spread, ends, most))
     return lines
 
 
@@ -121,15 +109,15 @@ def spread_section(result: xr.Dataset) -> str:
     """The section of a page on uncertainty over the priors; empty without any."""
     if not result.sizes.get("prior"):
         return ""
-    rows, columns = _rows(result), {}
-    for kind in _kinds(result):
-        columns[f"{KINDS[kind]}, largest std [%]"] = f"{kind}_spread", 100.0, 0
+    rows = _rows(result)
+    columns = {f"{kind.capitalize()}, largest std [%]": (f"{kind}_spread", 100.0, 0) for kind in _kinds(result)}
     lines = [
         {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])} | cells(row, columns)
         for row in rows
         if row["how"] != "not traced"
     ]
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
-    note = small(texts("uncertainty")["note"])
     opened = details("Sources of the ranges", sources)
-    return section("Uncertainty over the priors", *conclusions(result, rows), table(lines), note, opened)
+    return section(
+        "Uncertainty over the priors", *conclusions(result, rows), table(lines), small(TEXTS["note"]), opened
+    )

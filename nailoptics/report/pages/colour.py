@@ -147,7 +147,7 @@ def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
     """
     from ...studies.colour.nail_colour import colour
 
-    quick = scene.with_(**{"blood.parameters": name, "blood.tuning": None, "priors.spread": False})
+    quick = scene.with_({"blood.parameters": name, "blood.tuning": None, "priors.spread": False})
     path = directory / f"hemodynamics_{name}_fig2.png"
     style.write_figure(strip_figure(colour(quick, photons=FIG2_PHOTONS)), path)
     return path

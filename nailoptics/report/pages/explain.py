@@ -16,11 +16,7 @@ from ..numbers import aligned, significant, with_error
 TEXTS = texts("explain")
 # What the axis shows of changes, and the height of a row of the figure. [%, inch]
 LEAST, MOST, ROW_IN = 1e-3, 1e3, 0.24
-KINDS = {
-    "unknown of the finger": style.VEIN,
-    "in the scene": style.ZONES[0],
-    "left out": style.ZONES[1],
-}
+KINDS = {"unknown of the finger": style.VEIN, "in the scene": style.ZONES[0], "left out": style.ZONES[1]}
 
 
 def page(result: Explanation) -> str:
@@ -34,8 +30,7 @@ def page(result: Explanation) -> str:
     return document(
         kicker="effects on the readings",
         title=_title(known),
-        lead=f"Each of {len(result.effects)} parts, effects and unknown parameters was changed by itself, with "
-        f"common random numbers. Changes of a reading by more than {100 * result.tolerance:g} % matter.",
+        lead=TEXTS["lead"].format(len(result.effects), 100 * result.tolerance),
         body=[
             section("Effects on the readings", drawing, effects, small(TEXTS["note"])),
             section("What the scene requires", *required),
@@ -121,13 +116,10 @@ def _requires(result: Explanation) -> list[tuple[str, str]]:
 def summary(result: Explanation) -> dict[str, Any]:
     """Everything, ready for JSON."""
     made = {name: getattr(result, name) for name in ("tolerance", "photons", "backend", "wall_seconds")}
-    return {
-        "effects": [_effect(effect) for effect in result.effects],
-        "not_needed": [effect.name for effect in result.needless],
-        "missing": [effect.name for effect in result.missing],
-        "together": result.together and _effect(result.together),
-        "cut_off": result.attributes.get("cut_off"),
-    } | made
+    names = {"not_needed": result.needless, "missing": result.missing}
+    made |= {key: [effect.name for effect in effects] for key, effects in names.items()}
+    made |= {"together": result.together and _effect(result.together), "cut_off": result.attributes.get("cut_off")}
+    return {"effects": [_effect(effect) for effect in result.effects]} | made
 
 
 def _effect(effect: Effect) -> dict[str, Any]:

@@ -16,18 +16,11 @@ def page(drawn: Protocol, *, is_served: bool = False) -> str:
     """The page as text; one that is served shows the force at its server's address `force`, too."""
     columns = {name: column.tolist() for name, column in drawn._asdict().items()}
     data, words = json.dumps(columns | {"is_served": is_served}), texts("protocol")
-    player, script = (
-        resources.files(__package__).joinpath(f"protocol.{kind}").read_text(encoding="utf-8") for kind in ("html", "js")
-    )
+    beside = resources.files(__package__)
+    player, script = (beside.joinpath(f"protocol.{kind}").read_text(encoding="utf-8") for kind in ("html", "js"))
     player += f'<script type="application/json" id="protocol">{data}</script>'
-    return document(
-        kicker="protocol",
-        title="Touches to follow",
-        lead=words["lead"],
-        body=[section("The line", Html(player), small(words["live"])), Script(script)],
-        attributes={},
-        is_served=is_served,
-    )
+    body = [section("The line", Html(player), small(words["live"])), Script(script)]
+    return document(**words["page"], lead=words["lead"], body=body, attributes={}, is_served=is_served)
 
 
 def live_columns(header: list[str]) -> tuple[str, str]:

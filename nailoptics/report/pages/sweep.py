@@ -41,8 +41,9 @@ def page(results: xr.Dataset, *, failures: Mapping[str, str] = MappingProxyType(
     states, counts = np.unique(results.state.values, return_counts=True)
     rows, sheet = [{"Scene": digest[:12], "Why": why} for digest, why in failures.items()], ""
     if "photograph" in results:
-        scenes = results.state.size
-        caption = f"The first {min(scenes, MOST_SCENES)} of {scenes} scenes. {texts('colour')['photograph']}"
+        caption = (
+            f"The first {min(counts.sum(), MOST_SCENES)} of {counts.sum()} scenes. {texts('colour')['photograph']}"
+        )
         sheet = section("Photographs", figure(contact_sheet(results), caption))
     failed = section(f"{len(failures)} failed", table(rows)) if rows else ""
     return document(
@@ -76,12 +77,11 @@ def _figures(results: xr.Dataset) -> str:
     quantity = _quantity(results)
     if quantity is None:
         return ""
-    text = str(results[quantity].attrs["long_name"])
-    lines = [small(texts("sweep")["note"])]
+    text, lines = str(results[quantity].attrs["long_name"]), [small(texts("sweep")["note"])]
     for name in _varied(results)[:FIGURES]:
         held = _held(results, name)
         caption = f"Over {results[name].attrs.get('long_name', name)}" + (f", at {held}." if held else ".")
-        lines.append(figure(_along(results, quantity, name), caption, narrow=True))
+        lines.append(figure(_along(results, name), caption, narrow=True))
     return section(text[0].upper() + text[1:], *lines)
 
 
@@ -92,11 +92,6 @@ def _quantity(results: xr.Dataset) -> str | None:
 
 def _varied(results: xr.Dataset) -> list[str]:
     return [n for n in axes_of(results) if len(np.unique(results[n])) > 1]
-
-
-def _along_axis(results: xr.Dataset, axis: str = "") -> "style.Figure":
-    """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
-    return _along(results, str(_quantity(results)), axis or (_varied(results) or axes_of(results))[0])
 
 
 def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
@@ -112,15 +107,16 @@ def _held(results: xr.Dataset, name: str) -> str:
 
 
 @style.drawing()
-def _along(results: xr.Dataset, quantity: str, name: str) -> "style.Figure":
-    (dim,) = results[name].dims
-    others = _others(results, name)
+def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
+    """Readings over one axis, the first if none is named; raises LookupError where there is nothing to plot."""
+    quantity, name = str(_quantity(results)), axis or (_varied(results) or axes_of(results))[0]
+    (dim,), others = results[name].dims, _others(results, name)
     values, errors = results[quantity].isel(others), results[f"{quantity}_stderr"].isel(others)
     coordinate = results[name].values
     numeric = coordinate.dtype.kind in "iuf"
     x = coordinate.astype(float) if numeric else np.arange(len(coordinate))
     scale, letter = prefix(float(np.nanmax(np.abs(values.values), initial=0.0)))
-    pairs = [(i, j) for i in range(values.sizes["led"]) for j in range(values.sizes["photodiode"])]
+    pairs = list(np.ndindex(values.sizes["led"], values.sizes["photodiode"]))
     drawing, axes = style.panels(6.4, 2.9)
     look: Any = {"marker": "o", "markersize": 3, "linewidth": 1.2}
     look["linestyle"] = "-" if numeric and name in results.state.dims else "none"
@@ -131,8 +127,7 @@ def _along(results: xr.Dataset, quantity: str, name: str) -> "style.Figure":
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
-    unit = f" [{results[name].attrs['units']}]" if numeric else ""
-    axes.set_xlabel(style.plain(f"{name}{unit}"))
+    axes.set_xlabel(style.plain(f"{name} [{results[name].attrs['units']}]" if numeric else name))
     axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
@@ -188,5 +183,5 @@ SWEEP = Report(
     page,
     _summary,
     lambda results, _: aligned(_axes(results)),
-    {"along": _along_axis, "photographs": contact_sheet},
+    {"along": _along, "photographs": contact_sheet},
 )

@@ -1,9 +1,9 @@
 """The page of a trace: what each photodiode detects of each LED, in one state of the blood or in several."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from ...light import Transfer, rest_of
@@ -12,7 +12,7 @@ from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, table
 from ..maps import led_name
-from ..numbers import aligned, with_error
+from ..numbers import aligned, cells
 from ..readings import rest_lines
 
 NAMES = ["detected_fraction", "detected_fraction_stderr", "effective_photons"]
@@ -52,22 +52,20 @@ def _readings(result: Transfer | xr.Dataset) -> xr.Dataset:
     return readings.assign({name: readings[name].expand_dims("state") for name in NAMES})
 
 
-def _table(result: Transfer | xr.Dataset) -> pd.DataFrame:
-    return _readings(result)[NAMES].to_dataframe().reset_index()
+def _records(result: Transfer | xr.Dataset) -> list[dict[str, Any]]:
+    return _readings(result)[NAMES].to_dataframe().reset_index().to_dict("records")
 
 
 def _rows(result: Transfer | xr.Dataset) -> list[dict[str, str]]:
-    rows = []
-    for r in _table(result).itertuples():
-        detected = with_error(1e6 * r.detected_fraction, 1e6 * r.detected_fraction_stderr)
-        rows.append({"State": str(r.state), "LED": r.led, "Photodiode": r.photodiode, "Detected [1e-6]": detected})
-    return rows
+    names = {"State": "state", "LED": "led", "Photodiode": "photodiode"}
+    shown = {"Detected [1e-6]": ("detected_fraction", 1e6, 0)}
+    return [{head: str(r[name]) for head, name in names.items()} | cells(r, shown) for r in _records(result)]
 
 
 TRACE = Report(
     ("trace.nc", "trace.html"),
     page,
-    lambda readings: {"readings": _table(readings).to_dict("records")} | run_summary(readings.attrs),
+    lambda readings: {"readings": _records(readings)} | run_summary(readings.attrs),
     lambda readings, _: aligned(_rows(readings)),
     {"readings": draw},
 )

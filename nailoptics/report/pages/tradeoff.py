@@ -29,22 +29,17 @@ SENTENCE_ERRORS = (0.2, 0.05, 0.01, 0.001)
 
 def page(result: Tradeoff, drawing: "style.Figure | None" = None) -> str:
     """The page around what `draw` drew."""
-    rows = [row | lines for row, lines in zip(_rows(result), _lines(result), strict=True)]
+    rows = _rows(result)
+    for row, level in zip(rows, result.levels, strict=True):
+        row["Scene lines, or the call that gives it"] = _selected(level.lines, level.call) or "the scene as it is"
     selected = _selected(result.lines, result.chosen.call) or "none is needed"
+    said = TEXTS["measured"].format(sentence(result), result.wall_seconds)
+    drawn, note = figure(drawing or draw(result), TEXTS["caption"]), small(TEXTS["note"].format(meaning(result)))
     return document(
         kicker="speed against accuracy",
         title=f"Within {100 * result.tolerance:g} %: {result.chosen.name}",
         lead=f"{chosen_line(result)} What selects it: {selected}",
-        body=[
-            section(
-                "Error against time",
-                figure(drawing or draw(result), TEXTS["caption"]),
-                f"{sentence(result)} Every level of model on this scene, against the full one, measured in "
-                f"{result.wall_seconds:.0f} s.",
-                table(rows, kind="effects dense"),
-                small(TEXTS["note"].format(meaning(result))),
-            )
-        ],
+        body=[section("Error against time", drawn, said, table(rows, kind="effects dense"), note)],
         attributes=result.attributes,
     )
 
@@ -116,21 +111,13 @@ def _rows(result: Tradeoff) -> list[dict[str, str]]:
     return rows
 
 
-def _lines(result: Tradeoff) -> list[dict[str, str]]:
-    """What selects each level."""
-    selected = (_selected(level.lines, level.call) or "the scene as it is" for level in result.levels)
-    return [{"Scene lines, or the call that gives it": lines} for lines in selected]
-
-
 def _selected(lines: list[str], call: str) -> str:
     return "; ".join([*lines, call] if call else lines)
 
 
 def meaning(result: Tradeoff) -> str:
     """What the tolerance is the error of, in words."""
-    part = f"{100 * result.tolerance:g} %"
-    of = "of the reading at rest, or of the change by touch as a part of the largest change of any photodiode"
-    return f"{part} as one standard error of the worst photodiode, {of}"
+    return TEXTS["tolerance"].format(100 * result.tolerance)
 
 
 def sentence(result: Tradeoff) -> str:
@@ -155,15 +142,11 @@ def chosen_line(result: Tradeoff) -> str:
 
 def summary(result: Tradeoff) -> dict[str, Any]:
     """Everything, ready for JSON."""
-    names = ("tolerance", "wall_seconds", "lines")
-    answers = {str(error): _answer(fastest(result.levels, error), error) for error in ERRORS}
-    return (
-        {name: getattr(result, name) for name in names}
-        | {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
-        | {"chosen": result.chosen.name, "answer": _answer(result.chosen, result.tolerance)}
-        | {"sentence": sentence(result), "levels": [_level(result, level) for level in result.levels]}
-        | {"fastest_within": answers}
-    )
+    made = {name: getattr(result, name) for name in ("tolerance", "wall_seconds", "lines")}
+    made |= {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
+    made |= {"chosen": result.chosen.name, "answer": _answer(result.chosen, result.tolerance)}
+    made |= {"sentence": sentence(result), "levels": [_level(result, level) for level in result.levels]}
+    return made | {"fastest_within": {str(error): _answer(fastest(result.levels, error), error) for error in ERRORS}}
 
 
 def _answer(level: Level | None, error: float) -> dict[str, Any] | None:
