@@ -13,30 +13,10 @@ from ..errors import InputError
 from ..scene import Scene, parse_scene
 from . import style
 from .files import Report, write_files
-from .html import Html, escaped
+from .html import Html, preformatted, texts
 
 # The report of each kind, by its class or, of Datasets, by their title.
-KINDS = {
-    "Exploration": "explore.EXPLORATION",
-    "Explanation": "explain.EXPLANATION",
-    "PaperFigures": "paper.PAPER",
-    "Scene": "scene.SCENE",
-    "SceneCheck": "scene.CHECK",
-    "Subject": "force.SUBJECT",
-    "Tradeoff": "tradeoff.TRADEOFF",
-    "Transfer": "trace.TRANSFER",
-    "Validation": "validate.VALIDATION",
-    "nailoptics: a person's sensor, calibrated": "force.CALIBRATION",
-    "nailoptics: batch": "sweep.SWEEP",
-    "nailoptics: colour of the nail under force": "colour.COLOUR",
-    "nailoptics: layouts ranked by force resolution": "placement.PLACEMENT",
-    "nailoptics: oxygen from volts": "oximeter.OXIMETER",
-    "nailoptics: readings of a trace": "trace.TRACE",
-    "nailoptics: reduced optics against traced light": "compare.COMPARISON",
-    "nailoptics: touch to volts": "simulate.SIMULATION",
-    "force from volts": "force.PREDICTION",
-    "oxygen from a recording": "oximeter.OXYGEN",
-}
+KINDS = texts("kinds")
 
 
 class Page(Html):
@@ -127,12 +107,12 @@ class Nail:
 
     def html(self) -> Html:
         """What a notebook shows: the lines of the terminal, and the first figure."""
-        lines = "\n".join(map(str, self._report.lines(self._result, self.summary())))
+        lines = preformatted("\n".join(map(str, self._report.lines(self._result, self.summary()))))
         try:
             picture = base64.b64encode(_png(self.plot())).decode()
         except InputError:
-            return Html(f"<pre>{escaped(lines)}</pre>")
-        return Html(f'<pre>{escaped(lines)}</pre><img src="data:image/png;base64,{picture}">')
+            return lines
+        return Html(f'{lines}<img src="data:image/png;base64,{picture}">')
 
 
 def _png(figure: "style.Figure") -> bytes:

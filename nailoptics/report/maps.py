@@ -12,22 +12,11 @@ from ..scene import Scene
 from ..scene.rectangles import Rectangle
 from ..tissue import BloodZones
 from . import style
+from .html import texts
 
-NAIL, BOARD, BARRIER, SILICON, LED = "#f3ddd2", "#d9a441", "#2b2d31", "#8d949c", "#ffd84a"
-TISSUE = {
-    "air": "none",
-    "plate": "#e9dcc0",
-    "bed": "#eebfb2",
-    "bone": "#f1ecdf",
-    "pulp": "#f3d2c2",
-    "epidermis": "#cf9f87",
-    "epoxy": "#c9e3ea",
-    "barrier": BARRIER,
-    "kapton": BOARD,
-    "cover": "#5d6168",
-    "cut": "#d8d8d8",
-    "silicon": SILICON,
-}
+TEXTS = texts("maps")
+NAIL, LED, TISSUE = TEXTS["nail"], TEXTS["led"], TEXTS["regions"]
+BOARD, BARRIER = TISSUE["kapton"], TISSUE["barrier"]
 DECADES = 3
 # Names of parts stand so far beside the board; mean width of their letters. [mm], [inch]
 LABEL_MM, LETTER_IN = 0.45, 0.065
@@ -216,8 +205,7 @@ def _paths(axes: "style.Axes", cut: xr.DataArray, density: np.ndarray) -> None:
     from matplotlib.colors import LogNorm
     from scipy.ndimage import gaussian_filter
 
-    inside = density[density > 0]
-    if not inside.size:
+    if not (inside := density[density > 0]).size:
         return
     # Single photons far from the board are noise; some smoothing joins them.
     smooth = gaussian_filter(density, 1.5)
@@ -252,7 +240,7 @@ def _regions(axes: "style.Axes", cut: xr.DataArray) -> None:
 
     axes.set(aspect="equal", xlabel=ALONG, ylabel="height [mm]")
     axes.grid(False)
-    colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, SILICON)) for name in cut.names]
+    colours = [to_rgba(LED if name.startswith("led:") else TISSUE.get(name, TISSUE["silicon"])) for name in cut.names]
     image = np.array(colours)[cut.values].transpose(1, 0, 2)
     axes.imshow(image, extent=extent(cut.y.values, cut.z.values), origin="lower", zorder=1)
 
@@ -296,8 +284,7 @@ def _key(axes: "style.Axes", cut: xr.DataArray) -> None:
     """A key of the regions' colours."""
     from matplotlib.patches import Patch
 
-    label = {"epoxy": "clear epoxy", "cut": "cut end", "cover": "opaque cover"}
-    there = {cut.names[region] for region in np.unique(cut)}
-    shown = [name for name in TISSUE if name != "air" and name in there]
-    handles = [Patch(fc=TISSUE[name], ec=style.MUTED, lw=0.5, label=label.get(name, name)) for name in shown]
+    there, names = {cut.names[region] for region in np.unique(cut)} - {"air"}, TEXTS["names"]
+    shown = {name: colour for name, colour in TISSUE.items() if name in there}
+    handles = [Patch(fc=fc, ec=style.MUTED, lw=0.5, label=names.get(name, name)) for name, fc in shown.items()]
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -5,10 +5,11 @@ from typing import Any
 from ..scene import Scene
 from ..scene.vessels import FACTORS
 from ..sensor.exposure import EYE_M, EYE_W_PER_M2, SKIN_M, SKIN_W_PER_M2
+from .html import texts
 from .numbers import aligned
 
-# What single causes of noise are called.
-CAUSES = {"feedback": "Johnson", "adc": "converter"}
+TEXTS = texts("scene")
+CAUSES = TEXTS["causes"]
 _PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
 
 
@@ -45,8 +46,7 @@ def blood_words(scene: Scene) -> str:
     if blood.tuning is not None:
         changes += [f"{name} = {_by_bed(value)}" for name, value in blood.tuning.values().items()]
         changes += [f"{name} times {_by_bed(factor)}" for name, factor in (blood.tuning.factors or {}).items()]
-    if changes:
-        words += f" with {', '.join(changes)}"
+    words += f" with {', '.join(changes)}" if changes else ""
     if blood.distal_reach:
         words += f", {100 * blood.distal_reach:g} % of the distal pressure on the whole bed"
     zones = len(scene.zone_edges_mm) + 1
@@ -66,16 +66,11 @@ def body_words(scene: Scene) -> str:
     body = scene.body
     if body is None:
         return ""
-    parts = [
-        f"{' and '.join(body.recorded)} recorded in {body.file}" if body.recorded else "",
-        *(
-            f"{name}, {rate:g} a minute" if (rate := getattr(wave, "rate_per_min", None)) else name
-            for name, wave in body.waves.items()
-        ),
-        "drift" if body.drift else "",
-        "motion of the sensor" if body.motion else "",
-    ]
-    return ", ".join(filter(None, parts))
+    parts = [f"{' and '.join(body.recorded)} recorded in {body.file}"] if body.recorded else []
+    for name, wave in body.waves.items():
+        parts.append(f"{name}, {rate:g} a minute" if (rate := getattr(wave, "rate_per_min", None)) else name)
+    parts += [words for words, is_there in (("drift", body.drift), ("motion of the sensor", body.motion)) if is_there]
+    return ", ".join(parts)
 
 
 def _exposure_words(exposures: list[dict[str, Any]]) -> str:
@@ -83,11 +78,9 @@ def _exposure_words(exposures: list[dict[str, Any]]) -> str:
     worst = max(exposures, key=lambda row: row["nail_w_per_m2"])
     skin, eye_w_per_m2 = worst["nail_w_per_m2"] / SKIN_W_PER_M2, sum(row["eye_w_per_m2"] for row in exposures)
     charge = "" if worst["charge_c"] is None else f" and {1e6 * worst['charge_c']:.2g} uC"
-    return (
-        f"exposure (IEC 62471): {worst['nail_w_per_m2']:.3g} W/m^2 below {worst['led']}, over {1e3 * SKIN_M:g} mm, "
-        f"{100 * skin:.2g} % of skin's limit for 10 s; {eye_w_per_m2:.2g} W/m^2 at {EYE_M:g} m, of {EYE_W_PER_M2:g} in "
-        f"the exempt group; a reading takes {1e6 * worst['light_j']:.2g} uJ of light{charge}"
-    )
+    numbers = {"skin_mm": 1e3 * SKIN_M, "skin": 100 * skin, "eye_w_per_m2": eye_w_per_m2, "charge": charge}
+    numbers |= {"eye_m": EYE_M, "eye_limit": EYE_W_PER_M2, "light_uj": 1e6 * worst["light_j"]}
+    return TEXTS["exposure"].format(**worst | numbers)
 
 
 def _led_line(led: dict[str, Any]) -> str:
@@ -114,11 +107,9 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
     readings, noise = [], []
     for pair in report["pairs"]:
         names = {"LED": pair["led"], "photodiode": pair["photodiode"]}
-        readings.append(
-            {**names, **places[pair["photodiode"]], "distance [mm]": f"{pair['distance_mm']:.2f}"}
-            | {"gain [Mohm]": f"{1e-6 * pair['feedback_ohm']:.3g}"}
-            | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"}
-        )
+        row = names | places[pair["photodiode"]] | {"distance [mm]": f"{pair['distance_mm']:.2f}"}
+        row["gain [Mohm]"] = f"{1e-6 * pair['feedback_ohm']:.3g}"
+        readings.append(row | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"})
         rms = {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
         noise += [names | rms] if rms else []
     lines = [f"photodiodes: {len(places)}{of}, on a board of {u:.3g} x {v:.3g} mm"]
@@ -136,7 +127,7 @@ def check_lines(report: dict[str, Any]) -> list[str]:
     lines += _board_lines(report) if "photodiodes" in report else []
     if assumed := report.get("assumed"):
         words = ", ".join(f"{name} = {str(value).lower()}" for name, value in assumed.items())
-        lines.append(f"assumed of the board, as neither its file nor the scene says it: {words}")
+        lines.append(TEXTS["assumed"].format(words))
     for layout in report.get("candidates", ()):
         lines.append(f"layout {layout['name']}: {layout['leds']} LEDs, {layout['photodiodes']} photodiodes")
     lines += [f"{name}: {report[name]}" for name in ("touch", "blood", "body") if report.get(name)]
@@ -149,9 +140,5 @@ def check_lines(report: dict[str, Any]) -> list[str]:
         lines.append(f"geometry: {report['triangles']} triangles between the air and {names}")
     lines += [f"warning: {line}" for line in report.get("warnings", ())]
     if report.get("two_balances_n"):
-        low, high = report["two_balances_n"]
-        lines.append(
-            f"warning: between {low:g} and {high:g} N these vessels can rest in two states, so that unloading may "
-            "end elsewhere than loading began; simulate follows them, steady states are the wider of the two"
-        )
+        lines.append(TEXTS["two_balances"].format(*report["two_balances_n"]))
     return lines
