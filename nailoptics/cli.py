@@ -21,7 +21,7 @@ from .errors import (
     as_far_as_reached,
     exit_message,
 )
-from .io import check_writable, leave_dask_out, make_folder, to_json, write_text
+from .io import check_writable, leave_dask_out, to_json, write_text
 from .options import TraceOptions
 from .terminal import say
 from .version import __version__, commit
@@ -34,14 +34,9 @@ if TYPE_CHECKING:
 RESERVE = 0.1
 
 
-def _version() -> str:
-    known = commit()
-    return f"{__version__} (commit {known[:12]})" if known else __version__
-
-
 app = App(
     name="nailoptics",
-    version=_version,
+    version=lambda: f"{__version__} (commit {known[:12]})" if (known := commit()) else __version__,
     suppress_keyboard_interrupt=False,
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
     help_epilogue="Terms and symbols: docs/glossary.md in the repository.",
@@ -207,8 +202,8 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
     result, unmet = _traced(study, loaded, **vars(view), options=options)
     pictures: list[Any] = []
     try:
-        if options.max_seconds is None if photograph is None else photograph:
-            pictures = [] if unmet else _photographs(loaded, result, options)
+        if not unmet and (options.max_seconds is None if photograph is None else photograph):
+            pictures = _photographs(loaded, result, options)
     except KeyboardInterrupt:
         unmet = NotReachedError("interrupted; photographs are left out.")
     _show(COLOUR, result, COLOUR.write(result, folder, photographs=pictures), options.json, unmet, folder)
@@ -321,10 +316,9 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     from .studies.exploration.explore import explore as study
 
     _check_file(output, ".html", "a page")
-    loaded, _ = _load(scene, options)
-    result, unmet = _traced(study, loaded, options=options)
-    size = _write(output, page(result)).stat().st_size
-    _show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=size)
+    result, unmet = _traced(study, _load(scene, options)[0], options=options)
+    write_text(output, page(result))
+    _show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=output.stat().st_size)
 
 
 @Parameter(name="*")
@@ -552,7 +546,8 @@ def protocol(
     _check_file(output, ".csv", "the file of a protocol")
     measured = samples_by_line(terminal.text_lines(sys.stdin), live_columns) if force else None
     drawn.save(output, sample_rate_hz=rate_hz)
-    paths = {"protocol": output, "report": _write(output.with_suffix(".html"), page(drawn))}
+    paths = {"protocol": output, "report": output.with_suffix(".html")}
+    write_text(paths["report"], page(drawn))
     line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
     _finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
     if measured is not None:
@@ -651,8 +646,8 @@ def oximeter(
     paths = OXIMETER.write(result, folder)
     if recording is not None:
         red, infrared = map(str, result.led.values)
-        made = simulated(loaded, result, seed=options.seed)
-        paths["recording_file"] = _write(recording, oximeter_csv(made, (red, infrared)))
+        write_text(recording, oximeter_csv(simulated(loaded, result, seed=options.seed), (red, infrared)))
+        paths["recording_file"] = recording
     if given is None:
         return _show(OXIMETER, result, paths, options.json, unmet, folder)
     for line in result.attrs["warnings"]:
@@ -696,8 +691,7 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
     line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
-    line += ", removed" if clear else ""
-    _finish(summary, [line], {}, json_)
+    _finish(summary, [line + ", removed" * clear], {}, json_)
 
 
 @app.command
@@ -734,9 +728,7 @@ def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
     from .scene import load_scene
 
     scene, chosen = load_scene(name), backends.choose(options.backend)
-    if chosen.advice:
-        say(chosen.advice)
-    for line in far_from_list(scene):
+    for line in filter(None, (chosen.advice, *far_from_list(scene))):
         say(line)
     return scene, engine_for(scene, chosen)
 
@@ -759,12 +751,6 @@ def _check_file(path: Path | None, suffix: str = "", what: str = "") -> None:
     if suffix and path.suffix != suffix:
         raise InputError(f"{path}: {what} ends in {suffix}; rename it.")
     check_writable(path.parent, path.name, *([path.with_suffix(".html").name] if suffix else []))
-
-
-def _write(path: Path, text: str) -> Path:
-    make_folder(path.parent)
-    write_text(path, text)
-    return path
 
 
 def _traced(

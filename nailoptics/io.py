@@ -45,23 +45,26 @@ class CorruptError(Exception):
 def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) -> None:
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
-    The data go to a new file of a random name in the same folder, which then takes the place of the old one. A
-    symbolic link at path is replaced, and what it points to stays as it was. The new file has the old one's mode.
+    Its folder is made unless it is there. The data go to a new file of a random name in it, which then takes the place
+    of the old one. A symbolic link at path is replaced, and what it points to stays as it was. The new file has the old
+    one's mode.
 
     flush : whether it must be on disk before this returns, so that a power cut cannot undo it.
 
     Raises: WriteError where the file cannot be written.
     """
+    make_folder(path.parent)
     sweep_leftovers(path.parent)
     aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     try:
         if path.exists() and not path.is_file():
             raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
         mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
-        # Exclusive creation opens no file of another and follows no link.
-        file = open(aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
         try:
-            with file:
+            # Exclusive creation opens no file of another and follows no link.
+            with open(
+                aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600)
+            ) as file:
                 if mode is not None:
                     with contextlib.suppress(OSError):  # a file system without modes
                         os.chmod(aside, mode)
@@ -88,10 +91,9 @@ def sweep_leftovers(folder: Path) -> None:
     if folder in _SWEPT or folder.is_symlink():
         return
     _SWEPT.add(folder)
-    old = time.time() - LEFTOVER_S
     with contextlib.suppress(OSError):  # it cannot be listed, or another process swept first
         for path in folder.glob(".nailoptics-*.part"):
-            if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_mtime < old:
+            if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_mtime < time.time() - LEFTOVER_S:
                 path.unlink(missing_ok=True)
 
 
@@ -157,7 +159,7 @@ def cache_folder() -> Path:
 
 
 def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
-    """Write a dataset to NetCDF by the CF conventions, its axes in words, and make its folder; raises WriteError.
+    """Write a dataset to NetCDF by the CF conventions, its axes in words; raises WriteError.
 
     It is made in memory: HDF5 ends the process where a disk is full.
     """
@@ -168,7 +170,6 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
         units = {"units": "1"} if written[name].dtype.kind in _NUMBERS else {}
         written[name].attrs = {"long_name": words[str(name)], **units} | written[name].attrs
     written.to_netcdf(data, engine="h5netcdf")
-    make_folder(path.parent)
     write_bytes(path, data.getbuffer())
 
 

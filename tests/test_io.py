@@ -94,8 +94,7 @@ def test_what_is_no_place_for_a_file_is_the_users_fault(tmp_path):
     for place, word in (
         (tmp_path / "folder", "folder or device"),
         (tmp_path / "pipe", "folder or device"),
-        (tmp_path / "nowhere" / "file", "No such file"),
-        (tmp_path / "file" / "below", "Not a directory"),
+        (tmp_path / "file" / "below", "File exists"),
         (tmp_path / ("x" * 300), "name too long"),
     ):
         with pytest.raises(InputError, match=word) as caught:
@@ -108,6 +107,11 @@ def test_a_name_as_long_as_the_file_system_takes_can_be_written(tmp_path):
     path = tmp_path / ("x" * 255)
     io.write_text(path, "text")
     assert path.read_text() == "text"
+
+
+def test_a_folder_that_is_not_there_is_made(tmp_path):
+    io.write_text(tmp_path / "new" / "below" / "file", "text")
+    assert (tmp_path / "new" / "below" / "file").read_text() == "text"
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])

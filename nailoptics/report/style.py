@@ -1,5 +1,6 @@
 """The style of all figures: colours with one meaning each, fonts, and SVG that follows the page's light or dark."""
 
+import html
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -207,8 +208,6 @@ def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
 
 def to_svg(figure: "Figure", *, description: str) -> str:
     """The figure as an SVG element for a page: no ids that could clash, no references, colours of the page."""
-    import html
-
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -216,15 +215,11 @@ def to_svg(figure: "Figure", *, description: str) -> str:
     with drawing(), matplotlib.rc_context({"svg.hashsalt": "nailoptics"}):
         # What savefig does, without drawing all of it once before for a size that the figure has.
         FigureCanvasSVG(figure).print_svg(buffer, metadata=metadata)
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.DOTALL)
-    text = re.sub(r'<(g|text) id="[^"]*"', r"<\1", text)
+    text = re.sub(r"<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", buffer.getvalue(), flags=re.DOTALL)
+    text = re.sub(r'<(g|text) id="[^"]*"', r"<\1", text[text.index("<svg") :])
     opening, rest = text.split(">", 1)
-    box = re.search(r'viewBox="[^"]*"', opening)
-    width_pt = figure.get_figwidth() * 72
-    label = html.escape(description)
-    opening = f'<svg role="img" aria-label="{label}" style="--natural:{width_pt:.0f}pt" {box.group() if box else ""}'
+    (box,), label = re.findall(r'viewBox="[^"]*"', opening), html.escape(description)
+    opening = f'<svg role="img" aria-label="{label}" style="--natural:{figure.get_figwidth() * 72:.0f}pt" {box}'
     text = f"{opening}>{rest}".replace("xlink:href", "href")
     text = re.sub(r"font: ([^;\"]*?)'DejaVu Sans'[^;\"]*", r"font: \1var(--type)", text)
     for colour, variable in _VARIABLES.items():

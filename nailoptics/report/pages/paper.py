@@ -12,7 +12,6 @@ import numpy as np
 
 from ... import hemodynamics, tissue
 from ...display import Displayed
-from ...io import make_folder
 from ...light import backend as backends
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
 from ...paper.responses import (
@@ -64,8 +63,7 @@ def figures(folder: str | Path, sets: Sequence[str] = (), *, colour: bool = True
     Raises: InputError.
     """
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
-    make_folder(folder := Path(folder))
-    claims_by_set, pictures = {}, []
+    folder, claims_by_set, pictures = Path(folder), {}, []
     for name, parameters in named.items():
         responses = simulate_responses(parameters)
         pictures += draw(folder, responses, name=name)
@@ -118,10 +116,8 @@ def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
 def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
     """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15_to_18.
 
-    directory : Where they go; made if it is not there.
     name : Of the set, for titles and file names.
     """
-    make_folder(Path(directory))
     figures = {
         "10": ("Fig. 10: vessels under steps of proximal pressure", _figure_10),
         "11": ("Fig. 11: readings under steps of both pressures", _figure_11),
@@ -131,11 +127,17 @@ def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
     paths = []
     for number, (title, drawn) in figures.items():
         if is_shown_by(name, number[:2]):
-            figure = drawn(responses)
-            figure.suptitle(f"{title} (set “{name}”)", x=0.02, ha="left", fontsize=11, fontweight="bold")
-            paths.append(Path(directory, f"hemodynamics_{name}_fig{number}.png"))
-            style.write_figure(figure, paths[-1])
+            path = Path(directory, f"hemodynamics_{name}_fig{number}.png")
+            paths.append(_written(drawn(responses), path, title=f"{title} (set “{name}”)"))
     return paths
+
+
+def _written(figure: "style.Figure", path: Path, *, title: str = "") -> Path:
+    """The path of a figure that was written, with its title."""
+    if title:
+        figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
+    style.write_figure(figure, path)
+    return path
 
 
 def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "style.Figure":
@@ -165,15 +167,15 @@ def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "style.Figure
 
 def _figure_10(r: Responses) -> "style.Figure":
     width = 1e6 * np.concatenate([r.proximal_on, r.proximal_off], axis=-1)
-    labels = ("$D_C + x_{C1}$ [µm]", "$D_V + x_V$ [µm]")
-    return _steps_over_time([("Proximal capillaries", labels[0], width[0]), ("Vein", labels[1], width[2])])
+    capillaries = "Proximal capillaries", "$D_C + x_{C1}$ [µm]", width[0]
+    return _steps_over_time([capillaries, ("Vein", "$D_V + x_V$ [µm]", width[2])])
 
 
 def _figure_11(r: Responses) -> "style.Figure":
     blood = np.concatenate([r.both_on, r.both_off], axis=-1)
-    change = 1.0 - blood / blood[:, :, :1]
-    labels = [f"change of $V_{{P{i + 1}}}$, Taylor (9) [rest blood]" for i in range(2)]
-    return _steps_over_time([("Proximal reading", labels[0], change[0]), ("Distal reading", labels[1], change[1])])
+    change, label = 1.0 - blood / blood[:, :, :1], "change of $V_{{P{}}}$, Taylor (9) [rest blood]"
+    readings = ("Proximal reading", "Distal reading")
+    return _steps_over_time([(title, label.format(i + 1), change[i]) for i, title in enumerate(readings)])
 
 
 def _figure_12(r: Responses) -> "style.Figure":
@@ -238,13 +240,9 @@ def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scen
         axis.set_ylabel(f"change of the {_SIDES[side]} reading [%]")
     axes[0, 0].legend()
     figure.colorbar(ScalarMappable(norm, skins), ax=axes, pad=0.02, label="melanin of the epidermis [1]")
-    path = directory / "people_fig15_to_18.png"
-    style.write_figure(figure, path)
-    return path
+    return _written(figure, directory / "people_fig15_to_18.png")
 
 
-OXYGENATED, DEOXYGENATED = "#c0303b", "#3a55b0"
-LEDS = ("led_660", "led_800", "led_940")
 # Where both curves cross, by source: 796.8 nm in the shipped table; 820 to 825 nm in that of N. Bosschaart et al.,
 # Lasers Med. Sci. 29, 453 (2014).
 CROSSES_BETWEEN_NM = (797.0, 825.0)
@@ -261,15 +259,14 @@ def crossing_nm() -> float:
 def draw_haemoglobins(directory: Path) -> Path:
     """Draw the absorption of whole blood with and without oxygen and the shipped LEDs' lines into a folder.
 
-    The folder is made if it is not there. Returns the path, haemoglobin_fig4.png.
+    Returns the path, haemoglobin_fig4.png.
     """
-    make_folder(directory)
     figure, axes = style.panels(9.5, 4.4)
     wavelength = np.linspace(600.0, tissue.WAVELENGTH_RANGE_NM[1], 401)
-    for so2, colour, label in ((1.0, OXYGENATED, "oxygenated"), (0.0, DEOXYGENATED, "deoxygenated")):
+    for so2, colour, label in ((1.0, "#c0303b", "oxygenated"), (0.0, "#3a55b0", "deoxygenated")):
         axes.semilogy(wavelength, tissue.blood_mu_a_per_mm(wavelength, so2), color=colour, label=label)
     low, high = axes.get_ylim()
-    for name in LEDS:
+    for name in ("led_660", "led_800", "led_940"):
         part = load_part(name, expect=LedPart)
         assert isinstance(part, LedPart)
         # On a logarithmic axis the line stands on its lower edge.
@@ -280,17 +277,13 @@ def draw_haemoglobins(directory: Path) -> Path:
     axes.axvspan(*CROSSES_BETWEEN_NM, color=style.VEIN, alpha=0.12, lw=0)
     at = crossing_nm()
     axes.plot(at, tissue.blood_mu_a_per_mm(at, 1.0), "o", color=style.INK, ms=4)
-    first, last = CROSSES_BETWEEN_NM
-    text = f"cross at {at:.1f} nm here;\nby source at {first:g} to {last:g} nm"
-    axes.text(last + 4.0, low * (high / low) ** 0.62, text, fontsize=8.5)
-    axes.set(xlabel="wavelength [nm]", ylabel="absorption of whole blood [1/mm]", xlim=(600.0, wavelength[-1]))
-    axes.set_ylim(low, high)
+    text = "cross at {:.1f} nm here;\nby source at {:g} to {:g} nm".format(at, *CROSSES_BETWEEN_NM)
+    axes.text(CROSSES_BETWEEN_NM[1] + 4.0, low * (high / low) ** 0.62, text, fontsize=8.5)
+    axes.set(xlabel="wavelength [nm]", xlim=(600.0, wavelength[-1]), ylim=(low, high))
+    axes.set_ylabel("absorption of whole blood [1/mm]")
     axes.legend(loc="upper right")
     title = "Fig. 4: absorption of both haemoglobins, 150 g/L, and the LEDs' lines"
-    figure.suptitle(title, x=0.02, ha="left", fontsize=11, fontweight="bold")
-    path = directory / "haemoglobin_fig4.png"
-    style.write_figure(figure, path)
-    return path
+    return _written(figure, directory / "haemoglobin_fig4.png", title=title)
 
 
 @style.drawing()
