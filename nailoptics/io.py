@@ -60,11 +60,10 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) ->
         if path.exists() and not path.is_file():
             raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
         mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
+        # Exclusive creation opens no file of another and follows no link.
+        file = open(aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
         try:
-            # Exclusive creation opens no file of another and follows no link.
-            with open(
-                aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600)
-            ) as file:
+            with file:
                 if mode is not None:
                     with contextlib.suppress(OSError):  # a file system without modes
                         os.chmod(aside, mode)

@@ -31,16 +31,16 @@ def led_name(result: xr.Dataset, led: int) -> str:
     return f"LED {result.led.values[led]}, {float(result.wavelength_nm[led]):g} nm"
 
 
-def order_along_nail(scene: Scene | None, count: int) -> list[int]:
-    """Indices of so many photodiodes from the most proximal to the most distal; as they come where no scene says."""
-    areas = [] if scene is None else scene.layout.photodiode_areas
-    return sorted(range(count), key=lambda j: areas[j].center_mm[1] if areas else 0)
+def order_along_nail(scene: Scene) -> list[int]:
+    """Indices of the photodiodes from the most proximal to the most distal."""
+    areas = scene.layout.photodiode_areas
+    return sorted(range(len(areas)), key=lambda j: areas[j].center_mm[1])
 
 
-def coloured_along_nail(scene: Scene | None, count: int) -> list[tuple[str, int]]:
-    """Colour and index of each of so many photodiodes, from the most proximal to the most distal."""
-    distal = None if scene is None else sum(area.center_mm[1] > 0 for area in scene.layout.photodiode_areas)
-    return list(zip(style.place_colours(count, distal), order_along_nail(scene, count), strict=True))
+def coloured_along_nail(scene: Scene) -> list[tuple[str, int]]:
+    """Colour and index of each photodiode, from the most proximal to the most distal."""
+    order, distal = order_along_nail(scene), sum(area.center_mm[1] > 0 for area in scene.layout.photodiode_areas)
+    return list(zip(style.place_colours(len(order), distal), order, strict=True))
 
 
 def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
@@ -83,7 +83,7 @@ def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
         draw_rectangle(axes, wall, zorder=3, fc=BARRIER, lw=0)
     for element in layout.unwired:
         draw_rectangle(axes, element, zorder=3, fc="#c9ccd0", ec="#70767d", lw=0.5)
-    for colour, j in coloured_along_nail(scene, len(layout.photodiodes)):
+    for colour, j in coloured_along_nail(scene):
         draw_rectangle(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
@@ -168,7 +168,7 @@ def _cut(result: xr.Dataset) -> xr.DataArray:
 
 
 @style.drawing()
-def section(scene: Scene | None, result: xr.Dataset) -> "style.Figure":
+def section(scene: Scene, result: xr.Dataset) -> "style.Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
     if "section_region" not in result:
         raise InputError('figure = "section" needs the paths of light: simulate(scene, picture=True).')
@@ -187,7 +187,7 @@ def section(scene: Scene | None, result: xr.Dataset) -> "style.Figure":
     return figure
 
 
-def draw_section(axes: "style.Axes", scene: Scene | None, result: xr.Dataset, *, led: int) -> None:
+def draw_section(axes: "style.Axes", scene: Scene, result: xr.Dataset, *, led: int) -> None:
     """Draw the close view of the section under the board, with one LED's path density, into axes."""
     cut = _cut(result)
     low_y, high_y, low_z, high_z = _close_view(scene, cut)
@@ -259,22 +259,18 @@ def _layers(axes: "style.Axes", cut: xr.DataArray, left: float, bottom: float) -
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
 
 
-def _parts_above(axes: "style.Axes", scene: Scene | None, led: int, top: float) -> None:
+def _parts_above(axes: "style.Axes", scene: Scene, led: int, top: float) -> None:
     """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
-    if scene is None:
-        return
-    for colour, j in coloured_along_nail(scene, len(scene.layout.photodiodes)):
+    for colour, j in coloured_along_nail(scene):
         area = scene.layout.photodiode_areas[j]
         axes.plot([area.v_min, area.v_max], [top - 0.2] * 2, color=colour, lw=5, solid_capstyle="butt", zorder=6)
     v = scene.layout.leds[led].center_mm[1]
     axes.plot([v], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
-def _close_view(scene: Scene | None, cut: xr.DataArray) -> tuple[float, float, float, float]:
+def _close_view(scene: Scene, cut: xr.DataArray) -> tuple[float, float, float, float]:
     """Box (y low, y high, z low, z high) around the board and what its light can reach. [mm]"""
     low_y, high_y, low_z, high_z = extent(cut.y.values, cut.z.values)
-    if scene is None:
-        return low_y, high_y, low_z, high_z
     outline, board = scene.layout.outline, scene.board
     cover = board.height_mm + (board.kapton_um + board.cover_um) * 1e-3
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75

@@ -26,8 +26,8 @@ TEXTS = texts("readings")
 PAGE_ALONE = ("Blood zone", "Of rest [%]", "z score [σ]", "SNR [1]")
 
 
-def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> pd.DataFrame:
-    """Every LED and photodiode, LED by LED, photodiodes from proximal to distal: at rest, change, noise.
+def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.DataFrame:
+    """Every LED and photodiode, LED by LED: at rest, change, noise; with the scene from proximal to distal.
 
     Columns are those of the summary and `zone`, `distance_mm`, `change_percent`; `z_score`, the change in standard
     errors of the trace; `signal_to_noise`, the change over the electronics' noise of one sample; and `resolution_n`,
@@ -52,11 +52,12 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> pd.DataFrame
         "zone": ("photodiode", result.zone.values[result.zone_of_photodiode]),
         **{name: result[name] for name in (*RESIDUALS, *SPREADS) if name in result},
     }
+    data = xr.Dataset(columns)
     if scene is not None:
         leds, areas = scene.layout.leds, scene.layout.photodiode_areas
-        columns["distance_mm"] = pair, [[math.dist(led.center_mm, a.center_mm) for a in areas] for led in leds]
-    order = order_along_nail(scene, result.sizes["photodiode"])
-    table = xr.Dataset(columns).isel(photodiode=order).to_dataframe(dim_order=pair).reset_index()
+        data["distance_mm"] = pair, [[math.dist(led.center_mm, a.center_mm) for a in areas] for led in leds]
+        data = data.isel(photodiode=order_along_nail(scene))
+    table = data.to_dataframe(dim_order=pair).reset_index()
     change, force_n = table.volts_change.abs(), float(abs(held.force_n - rest.force_n))
     table["change_percent"] = 100 * table.volts_change / table.volts_start
     table["z_score"] = change / table.volts_change_stderr
@@ -67,7 +68,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None) -> pd.DataFrame
 
 def simulation_summary(result: xr.Dataset) -> dict[str, Any]:
     """Volts at the start, their change to the end of the hold, the largest change, and their noise."""
-    table = photodiode_readings(result, None)
+    table = photodiode_readings(result)
     for name, column, of in (("start", "reading_spread", "volts_start"), ("change", "change_spread", "volts_change")):
         if column in table:
             table[f"volts_{name}_spread"] = table[of].abs() * table[column]
@@ -131,7 +132,7 @@ def disturbance_lines(result: xr.Dataset) -> list[str]:
 
 def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """The readings of a touch as a table, where the light ends, and conclusions over the priors."""
-    table = photodiode_readings(result, None)
+    table = photodiode_readings(result)
     rows = [
         {"LED": led} | {head: cell for head, cell in row.items() if head not in PAGE_ALONE}
         for led, row in zip(table.led, reading_rows(table), strict=True)

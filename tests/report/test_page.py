@@ -280,10 +280,9 @@ def test_where_the_light_ends_is_shown_where_it_is_known(undrawn, make):
     assert len(rows) == 4
 
 
-def test_a_scene_that_cannot_be_read_costs_the_drawing_of_the_board_only(undrawn, make, caplog):
-    result = make(section=False).assign_attrs(scene="not [a scene")
-    parsed = Page(page(result))
-    assert len(parsed.tables["readings"]) == 9 and "cannot be read" in caplog.text
+def test_a_result_whose_scene_cannot_be_read_says_so(undrawn, make):
+    with pytest.raises(InputError, match="the result's scene"):
+        page(make(section=False).assign_attrs(scene="not [a scene"))
 
 
 def test_a_page_that_cannot_be_written_leaves_the_old_one(undrawn, make, tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     # A peak after the touch, which the end of the hold does not see.
     result.volts_change[..., -1] = 1.0
     rows = simulation_summary(result)["readings"]
-    assert [row["volts_change"] for row in rows] == [*photodiode_readings(result, None).volts_change]
+    assert [row["volts_change"] for row in rows] == [*photodiode_readings(result).volts_change]
     assert {row["volts_change_peak"] for row in rows} == {1.0}
     assert {row["time_of_peak_s"] for row in rows} == {float(result.time[-1])}
     hold = hold_end(result)

@@ -1,6 +1,5 @@
 """The page of a simulated touch: key figures, tables, and figures of force, vessels and volts beside the models."""
 
-import logging
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -8,7 +7,6 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from ...errors import InputError
 from ...hemodynamics.for_scene import hold_end
 from ...scene import Scene, parse_scene
 from ...scene.touch import SHARES
@@ -35,7 +33,6 @@ LEAST = 1e-4
 STRAIGHT = 0.01
 # A mean path below this is as good as none.
 LEAST_PATH_MM = 1e-3
-log = logging.getLogger(__name__)
 # More samples than this add bytes to a page and nothing to a picture.
 SAMPLES = 500
 # Small multiples stay readable up to so many photodiodes; of more, evenly spaced ones are shown.
@@ -55,7 +52,10 @@ MODELS: dict[str, tuple[str, dict[str, Any]]] = {
 def page(result: xr.Dataset) -> str:
     """The page of what `studies.simulate` returns; path density and section may be missing."""
     scene = _scene(result)
-    readings = photodiode_readings(result, scene)
+    readings, along = photodiode_readings(result, scene), ""
+    # More zones than a figure over time can show.
+    if "white_band_mm" in result and result.sizes["time"] > 1:
+        along = figure(bed(result, scene), TEXTS["bed"])
     return document(
         kicker="touch to volts",
         title=_title(scene),
@@ -70,7 +70,7 @@ def page(result: xr.Dataset) -> str:
                 small(TEXTS["readings"]),
                 *map(small, disturbance_lines(result)),
             ),
-            section("The touch and the blood", figure(courses(result), TEXTS["courses"]), _bed(result, scene)),
+            section("The touch and the blood", figure(courses(result), TEXTS["courses"]), along),
             _space_section(result, scene),
             _models_section(result, scene, readings),
             spread_section(result),
@@ -79,15 +79,8 @@ def page(result: xr.Dataset) -> str:
     )
 
 
-def _bed(result: xr.Dataset, scene: Scene | None) -> str:
-    """The blood along the nail, where it has more zones than a figure over time can show."""
-    if scene is None or scene.finger is None or "white_band_mm" not in result or result.sizes["time"] < 2:
-        return ""
-    return figure(bed(result, scene), TEXTS["bed"])
-
-
-def _space_section(result: xr.Dataset, scene: Scene | None) -> Html:
-    parts = [] if scene is None else [figure(maps.top_view(scene), TEXTS["board"], narrow=True)]
+def _space_section(result: xr.Dataset, scene: Scene) -> Html:
+    parts = [figure(maps.top_view(scene), TEXTS["board"], narrow=True)]
     if "section_region" in result:
         shown = ("section", "paths") if "path_density" in result else ("section",)
         parts.append(figure(maps.section(scene, result), " ".join(TEXTS[name] for name in shown)))
@@ -114,7 +107,7 @@ def _light_ends(result: xr.Dataset) -> list[dict[str, str]]:
     return rows
 
 
-def _models_section(result: xr.Dataset, scene: Scene | None, readings: pd.DataFrame) -> Html:
+def _models_section(result: xr.Dataset, scene: Scene, readings: pd.DataFrame) -> Html:
     text, lines = TEXTS["models"], list[str]()
     if result.sizes["photodiode"] > PANELS:
         text += f" {PANELS} of {result.sizes['photodiode']} are shown, evenly spaced."
@@ -130,24 +123,18 @@ def _models_section(result: xr.Dataset, scene: Scene | None, readings: pd.DataFr
     return section("Traced light beside the reduced optics", *lines)
 
 
-def _scene(result: xr.Dataset) -> Scene | None:
-    """The scene that a result carries; None, and the page goes without the board's drawing, if it cannot be read."""
-    try:
-        return parse_scene(str(result.attrs["scene"]))
-    except (InputError, KeyError) as error:
-        log.warning("the result's scene cannot be read (%s); the report leaves out the drawing of the board", error)
-        return None
+def _scene(result: xr.Dataset) -> Scene:
+    """The scene that a result carries; raises InputError if it cannot be read."""
+    return parse_scene(str(result.attrs["scene"]), name="the result's scene")
 
 
-def _title(scene: Scene | None) -> str:
+def _title(scene: Scene) -> str:
     """What was simulated, in a few words."""
-    if scene is None or scene.finger is None:
-        return "Fingernail sensor"
-    touch, digit = touch_words(scene), scene.finger.digit
+    touch, digit = touch_words(scene), scene.fingertip.digit
     return f"{touch[0].upper()}{touch[1:]}; {digit}{'' if digit == 'thumb' else ' finger'}"
 
 
-def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
+def _sentence(scene: Scene, result: xr.Dataset) -> str:
     """What was simulated, in one sentence."""
     leds, photodiodes = result.sizes["led"], result.sizes["photodiode"]
     waves = _list([f"{float(w):g}" for w in result.wavelength_nm]) + " nm"
@@ -155,15 +142,14 @@ def _sentence(scene: Scene | None, result: xr.Dataset) -> str:
     text += f"; force up to {float(result.force_n.max()):.3g} N"
     if duration := float(result.time[-1] - result.time[0]):
         text += f" within {duration:.3g} s"
-    if scene is not None and scene.finger is not None:
-        text += f"; blood {100 * scene.blood.rest_blood_fraction:g}\u00a0% of the bed at rest, {blood_words(scene)}"
-        if body := body_words(scene):
-            text += f"; {body}"
+    text += f"; blood {100 * scene.blood.rest_blood_fraction:g}\u00a0% of the bed at rest, {blood_words(scene)}"
+    if body := body_words(scene):
+        text += f"; {body}"
     accuracy = result.attrs.get("accuracy_reached")
     return f"{text}. Light traced to: {accuracy}." if accuracy else f"{text}."
 
 
-def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene | None) -> list[tuple[str, str]]:
+def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene) -> list[tuple[str, str]]:
     """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
     usable = readings[~readings.saturated]
@@ -179,7 +165,7 @@ def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene | None) -> l
     if len(resolved):
         words = f"best force resolution of one sample (noise / slope): {name[resolved.idxmin()]}"
         lines.append((quantity(resolved.min(), "N"), words))
-    if change_v.any() and (scene is None or scene.touch is None or scene.touch.proximal_share == SHARES["even"]):
+    if change_v.any() and scene.touch.proximal_share == SHARES["even"]:
         lines += _signs(usable, result)
     if "white_band_mm" in result:
         lines.append((f"{float(result.white_band_mm[hold_end(result)]):.1f}\u00a0mm", TEXTS["white_band"]))
@@ -257,10 +243,10 @@ def _fits(result: xr.Dataset, readings: pd.DataFrame) -> tuple[list[dict[str, st
     return rows, [f"{', '.join(dict.fromkeys(names))}: {note}" for note, names in noted.items() if note]
 
 
-def _pair_table(rows: Sequence[dict[str, str]], readings: pd.DataFrame, scene: Scene | None, *, kind: str) -> Html:
+def _pair_table(rows: Sequence[dict[str, str]], readings: pd.DataFrame, scene: Scene, *, kind: str) -> Html:
     """A table of all readings, LED by LED, with the colour of each photodiode's place along the nail."""
     order = list(dict.fromkeys(readings.photodiode))
-    along = maps.coloured_along_nail(scene, len(order))
+    along = maps.coloured_along_nail(scene)
     colours = {name: colour for name, (colour, _) in zip(order, along, strict=True)}
     shown = []
     for row, name in zip(rows, readings.photodiode, strict=True):
@@ -318,7 +304,7 @@ def bed(result: xr.Dataset, scene: Scene) -> "style.Figure":
 
 
 @style.drawing()
-def overview(result: xr.Dataset, scene: Scene | None) -> "style.Figure":
+def overview(result: xr.Dataset, scene: Scene) -> "style.Figure":
     """Change of every photodiode from rest, one panel per LED."""
     leds = result.sizes["led"]
     figure, panels = style.panels(9.2, 0.4 + 3.4 * leds, leds, sharex=True, sharey=True, squeeze=False)
@@ -328,9 +314,9 @@ def overview(result: xr.Dataset, scene: Scene | None) -> "style.Figure":
     return figure
 
 
-def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene | None, *, led: int) -> None:
+def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene, *, led: int) -> None:
     """Draw the change of every photodiode from rest under one LED into axes, with its value at the hold's end."""
-    photodiodes = maps.coloured_along_nail(scene, result.sizes["photodiode"])
+    photodiodes = maps.coloured_along_nail(scene)
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
     scale, letter = prefix(_largest(course for of_led in change for course in of_led))
@@ -350,10 +336,10 @@ def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene | None, *, 
     axes.legend(title=f"at {hold_s:.3g} s", ncols=1 + (len(photodiodes) - 1) // 16, **look)
 
 
-def volts(result: xr.Dataset, scene: Scene | None, *, led: int) -> "style.Figure":
+def volts(result: xr.Dataset, scene: Scene, *, led: int) -> "style.Figure":
     """One LED's readings, one panel per photodiode, the more proximal ones first: change from rest of traced light and
     of both reduced models, with the trace's error of the change."""
-    order = maps.coloured_along_nail(scene, result.sizes["photodiode"])
+    order = maps.coloured_along_nail(scene)
     if len(order) > PANELS:
         order = [order[k] for k in np.linspace(0, len(order) - 1, PANELS).round().astype(int)]
     colours, places = zip(*order, strict=True)
