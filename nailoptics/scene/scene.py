@@ -115,7 +115,7 @@ class Scene(Displayed, Table):
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
         if self.phantom is not None and self.ambient is not None:
-            raise ValueError("ambient needs a [finger], whose cover and skin it passes; leave it out of a [phantom]")
+            raise ValueError("ambient needs a [finger]; a [phantom] is read as fractions, not in volts: leave it out")
         if self.phantom is not None and self.electronics.feedback_ohm == "auto":
             raise ValueError('electronics.feedback_ohm = "auto" needs a [finger]; give a [phantom] a resistance')
         check_unique([led.name for led in self.leds], "leds")
