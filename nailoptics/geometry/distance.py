@@ -23,6 +23,8 @@ CHUNK = 500_000
 # In the nail plate light scatters every 0.03 mm, so that cells help little. Those near its faces also have a plane,
 # which gives distances up to this one: a ray of three is left, and a walk takes two thirds of the time. [mm]
 PLANE_REACH_MM = 0.06
+# Coarser cells have none: few of them are thin enough to help, and planes take as long to make as all the rest.
+PLANES_BELOW_MM = 0.3
 # Interfaces near such a cell are taken in parts whose edges are no longer.
 PLANE_PART_MM = 0.12
 # So many cells at once: what is between stays small.
@@ -100,7 +102,7 @@ def distance_grid(
         near = np.nonzero(bound < near_mm)[0]
         bound[near] = np.maximum(bound[near], _bound(fine, points[near], fine_radius, near_mm + coarse_radius))
         result[tuple(chunk.T)] = np.minimum(bound, CAP_MM) * (1 - 1e-6)
-    if of_plate.any():
+    if of_plate.any() and spacing_mm < PLANES_BELOW_MM:
         _add_planes(grid, cells, corners, of_plate)
     return grid
 

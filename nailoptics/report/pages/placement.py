@@ -35,9 +35,9 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
-NO_ROOM = "no room"
+NO_ROOM = "no room or time"
 TOLERATED = (
-    f"Change in percent of what the best is ranked by if board or photodiode lies {STEP_MM:g} mm off, the board is "
+    f"Change in percent of what the best is ranked by if board or part lies {STEP_MM:g} mm off, the board is "
     f"turned by {TURN_DEG:g} degrees, or an LED is {100 * POWER:.0f} % off its power."
 )
 # What a summary has of the bound of the relaxed design.
@@ -109,10 +109,13 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
         over = f", or less for {100 * rules.quantile:g} % of {rules.people} people"
     noise = f", with {body_words(best)}" if "electronics_resolution_n" in result else ""
     others = sum(row["rank"] == 1 for row in ranking) - 1
+    tied = (
+        f"{others} of the others tied with it, of which it is the simplest" if others else "none of them tied with it"
+    )
     return (
         f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), for any split "
         f"between the proximal and the distal side{noise}. {_ranked_by(rules, first)}{result.sizes['layout']} of "
-        f"{result.attrs['layouts_given']} layouts were traced, {others or 'none'} of the others tied with it."
+        f"{result.attrs['layouts_given']} layouts were traced, {tied}."
     )
 
 
@@ -228,7 +231,7 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
     parts = []
     for name in result.toleranced_part.values:
         row: dict[str, Any] = {"part": str(name)}
-        for kind in (*MOVED, *TURNED) if name == "board" else POWERED if name in result.led.values else MOVED:
+        for kind in (*MOVED, *(TURNED if name == "board" else POWERED if name in result.led.values else ())):
             at = result.sel(toleranced_part=name, deviation=kind)
             row[kind] = with_stderr(at, "tolerance_ranking") if at.tolerance_ranking.notnull() else None
         parts.append(row)
@@ -238,9 +241,7 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
 def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
     """The same in words."""
     kinds = (*MOVED, *TURNED, *POWERED)
-    rows = [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
-    # Another place of the board is traced, as long as there is time.
-    return [rows[0] | {kind: f"{no} or time" for kind, no in rows[0].items() if no == NO_ROOM}, *rows[1:]]
+    return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
 
 
 def _change(change: dict[str, float] | None) -> str:

@@ -138,8 +138,10 @@ class TouchError:
         everything[:, :, :size, :size], everything[:, :, size:, size:] = self._initial, drift
         claimed, true = everything
         lag, moved, change = (np.zeros((batch, n)) for n in (size + count, count, count))
-        jacobian = np.zeros((batch, count, size + count))
-        jacobian[:, :, size:] = np.eye(count)
+        # Of the readings, and of the touch, which is read as 0 at rest.
+        jacobian, claimed2, true2 = np.zeros((batch, count + 2, size + count)), *np.zeros((2, batch, count + 2))
+        jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
+        claimed2[:, count:], true2[:, :count] = ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
         waves, at = slice(FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
         for step, force_n in zip(self._steps, self._force_n, strict=True):
             claimed[:, at, at] += since_s * step.rate**2
@@ -151,15 +153,12 @@ class TouchError:
             everything[:, :, size:, size:] += drift * since_s / 60.0
             lag[:, :size] = lag[:, :size] @ step.transition.T
             lag[:, TOUCH] += step.moved
-            jacobian[:, :, :size] = slopes @ step.by_state
+            jacobian[:, :count, :size] = slopes @ step.by_state
             moved = moved * np.exp(-since_s / READING_CORRELATION_S)
-            measured = noise**2 + known.model_error2(change, moved, since_s)
+            claimed2[:, :count] = noise**2 + known.model_error2(change, moved, since_s)
             moved, change = moved + slopes @ step.blood - change, slopes @ step.blood
-            _update(everything, lag, jacobian, measured, noise**2)
-            if force_n == 0.0:
-                zero = np.broadcast_to(np.eye(2, size + count, TOUCH.start), (batch, 2, size + count))
-                variance = np.full((batch, 2), ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s)
-                _update(everything, lag, zero, variance, np.zeros((batch, 2)))
+            read = slice(count if force_n else count + 2)
+            _update(everything, lag, jacobian[:, read], claimed2[:, read], true2[:, read])
             yield lag[:, TOUCH] ** 2 + true[:, at, at]
 
 

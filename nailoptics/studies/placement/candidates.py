@@ -17,6 +17,8 @@ from . import boards
 from .boards import DECIMALS, SINGLE, PartT, loose_photodiodes, straightened
 
 Places = Sequence[Point]
+# Of simple layouts, and the part of it by which a place may be off.
+GRID_MM, ON_GRID = 0.25, 1e-3
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,20 @@ class CandidateLayout:
     scene: Scene
     board: Scene
     origin: str
+
+    @property
+    def complexity(self) -> tuple[int | str, ...]:
+        """Least for the simplest of tied layouts: parts, rows of photodiodes, whether these have no mirror image in the
+        LEDs' middle, photodiodes off a grid of 0.25 mm, how far the LEDs lie from the board's edge; the name."""
+        layout = self.scene.layout
+        leds, photodiodes = (np.array([r.center_mm for r in areas]) for areas in (layout.leds, layout.photodiode_areas))
+        middle, places = leds.mean(0), {tuple(place) for place in np.round(photodiodes, 3)}
+        images = [np.round(np.where(axis, 2 * middle - photodiodes, photodiodes), 3) for axis in ([0, 1], [1, 0])]
+        rows = min(len({place[axis] for place in places}) for axis in (0, 1))
+        asymmetric = all({tuple(place) for place in image} != places for image in images)
+        off_grid = np.abs(photodiodes / GRID_MM - np.rint(photodiodes / GRID_MM)).max(1) > ON_GRID
+        aside = np.abs(middle - layout.outline.center_mm).max() / GRID_MM
+        return len(leds) + len(photodiodes), rows, int(asymmetric), int(off_grid.sum()), -round(aside), self.name
 
 
 def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:

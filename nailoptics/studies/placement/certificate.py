@@ -80,14 +80,6 @@ def _shares(logs: Array, power: float = 1.0) -> Array:
     return np.asarray(terms / terms.sum())
 
 
-def _windows(places: PhotodiodePlaces) -> csr_array:
-    """Which places (columns) lie within one spacing of another across and along: a photodiode at one of them excludes
-    the others."""
-    ahead = places.centers_mm - places.centers_mm[:, None]
-    is_near = np.all((ahead > -1e-9) & (ahead < np.array(places.spacing_mm) - 1e-9), axis=-1)
-    return csr_array((is_near | np.eye(places.free, dtype=bool)).astype(float))
-
-
 def lower_bound(
     information: Array,
     places: PhotodiodePlaces,
@@ -107,7 +99,7 @@ def lower_bound(
     free = places.free
     most = np.ones(free) if allowed is None else allowed.astype(float)
     weights = np.bincount(chosen, minlength=free).astype(float)
-    designs, mixture, best, windows = [weights], np.ones(1), Bound(-np.inf, weights), _windows(places)
+    designs, mixture, best, windows = [weights], np.ones(1), Bound(-np.inf, weights), places.windows
     for _ in range(PROGRAMMES):
         total = given + np.einsum("m,fmn->fn", weights, information)
         log_bound, design = _least_tangent(_tangents(objective, total, information), weights, windows, most)

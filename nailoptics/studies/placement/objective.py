@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 JUDGE_PHOTONS = 1 << 18
 # Part of the time by whose end the evaluation ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
-# Groups of photons without each of which the filter's error is taken: of all blocks it would take as long as the trace.
-FILTER_GROUPS = 8
+# Standard errors of the difference from the best, or part of its score, within which a layout is tied with it.
+TIED, ALIKE = 2.0, 0.02
 # Noise of a reading, over itself, that says nothing: a dark photodiode, or one whose converter is at its limit.
 UNREADABLE = 1e3
 # Change of the saturation over which its part in the logarithm of R is taken.
@@ -108,12 +108,14 @@ class Objective:
     points : the touch on each finger; those of people come last.
     oxygen : what SpO2 is evaluated by, if it counts.
     filters : what the force over touches is evaluated by on each finger, if it counts.
+    filter_groups : of photons, without each of which it is evaluated; of all blocks that takes as long as the trace.
     """
 
     rules: Placement
     points: Sequence[OperatingPoint]
     oxygen: Spo2Objective | None = None
     filters: Sequence[TouchError] = ()
+    filter_groups: int = 8
 
     def columns(self, finger: int, led: int, read: Response) -> Array:
         """Columns of photodiodes for one LED, (..., c) float: the `fisher_information` [Pa^-2] and, with an oxygen
@@ -195,7 +197,7 @@ class Objective:
                 slopes = np.where(noise[..., None] < UNREADABLE, zone_v / light_v[..., None], 0.0)
             led = np.repeat(np.eye(len(of_leds)), of_leds[0].volts.shape[-1], axis=0)
             noise = np.minimum(noise, UNREADABLE)
-            slopes, noise = (fewer_groups(values, FILTER_GROUPS) for values in (slopes, noise))
+            slopes, noise = (fewer_groups(values, self.filter_groups) for values in (slopes, noise))
             fingers_n.append(touches.rms_n(slopes, noise, led))
         return ForceResolution(np.stack(fingers_n, 1), np.array([one.floor_n for one in self.filters]), self)
 
@@ -246,7 +248,6 @@ class LayoutScore:
     spo2_percent : (1 + blocks,) float. Standard error of SpO2 over 8 s on the worst finger; None where it does not
         rank. [percent]
     ranked : (1 + blocks,) float. What layouts are ranked by, less is better.
-    by_force : whether that is the force alone.
     """
 
     force: ForceResolution
@@ -257,19 +258,18 @@ class LayoutScore:
     share: Array
     spo2_percent: Array | None
     ranked: Array
-    by_force: bool
-
-    @property
-    def ranked_interval(self) -> tuple[float, float]:
-        """95 % interval of what layouts are ranked by."""
-        if self.by_force:
-            return (self.over_touches or self.force).interval_n
-        return resolution_interval_n(self.ranked)
 
     @property
     def relative_error(self) -> float:
         """Relative standard error of what layouts are ranked by."""
         return float(jackknife(np.log(self.ranked)))
+
+
+def ties(scores: Sequence[LayoutScore]) -> NDArray[np.bool_]:
+    """Which layouts are tied with the best: in the difference the noise of light that they share cancels."""
+    logs = np.log([score.ranked for score in scores])
+    behind = (logs - logs[logs[:, 0].argmin()]).T
+    return np.asarray(behind[0] <= np.maximum(TIED * jackknife(behind), ALIKE))
 
 
 def resolution_stderr_n(resolution_n: Array, noise_floor_n: float | Array = 0.0) -> Array:
@@ -311,7 +311,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     floors_n = np.array([physiological_noise_force_n(point) for point in points])
     over_touches, ranked_total = objective.force_over_touches(responses), total
     if over_touches is not None:
-        ranked_total = np.stack([fewer_groups(of_finger, FILTER_GROUPS) for of_finger in total])
+        ranked_total = np.stack([fewer_groups(of_finger, objective.filter_groups) for of_finger in total])
     return LayoutScore(
         force=ForceResolution(through, floors_n, objective),
         electronics=ForceResolution(alone, np.zeros(len(points)), objective),
@@ -321,7 +321,6 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),
         over_touches=over_touches,
         ranked=objective.score(ranked_total, None if over_touches is None else over_touches.all_n),
-        by_force=[*objective.rules.weights] in ([objective.rules.over_fingers], ["force"]),
     )
 
 
@@ -340,8 +339,8 @@ def score_layouts(
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
 
-    Returns: the layouts that were traced on every finger, best first, their scores, and why the best was not
-    distinguished, if so.
+    Returns: the layouts that were traced on every finger, the simplest of those tied with the best first, the others
+    by their scores; these; and why the best was not distinguished, if so.
 
     Raises: NotReachedError where time ends before one layout is traced.
     """
@@ -355,25 +354,21 @@ def score_layouts(
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
     while True:
         scores = [score_layout(layout, cache, objective) for layout in layouts]
-        order = np.argsort([score.ranked[0] for score in scores], kind="stable")
-        layouts, scores = [layouts[i] for i in order], [scores[i] for i in order]
-        tied = [
-            (layout, score.relative_error)
-            for layout, score in zip(layouts, scores, strict=True)
-            if score.ranked_interval[0] <= scores[0].ranked_interval[1]
-        ]
-        worst = max(error for _, error in tied)
+        tied = np.flatnonzero(ties(scores))
+        worst = max(scores[i].relative_error for i in tied)
         report_progress("evaluate", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
-        left = f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
-        if report_progress.interrupted:
-            return layouts, scores, f"interrupted: {len(layouts)} of {count} layouts traced, {left}."
-        if not complete or len(layouts) < count:
-            return layouts, scores, f"max_seconds ended with {len(layouts)} of {count} layouts traced, {left}."
-        if photons or len(tied) == 1 or worst <= relative_error:
-            return layouts, scores, None
-        undecided = [layout for layout, error in tied if error > relative_error]
+        if photons or len(tied) == 1 or worst <= relative_error or not complete or report_progress.interrupted:
+            break
+        undecided = [layouts[i] for i in tied if scores[i].relative_error > relative_error]
         more = trigger.needed(max(cache.of(layout.board).photons for layout in undecided), worst)
         complete = _extend(undecided, cache, more, report_progress)
+    simplest = min(tied, key=lambda i: layouts[i].complexity)
+    order = sorted(range(len(layouts)), key=lambda i: (i != simplest, scores[i].ranked[0]))
+    unmet, left = None, f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
+    if report_progress.interrupted or not complete or len(layouts) < count:
+        why = "interrupted:" if report_progress.interrupted else "max_seconds ended with"
+        unmet = f"{why} {len(layouts)} of {count} layouts traced, {left}."
+    return [layouts[i] for i in order], [scores[i] for i in order], unmet
 
 
 def _extend(

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -59,9 +58,11 @@ class TracedBoard:
 
     maps : by finger and LED. tracers : by digit.
     areas : where light that arrives is recorded, in `arrivals`, by digit or person and LED, batch by batch.
+    batches : how many were traced, likewise.
     """
 
     maps: list[list[PhotonMap]]
+    batches: dict[tuple[str | None, int], int] = field(default_factory=dict)
     tracers: dict[str | None, BoardTracer] = field(default_factory=dict)
     areas: list[Rectangle] = field(default_factory=list)
     arrivals: dict[tuple[str | None, int], list[Arrivals]] = field(default_factory=dict)
@@ -127,52 +128,42 @@ class PhotonMapCache:
         return sum(board.photons > 0 for board in self._traced.values())
 
     def extend(self, board: Scene, photons: int) -> None:
-        """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop."""
-        tracers = self.of(board).tracers
-        for person in self.people:
-            self._extend_person(board, person, PERSON_SHARE * photons)
-        # Conditions of one digit differ in what only dims the light: they share a trace.
-        for case in {case.digit: case for case in self.cases}.values():
-            if case.digit not in tracers:
-                if self.stop():
-                    return
-                tracers[case.digit] = self.tracer(boards.worn_on(board, case, light_only=True))
+        """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop.
+
+        Conditions of one digit differ in what only dims the light: they share a trace. On a person's board no part lies
+        off the nail; tracers of many people would fill the memory.
+        """
+        held = self.of(board)
+        for key, case in {case.digit: case for case in (*self.people, *self.cases)}.items():
+            is_person, worn = isinstance(case, Person), boards.worn_on(board, case, light_only=True)
+            if (is_person and not boards.fits(worn)) or (key not in held.tracers and self.stop()):
+                continue
+            tracer = held.tracers.get(key) or self.tracer(worn, spacing_mm=PERSON_DISTANCE_MM if is_person else None)
             for led in range(len(board.leds)):
-                self._extend_led(board, tracers[case.digit], case.digit, led, photons)
+                self._extend_led(board, tracer, key, led, PERSON_SHARE * photons if is_person else photons)
+            if not is_person:
+                held.tracers[key] = tracer
 
-    def _extend_person(self, board: Scene, person: Person, photons: float) -> None:
-        """Record a person's light, of whose board no part lies off the nail."""
-        worn, held = boards.worn_on(board, person), self.of(board)
-        if not boards.fits(worn):
-            return
-        # Tracers of many people would fill the memory.
-        tracer = self.tracer(worn, spacing_mm=PERSON_DISTANCE_MM)
-        per_batch = round(min(photons, tracer.batch_photons))
-        for led, _ in product(range(len(board.leds)), range(round(photons / per_batch))):
-            if self.stop():
-                return
-            batches = held.arrivals.setdefault((person.name, led), [])
-            seed = batch_seed(self.seed, self.stream, tracer.scene, led, len(batches))
-            batches.append(held.on_areas(tracer.arrivals(led, photons=per_batch, seed=seed)))
-            self.photons += per_batch
-
-    def _extend_led(self, board: Scene, tracer: BoardTracer, digit: str | None, led: int, photons: int) -> None:
-        """Trace one LED on one digit and add its light to the maps of all conditions of that digit."""
+    def _extend_led(self, board: Scene, tracer: BoardTracer, key: str | None, led: int, photons: float) -> None:
+        """Trace one LED on one digit or person, and add its light to the maps of all conditions of that digit."""
         held, members = self.of(board), []
         for by_led, condition in zip(held.maps, self.conditions, strict=False):
-            if condition.case.digit == digit:
+            if condition.case.digit == key:
                 worn, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
                 members.append((by_led[led], blood_point(worn, led, blood_fraction=blood)))
         per_batch = self.batch_photons or tracer.batch_photons
-        first = members[0][0].photons // per_batch
-        for batch in range(first, first + max(1, round(photons / per_batch))):
+        if not members:
+            per_batch = round(min(photons, per_batch))
+        for _ in range(max(1, round(photons / per_batch))):
             if self.stop():
                 return
+            batch = held.batches.get((key, led), 0)
             seed = batch_seed(self.seed, self.stream, tracer.scene, led, batch)
             arrivals = tracer.arrivals(led, photons=per_batch, seed=seed)
+            held.batches[key, led] = batch + 1
             self.photons += arrivals.photons
             if held.areas:
-                held.arrivals.setdefault((digit, led), []).append(held.on_areas(arrivals))
+                held.arrivals.setdefault((key, led), []).append(held.on_areas(arrivals))
             for board_map, point in members:
                 board_map.add(arrivals, point.values(arrivals))
 

@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
+# Cells of the distances for the evaluation: finer ones pay after more photons than most layouts are given. [mm]
+DISTANCE_MM = 0.25
 # The best layout is verified by its own trace if so much time is left. [s]
 CHECK_S = 10.0
 # Part of the time left that this takes at most; the rest is for what is unknown of the finger.
@@ -78,7 +80,7 @@ def place(
     of_fingers, objective = (_objective(base, on, rules) for on in (on_fingers, conditions))
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
-    ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS)
+    ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
@@ -169,7 +171,9 @@ def _candidates(
             "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
         )
     # The user's layouts and the search's best are evaluated even where time is over.
-    layouts = layouts + search.shortlist(straight, rules, searched) + ([paper] if paper else [])
+    layouts = (
+        layouts + search.shortlist(straight, rules, [*searched, *layout_search.regular]) + ([paper] if paper else [])
+    )
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:

@@ -17,7 +17,7 @@ from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, left_out
 from ...variables import Estimate, Variables, described, jackknifed
 from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
-from .objective import ForceResolution, LayoutScore, resolution_stderr_n
+from .objective import ForceResolution, LayoutScore, resolution_stderr_n, ties
 from .photon_maps import FingerCondition, PhotonMapCache
 from .search import SearchedSite
 
@@ -96,7 +96,7 @@ def _ranking(
     fixed = [information.fixed_ratio_resolution_n(per_pa2[:, k], point) for k, point in enumerate(points)]
     return data | described(
         __package__,
-        tied=[score.ranked_interval[0] <= scores[0].ranked_interval[1] for score in scores],
+        tied=ties(scores),
         share_resolution=jackknifed(np.stack([score.share for score in scores], 1)),
         origin=[layout.origin for layout in layouts],
         scene=[to_toml(layout.scene) for layout in layouts],

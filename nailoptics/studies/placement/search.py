@@ -7,7 +7,7 @@ References: Meyer, Nachtsheim 1995, Technometrics 37, 60.
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, islice, product
 from typing import Any
@@ -27,7 +27,7 @@ from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
 from .photon_maps import PhotonMapCache
-from .sites import LedRow, PhotodiodePlaces, Sites
+from .sites import ROUNDING_MM, LedRow, PhotodiodePlaces, Sites
 
 log = logging.getLogger(__name__)
 
@@ -43,8 +43,8 @@ DISTANCE_MM = 0.4
 LAST_STARTS = 8
 # Part of the time for the search.
 SEARCH_SHARE = 0.55
-# Searched layouts that are evaluated with photons of their own beside those that were given.
-SHORTLIST = 5
+# Searched layouts that are evaluated with photons of their own beside given ones, and sites for regular ones.
+SHORTLIST, REGULAR = 3, 2
 # Sites around which LED places are searched more finely, and into how many parts a step is halved.
 REFINED, FINEST = 2, 4
 # Rounds of exchange at most.
@@ -130,7 +130,7 @@ class SearchedSite:
     """Places of all LEDs in a row, in the scene's order, with the best photodiodes for them. [mm]
 
     score : of what they are ranked by, less is better. resolution_n : the force that they resolve. [N]
-    photons : of each LED behind it.
+    photons : of each LED behind it. form : "row" or "rows" of what is regular.
     """
 
     places_mm: LedPlaces
@@ -139,6 +139,7 @@ class SearchedSite:
     score: float
     resolution_n: float
     photons: int
+    form: str = ""
 
     @property
     def name(self) -> str:
@@ -147,7 +148,7 @@ class SearchedSite:
             f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for place in self.places_mm for x in (v + 0.0 for v in place)
         )
         several = "s" if len(self.places_mm) > 1 else ""
-        return f"led{several}_{where}" + (f"_{self.row.side}" if self.row.side else "")
+        return "_".join(filter(None, [f"led{several}_{where}", self.row.side, self.form]))
 
 
 @dataclass
@@ -186,14 +187,36 @@ class RowDesign:
             count=self.count,
             score=self.objective.score,
             given=staying,
-            allowed=None if self.row.side else self.sites.are_beside(self.places.areas[:free], leds),
+            allowed=self._allowed(leds),
             starts=self.starts,
         )
-        if not np.isfinite(score):
-            return None
-        force_n = float(self.objective.force_n(information[:, chosen].sum(1) + staying))
-        areas = tuple(self.places.areas[k] for k in chosen)
-        return SearchedSite(leds, self.row, areas, score, force_n, self.photons)
+        return self._site(leds, chosen, information[:, chosen].sum(1) + staying) if np.isfinite(score) else None
+
+    def regular(self, leds: LedPlaces) -> list[SearchedSite]:
+        """The best photodiodes in one straight row, and in equal rows, that are symmetric about the LEDs' middle."""
+        if self.sites.rules.wire or not self.places.free or not self.count:
+            return []
+        axis = SIDES[self.row.side or "left"][0]
+        middle_mm, step_mm = float(np.mean(leds, axis=0)[1 - axis]), self.sites.rules.photodiode_step_mm
+        every = self.places.in_rows(self.count, axis, middle_mm, step_mm, self._allowed(leds))
+        information = self.information(leds)
+        totals = information[:, every].sum(2) + information[:, self.places.free :].sum(1)[:, None]
+        scores, best = self.objective.score(totals), []
+        for straight in (True, False):
+            among = [k for k, chosen in enumerate(every) if self.places.is_straight(chosen) == straight]
+            if among:
+                k = min(among, key=scores.__getitem__)
+                best.append(replace(self._site(leds, every[k], totals[:, k]), form="row" if straight else "rows"))
+        return best
+
+    def _allowed(self, leds: LedPlaces) -> np.ndarray | None:
+        """Which free places the LEDs leave, (free,) bool; all where they lie behind a wall."""
+        return None if self.row.side else self.sites.are_beside(self.places.areas[: self.places.free], leds)
+
+    def _site(self, leds: LedPlaces, chosen: list[int], total: np.ndarray) -> SearchedSite:
+        """LEDs with chosen photodiodes, which together have this information."""
+        score, force_n = float(self.objective.score(total)), float(self.objective.force_n(total))
+        return SearchedSite(leds, self.row, tuple(self.places.areas[k] for k in chosen), score, force_n, self.photons)
 
     def _best_leds(self, site: SearchedSite) -> LedPlaces:
         """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""
@@ -267,6 +290,7 @@ class Search:
 
     results : every site of the LEDs that was given photodiodes, by row and places.
     designs : of each row, by the first photons.
+    regular : sites in the middle of a row with the photodiodes that are best in regular places.
     """
 
     def __init__(self, base: Scene, objective: Objective, cache: PhotonMapCache) -> None:
@@ -275,6 +299,7 @@ class Search:
         self.sites = Sites(base, self.rules)
         self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
         self.designs: dict[LedRow, RowDesign] = {}
+        self.regular: list[SearchedSite] = []
 
     @cached_property
     def _ambient_a_per_mm2(self) -> float:
@@ -288,7 +313,7 @@ class Search:
         """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
         step, start = self.rules.led_step_mm, report_progress.seconds
         available = max(SEARCH_SHARE * report_progress.limit_s - start, 1e-9)
-        waiting = self.sites.rows(step)
+        waiting, middle = self.sites.rows(step), list[SearchedSite]()
         while waiting and step >= self.rules.led_step_mm / FINEST:
             for i, (row, places) in enumerate(waiting.items()):
                 design = self.designs.setdefault(row, self._design(row, places, FIRST_PHOTONS))
@@ -303,16 +328,28 @@ class Search:
                     why = "was interrupted" if report_progress.interrupted else "ran out of time"
                     log.warning("the search for LED places %s after %d of them", why, len(self.results))
                     return list(self.results.values())
+            middle = self._in_the_middle() if step == self.rules.led_step_mm else middle
             step /= 2
             waiting = self._around_the_best(step)
-        for best in self.ranked[:SHORTLIST]:
+        for site in (*self.ranked[:SHORTLIST], *middle):
             if report_progress.is_over(SEARCH_SHARE):
                 break
             # The photodiodes once more, by more photons.
-            once_more = self.traced(best, SEARCH_PHOTONS, report_progress)
-            if once_more and (again := once_more.best(best.places_mm)):
+            once_more = self.traced(site, SEARCH_PHOTONS, report_progress)
+            if once_more and site.form:
+                self.regular += once_more.regular(site.places_mm)
+            elif once_more and (again := once_more.best(site.places_mm)):
                 self._store([again])
         return list(self.results.values())
+
+    def _in_the_middle(self) -> list[SearchedSite]:
+        """The sites in the middle of a row that are best with regular photodiodes."""
+        best = []
+        for row, leds in self.results:
+            along = 1 - SIDES[row.side or "left"][0]
+            if abs(np.mean(leds, axis=0)[along] - self.sites.outline.center_mm[along]) < ROUNDING_MM:
+                best += sorted(self.designs[row].regular(leds), key=lambda a: a.score)[:1]
+        return sorted(best, key=lambda a: a.score)[:REGULAR]
 
     def traced(self, site: SearchedSite, photons: int, report_progress: StageProgress) -> RowDesign | None:
         """A design of one site with its LEDs traced; None where time ends before."""
@@ -433,10 +470,11 @@ class Search:
 
 
 def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) -> list[CandidateLayout]:
-    """The best layouts of a search, to be evaluated with independent photons; those of few photons, whose resolution is
-    biased low, come last."""
+    """The best layouts of a search, to be evaluated with independent photons, those of few, whose resolution is biased
+    low, last; and all regular ones."""
+    best = sorted((a for a in results if not a.form), key=lambda a: (-a.photons, a.score))[:SHORTLIST]
     layouts = []
-    for result in sorted(results, key=lambda a: (-a.photons, a.score))[:SHORTLIST]:
+    for result in (*best, *(a for a in results if a.form)):
         scene = candidates.searched(
             base, rules, result.places_mm, result.photodiodes, side=result.row.side, name=result.name
         )

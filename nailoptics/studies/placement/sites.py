@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ...scene import Led, Photodiode, Placement, Scene
 from ...scene.base import Point
@@ -16,6 +18,8 @@ from . import boards
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
 ROUNDING_MM = 1e-9
+# Parts of the room that regular photodiodes take.
+PARTS = (1 / 3, 2 / 3, 1.0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,47 @@ class PhotodiodePlaces:
     def centers_mm(self) -> np.ndarray:
         """Centres of the free places, (free, 2) float. [mm]"""
         return np.array([area.center_mm for area in self.areas[: self.free]]).reshape(-1, 2)
+
+    @cached_property
+    def windows(self) -> csr_array:
+        """Which of the free places (columns) lie within one spacing of another across and along: a photodiode at one of
+        them excludes the others."""
+        ahead = self.centers_mm - self.centers_mm[:, None]
+        is_near = np.all((ahead > -1e-9) & (ahead < np.array(self.spacing_mm) - 1e-9), axis=-1)
+        return csr_array((is_near | np.eye(self.free, dtype=bool)).astype(float))
+
+    def in_rows(
+        self, count: int, axis: int, middle_mm: float, step_mm: float, allowed: np.ndarray | None
+    ) -> list[list[int]]:
+        """Free places in equal rows that are symmetric about a middle along the other axis and take all of the room, or
+        two thirds or one third of it: each choice of as many."""
+        (across, along), spacing = self.centers_mm[:, [axis, 1 - axis]].T, np.array(self.spacing_mm)[[axis, 1 - axis]]
+        # Steps from the first place on, and half steps to either side of the middle.
+        ahead, aside = (across - across.min()) / step_mm, 2 * (along - middle_mm) / step_mm
+        usable = (np.abs(aside - np.rint(aside)) < 1e-6) & (True if allowed is None else allowed)
+        ahead, aside = np.rint(ahead).astype(int), np.rint(aside).astype(int)
+        most, half = ahead.max(), np.abs(aside).max()
+        table = np.full((most + 1, 2 * half + 1), -1)
+        table[ahead[usable], half + aside[usable]] = np.flatnonzero(usable)
+        found = []
+        for columns in (n for n in range(1, count + 1) if count % n == 0):
+            rows = count // columns
+            for part, of_aside, start, less in product(PARTS, PARTS, (0.0, 0.5, 1.0), (0, 1)):
+                # Of rows that are an even number only every other distance has them on places.
+                steps = int(part * most / max(columns - 1, 1)), int(of_aside * half / max(rows - 1, 1)) - less
+                close = step_mm * np.array(steps) < spacing - 1e-9
+                if (columns > 1 and close[0]) or (rows > 1 and close[1]):
+                    continue
+                first = int(start * (most - steps[0] * (columns - 1)))
+                lines = first + steps[0] * np.arange(columns), half + steps[1] * (2 * np.arange(rows) - rows + 1)
+                cells = table[np.ix_(*lines)].ravel().tolist()
+                if min(cells) >= 0:
+                    found.append(cells)
+        return found
+
+    def is_straight(self, places: list[int]) -> bool:
+        """Whether free places lie in one straight row."""
+        return bool((np.ptp(self.centers_mm[places], axis=0) < ROUNDING_MM).any())
 
 
 @dataclass(frozen=True)
@@ -111,13 +156,16 @@ class Sites:
         return all(-dies[i].overlap_mm(dies[j]) >= least for i, j in pairs)
 
     def grid(self, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
-        """Places of LEDs across and along the board, symmetric about its middle. [mm]"""
+        """Places of LEDs across and along the board. [mm]"""
         free = [led.size_mm for led, fixed in zip(self.base.leds, self.is_fixed, strict=True) if not fixed]
-        margin, o, axes = self.rules.edge_mm + np.array(free).max(0) / 2, self.outline, []
-        for low, high in ((o.u_min + margin[0], o.u_max - margin[0]), (o.v_min + margin[1], o.v_max - margin[1])):
-            half = max(0, int((high - low) / 2 / step_mm + 1e-9))
-            axes.append((low + high) / 2 + step_mm * np.arange(-half, half + 1))
-        return axes[0], axes[1]
+        return self._axes(step_mm, np.array(free).max(0))
+
+    def _axes(self, step_mm: float, size_mm: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """Places of parts of a size across and along the board, symmetric about its middle. [mm]"""
+        room_mm = np.array(self.outline.size_mm) - size_mm - 2 * self.rules.edge_mm
+        halves = np.floor(room_mm / 2 / step_mm + 1e-9).astype(int)
+        u, v = (x + step_mm * np.arange(-n, n + 1) for x, n in zip(self.outline.center_mm, halves, strict=True))
+        return u, v
 
     def rows(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
         """Rows on a grid, each with the places in it of every LED. The blood zones follow each other along the nail, so
@@ -240,12 +288,9 @@ class Sites:
     @cached_property
     def _grid_areas(self) -> tuple[Rectangle, ...]:
         """Every place of a photodiode on the board, beside those that stay."""
-        o, edge, step, size_mm = self.outline, self.rules.edge_mm, self.rules.photodiode_step_mm, self._size_mm
-        axes = []
-        for low, high, size in ((o.u_min, o.u_max, size_mm[0]), (o.v_min, o.v_max, size_mm[1])):
-            first, last = low + edge + size / 2, high - edge - size / 2
-            axes.append(first + step * np.arange(int((last - first) / step + 1e-6) + 1))
-        areas = (Rectangle.around("", (float(u), float(v)), size_mm) for u in axes[0] for v in axes[1])
+        size_mm = self._size_mm
+        places = product(*(axis.tolist() for axis in self._axes(self.rules.photodiode_step_mm, size_mm)))
+        areas = (Rectangle.around("", place, size_mm) for place in places)
         gap = self.rules.clearance_mm - ROUNDING_MM
         clear = (area for area in areas if all(_gap_mm(area, obstacle) >= gap for obstacle in self.obstacles))
         return tuple(area for area in clear if has_room_for(area, self.rules))

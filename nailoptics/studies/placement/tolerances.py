@@ -1,10 +1,11 @@
-"""How much worse the best layout becomes by tolerances: of gluing, of each photodiode's place, of the LEDs' power."""
+"""How much worse the best layout becomes by tolerances: of gluing, of each part's place, of the LEDs' power."""
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,12 +16,14 @@ from ...variables import described, jackknifed
 from . import boards, candidates
 from .boards import PartT
 from .candidates import CandidateLayout
-from .objective import JUDGE_PHOTONS, Array, Objective, score_layout
+from .objective import Array, Objective, score_layout
 from .photon_maps import PERSON_DISTANCE_MM, PhotonMapCache
 
 STEP_MM, TURN_DEG = 0.5, 5.0
 # A bin of an infrared LED's power is a factor of 1.6 wide, as data sheets sort them: this much about its middle.
 POWER = 0.25
+# Groups of photons for the error of a change, and photons of each LED where light goes otherwise.
+GROUPS, PHOTONS = 4, 1 << 17
 MOVED = {"left": (-STEP_MM, 0), "right": (STEP_MM, 0), "proximal": (0, -STEP_MM), "distal": (0, STEP_MM)}
 TURNED = {"clockwise": -TURN_DEG, "counterclockwise": TURN_DEG}
 POWERED = {"dimmer": 1 - POWER, "brighter": 1 + POWER}
@@ -32,23 +35,24 @@ def tolerances(
 ) -> xr.Dataset:
     """How what layouts are ranked by changes on the fingers with each tolerance of a layout with resistors of its own.
 
-    cache : has evaluated the layout. Another place of the board is traced, its wall and edges straight where it is
-        turned; all else is read by the same light.
+    cache : has evaluated the layout. Another place of the board, its wall and edges straight where it is turned, or of
+        an LED is traced; all else is read by the same light.
     stop : whether there is no time to trace more.
 
     Returns: Dataset over toleranced_part (board, photodiodes, LEDs) and deviation, NaN of what is no tolerance of a
         part, has no room, or was not traced.
     """
+    objective = replace(objective, filter_groups=GROUPS)
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
     fingers = cache.conditions[: len(objective.points)]
     elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, stop=stop)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
-    changes: dict[tuple[str, str], Array] = {}
+    leds, changes = {led.name for led in scene.leds}, dict[tuple[str, str], Array]()
     for part, kind, vary in _varied(scene):
         try:
-            if part == "board":
+            if part == "board" or (kind in MOVED and part in leds):
                 moved, light = candidates.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
-                light.extend(moved.board, JUDGE_PHOTONS)
+                light.extend(moved.board, PHOTONS)
             else:
                 moved, light = replace(layout, scene=vary()), cache
                 candidates.check(moved.scene, layout.name)
@@ -68,8 +72,16 @@ def _varied(scene: Scene) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
     for kind, (du, dv) in MOVED.items():
         yield "board", kind, partial(_glued, scene, du_mm=du, dv_mm=dv)
         for i, (u, v) in enumerate(photodiode.position_mm for photodiode in scene.photodiodes):
-            moved = {f"photodiodes[{i}].position_mm": (u + du, v + dv)}
+            moved: dict[str, Any] = {f"photodiodes[{i}].position_mm": (u + du, v + dv)}
             yield scene.photodiodes[i].name, kind, partial(scene.with_, **moved)
+        for i, (led, die) in enumerate(zip(scene.leds, scene.layout.leds, strict=True)):
+            moved = {f"leds[{i}].position_mm": tuple(np.add(led.position_mm, (du, dv)).tolist())}
+            # The wall stays where it is.
+            there = replace(die, u_min=die.u_min + du, u_max=die.u_max + du, v_min=die.v_min + dv, v_max=die.v_max + dv)
+            dies = [*scene.layout.leds[:i], there, *scene.layout.leds[i + 1 :]]
+            if walls := scene.layout.barriers:
+                moved["board.barrier_gap_mm"] = min(-walls[0].overlap_mm(one) for one in dies)
+            yield led.name, kind, partial(scene.with_, **moved)
     for kind, angle_deg in TURNED.items():
         yield "board", kind, partial(_glued, scene, angle_deg=angle_deg)
     for led, (kind, factor) in product(scene.leds, POWERED.items()):

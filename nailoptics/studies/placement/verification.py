@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,12 @@ import xarray as xr
 from ...errors import InputError
 from ...light import ProgressCallback
 from ...light import backend as backends
-from ...light.board_map import BloodPoint, BoardTracer, blood_point
+from ...light.board_map import blood_point
 from ...light.reference.readings import check_readable, read_leds
 from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
-from ...sensor.information import OperatingPoint, Response, force_resolution_n, scene_responses, total_information
+from ...sensor.information import OperatingPoint, force_resolution_n, scene_responses, total_information
 from ...statistics import Z95, left_out, seed_of
 from ...variables import Estimate, Variables, described, jackknifed, variable
 from . import boards
@@ -39,65 +39,29 @@ COVERS = ("covered", "uncovered")
 FORWARD = 2
 
 
-@dataclass(frozen=True)
-class _Verification:
-    """One layout on one finger with what traces and reads it."""
-
-    scene: Scene
-    point: OperatingPoint
-    cache: PhotonMapCache
-    tracer: BoardTracer
-    blood: tuple[BloodPoint, ...]
-    stop: Callable[[], bool]
-
-    def check_time(self) -> None:
-        """Raise `Stopped` where there is no time for one batch more."""
-        if self.stop():
-            raise Stopped
-
-    def force_resolution_n(self, responses: Sequence[Response]) -> np.ndarray:
-        """Force resolution from what the photodiodes read of all LEDs. [N]"""
-        return force_resolution_n(total_information(responses), self.point)
-
-    def fresh_trace(self, batches: int, photons: int, deadline: float) -> tuple[np.ndarray, Variables]:
-        """Values of each LED, (1 + batches, leds, photodiodes, 4) float, by all batches and without each; and the
-        variables of the fresh trace."""
-        means: list[np.ndarray] = []
-        while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < deadline):
-            detections = []
-            for i, blood in enumerate(self.blood):
-                self.check_time()
-                seed = seed_of(self.cache.seed, FORWARD, i, len(means))
-                detections.append(self.tracer.detected(i, blood, photons=photons, seed=seed))
-            means.append(np.stack(detections))
-        values = left_out(np.stack(means))
-        return values, described(__package__, checked_fraction=jackknifed(values[..., 0]))
-
-    def ambient(self, values: np.ndarray) -> Variables:
-        """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
-        resolution."""
-        scene, sources, traced = self.scene, sources_of(self.scene), []
-        options = TraceOptions(backend=self.cache.backend, store=self.cache.store is not None)
-        how: dict[str, Any] = {"seed": self.cache.seed, "check_time": self.check_time}
-        for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
-            board = scene.board.model_copy(update={"cover_um": cover_um})
-            on = scene.model_copy(update={"board": board})
-            traced.append(trace_ambient(on, sources, options, photons=photons, **how))
-        current, error, _ = np.stack(traced, 1)
-        dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
-        data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
-        high = current + Z95 * error
-        read = scene_responses(self.scene, values[0], self.point, ambient_a=high)
-        most, limit_v = np.max([r.volts for r in read], axis=0), self.scene.electronics.adc_range_v
-        text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
-        data |= variable("ambient_volts", dims, most, text, units="V")
-        return data | described(
-            __package__,
-            ambient_a=Estimate(current, error),
-            ambient_high_a=high,
-            ambient_noise_v=np.max([r.noise_v for r in read], axis=0),
-            ambient_resolution_n=self.force_resolution_n(read),
-        )
+def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: PhotonMapCache, **how: Any) -> Variables:
+    """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
+    resolution; how : as of `trace_ambient`."""
+    sources, traced = sources_of(scene), []
+    options = TraceOptions(backend=cache.backend, store=cache.store is not None)
+    for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
+        on = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": cover_um})})
+        traced.append(trace_ambient(on, sources, options, photons=photons, **how))
+    current, error, _ = np.stack(traced, 1)
+    dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
+    data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
+    high = current + Z95 * error
+    read = scene_responses(scene, values, point, ambient_a=high)
+    most, limit_v = np.max([r.volts for r in read], axis=0), scene.electronics.adc_range_v
+    text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
+    data |= variable("ambient_volts", dims, most, text, units="V")
+    return data | described(
+        __package__,
+        ambient_a=Estimate(current, error),
+        ambient_high_a=high,
+        ambient_noise_v=np.max([r.noise_v for r in read], axis=0),
+        ambient_resolution_n=force_resolution_n(total_information(read), point),
+    )
 
 
 def verify_layout(
@@ -113,19 +77,32 @@ def verify_layout(
     scene, point = boards.worn_on(layout.scene, condition.case), condition.point
     tracer = cache.tracer(scene)
     blood = tuple(blood_point(scene, led, blood_fraction=point.blood_fraction) for led in range(len(scene.leds)))
-    verification = _Verification(scene, point, cache, tracer, blood, stop)
+    means: list[np.ndarray] = []
+
+    def check_time() -> None:
+        """Raise `Stopped` where there is no time for one batch more."""
+        if stop():
+            raise Stopped
+
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.
     least = round(LEAST_PART * tracer.batch_photons)
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
-        values, data = verification.fresh_trace(batches, per_batch, begin + max_seconds / 2)
-        data |= verification.ambient(values)
+        while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < begin + max_seconds / 2):
+            detections = []
+            for i, at in enumerate(blood):
+                check_time()
+                seed = seed_of(cache.seed, FORWARD, i, len(means))
+                detections.append(tracer.detected(i, at, photons=per_batch, seed=seed))
+            means.append(np.stack(detections))
+        values = left_out(np.stack(means))
+        data = described(__package__, checked_fraction=jackknifed(values[..., 0]))
+        data |= _ambient(scene, values[0], point, cache, seed=cache.seed, check_time=check_time)
     except Stopped:
         return xr.Dataset()
-    resolution = verification.force_resolution_n(
-        scene_responses(scene, np.moveaxis(values, 1, 0), point, replicates=True)
-    )
+    read = scene_responses(scene, np.moveaxis(values, 1, 0), point, replicates=True)
+    resolution = force_resolution_n(total_information(read), point)
     error = resolution_stderr_n(resolution)
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}

@@ -34,7 +34,7 @@ from nailoptics.studies.placement import (
     sites,
 )
 from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
-from nailoptics.studies.placement.tolerances import tolerances
+from nailoptics.studies.placement.tolerances import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
@@ -266,8 +266,26 @@ def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
     assert float(to_tip.tolerance_ranking_stderr) == pytest.approx(float(jackknife(ratio)), rel=1e-9)
     no_room = np.isnan(second.tolerance_ranking).sel(deviation=["proximal", "distal"])
     assert no_room.values.tolist() == [True, False]
-    # Without time, another place of the board is not traced.
+    # Without time, another place of the board or of the LED is not traced.
     assert np.isnan(data.tolerance_ranking.sel(toleranced_part="board")).all()
+    of_led = data.tolerance_ranking.sel(toleranced_part="ir")
+    assert np.isnan(of_led.sel(deviation=[*MOVED])).all() and of_led.sel(deviation="dimmer") > -1
+
+
+def test_a_moved_led_has_its_wall_where_it_was(scene):
+    """Expected: of the LED's tolerances its place alone differs; the wall midway to the photodiodes stays, and leaves
+    no room towards it."""
+    layout = place.given(boards.base_board(scene), boards.rules(scene))[0].scene
+    varied = {kind: vary for part, kind, vary in _varied(layout) if part == "ir" and kind in MOVED}
+    with pytest.raises(InputError, match="barrier_gap_mm"):
+        varied.pop("right")()
+    assert [*varied] == ["left", "proximal", "distal"]
+    for kind, vary in varied.items():
+        moved = vary().layout
+        assert moved.leds[0].center_mm == pytest.approx(np.add(layout.layout.leds[0].center_mm, MOVED[kind]))
+        assert moved.photodiode_areas == layout.layout.photodiode_areas
+        (wall,), (usual,) = moved.barriers, layout.layout.barriers
+        assert (wall.u_min, wall.u_max) == pytest.approx((usual.u_min, usual.u_max))
 
 
 def test_places_of_a_layout_are_written_with_few_decimals():
