@@ -169,7 +169,7 @@ def _people(ranking: list[dict[str, Any]]) -> list[str]:
         reason = f", by {row['worst_reason']}" if row["worst_reason"] else ""
         off = f"; parts lie off the nails of {row['people_off']} people" if row["people_off"] else ""
         worst = f"{row['worst_person']} ({quantity(row['worst_resolution_n'], 'N')})"
-        lines.append(f"Coarsest with {row['layout']}: {worst}{reason}{off}.")
+        lines.append(f"Coarsest in one sample with {row['layout']}: {worst}{reason}{off}.")
     return lines
 
 

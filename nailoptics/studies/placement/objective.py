@@ -37,7 +37,8 @@ Array = NDArray[np.float64]
 JUDGE_PHOTONS = 1 << 18
 # Part of the time by whose end the evaluation ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
-# Standard errors of the difference from the best, or part of its score, within which a layout is tied with it.
+# Standard errors of the difference from the best within which a layout is tied with it, and the part of its score in
+# which one is as good, and proposed if it is simpler.
 TIED, ALIKE = 2.0, 0.02
 # Noise of a reading, over itself, that says nothing: a dark photodiode, or one whose converter is at its limit.
 UNREADABLE = 1e3
@@ -339,8 +340,8 @@ def score_layouts(
     photons : per layout, LED and finger, in place of a tolerance.
     relative_error : of the scores of those tied with the best, at which tracing ends as well.
 
-    Returns: the layouts that were traced on every finger, the simplest of those tied with the best first, the others
-    by their scores; these; and why the best was not distinguished, if so.
+    Returns: the layouts that were traced on every finger, the simplest of those that are as good as the best first, the
+    others by their scores; these; and why the best was not distinguished, if so.
 
     Raises: NotReachedError where time ends before one layout is traced.
     """
@@ -362,7 +363,8 @@ def score_layouts(
         undecided = [layouts[i] for i in tied if scores[i].relative_error > relative_error]
         more = trigger.needed(max(cache.of(layout.board).photons for layout in undecided), worst)
         complete = _extend(undecided, cache, more, report_progress)
-    simplest = min(tied, key=lambda i: layouts[i].complexity)
+    alike = min(score.ranked[0] for score in scores) * (1 + ALIKE)
+    simplest = min((i for i in tied if scores[i].ranked[0] <= alike), key=lambda i: layouts[i].complexity)
     order = sorted(range(len(layouts)), key=lambda i: (i != simplest, scores[i].ranked[0]))
     unmet, left = None, f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
     if report_progress.interrupted or not complete or len(layouts) < count:
