@@ -7,4 +7,4 @@ from .respond import respond
 from .steady import SteadyState, steady_state
 from .touch import Contact, creeping_pressure, spreading_pressure
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
-from .zones import PAPER_ZONES, Zones, with_shear, zones_between
+from .zones import PAPER_ZONES, Zones, zones_between

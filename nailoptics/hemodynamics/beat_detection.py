@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import Array
 from ..errors import InputError
 
-Array = NDArray[np.float64]
 Marks = NDArray[np.bool_]
 
 # What a heart can do. [1/min]
@@ -49,12 +49,19 @@ def find_beats(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording"
 
     Raises: InputError where there are fewer than three beats, or no heartbeat.
     """
+    from scipy.signal import find_peaks
+
     even_s, wave, rate_hz, expected_hz = _periodic(time_s, signal, name)
-    peaks, heights = _peaks(wave, rate_hz, expected_hz)
+    gap = max(int(0.55 * rate_hz / expected_hz), 1)
+    swing = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * gap))))]))
+    peaks, properties = find_peaks(wave, distance=gap, prominence=0.3 * swing)
     if len(peaks) < LEAST_BEATS:
         raise InputError(f"{name}: holds {len(peaks)} beats; at least {LEAST_BEATS} are needed, record longer.")
     peak_s = even_s[0] + _summits(wave, peaks) / rate_hz
-    usual = _usual(peak_s, heights)
+    height, interval = properties["prominences"] / np.median(properties["prominences"]), np.diff(peak_s)
+    middle = float(np.median(interval))
+    even = np.abs(interval - middle) < 0.35 * middle
+    usual = (height < MOST_HEIGHT) & (height > 1 / MOST_HEIGHT) & (np.append(even, True) | np.insert(even, 0, True))
     return Beats(peak_s, _rate(peak_s, usual), usual)
 
 
@@ -133,32 +140,12 @@ def _autocorrelation(wave: Array, longest: int) -> Array:
     )
 
 
-def _peaks(wave: Array, rate_hz: float, expected_hz: float) -> tuple[NDArray[np.intp], Array]:
-    """Places of the beats' peaks and their heights over the lowest since the one before."""
-    from scipy import signal
-
-    gap = max(int(0.55 * rate_hz / expected_hz), 1)
-    usual = float(np.median([np.ptp(part) for part in np.array_split(wave, max(1, int(len(wave) / (2 * gap))))]))
-    peaks, properties = signal.find_peaks(wave, distance=gap, prominence=0.3 * usual)
-    return peaks, np.asarray(properties["prominences"], float)
-
-
 def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:
     """Places of peaks between samples, by a parabola through three."""
     before, at, after = wave[peaks - 1], wave[peaks], wave[np.minimum(peaks + 1, len(wave) - 1)]
     bend = before - 2 * at + after
     step = np.divide(0.5 * (before - after), bend, out=np.zeros_like(at), where=bend < 0)
     return np.asarray(peaks + np.clip(step, -0.5, 0.5))
-
-
-def _usual(peak_s: Array, heights: Array) -> Marks:
-    height = heights / np.median(heights)
-    interval = np.diff(peak_s)
-    middle = float(np.median(interval))
-    even = np.abs(interval - middle) < 0.35 * middle
-    return np.asarray(
-        (height < MOST_HEIGHT) & (height > 1 / MOST_HEIGHT) & (np.append(even, True) | np.insert(even, 0, True))
-    )
 
 
 def _rate(peak_s: Array, usual: Marks) -> float:

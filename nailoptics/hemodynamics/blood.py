@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ..checks import Array, fraction, positive
 from ..errors import InputError
-from ..scene import Blood, Body
+from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
 from .parameters import Parameters
 from .steady import steady_state
@@ -37,15 +37,18 @@ def blood_fraction(
         (beyond the paper): a share of the blood, in proportion to the pressure. [Pa]
     unit : The zone whose diameters are given; None for all.
 
-    The paper's areas and diameters disagree on volume: eq. (3)-(4) displace A dx/dt. The motion follows (3)-(4), the
-    blood follows (7), as in the paper.
-
     Raises: InputError if the rest fraction is not in 0..1, a diameter is not positive, or the result is more than 1.
 
     References: Mascaro and Asada 2001, eq. (7).
     """
     diameter = positive("capillary_diameter_m", capillary_diameter_m)
-    rest_m, share, closing_pa = _constants(parameters, zones, unit, diameter.ndim)
+    rest_m, share, closing_pa = constants = _of_units(parameters, zones)
+    if unit is not None:
+        rest_m, share, closing_pa = (constant[unit] for constant in constants)
+    elif np.ptp(rest_m) == np.ptp(share) == np.ptp(closing_pa) == 0.0:
+        rest_m, share, closing_pa = (constant[0] for constant in constants)
+    else:
+        rest_m, share, closing_pa = (constant.reshape(-1, *(1,) * (diameter.ndim - 1)) for constant in constants)
     rest_fraction = fraction("rest_blood_fraction", rest_blood_fraction)
     result = rest_fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
     if np.any(result > 1.0):
@@ -76,9 +79,8 @@ def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
         apart (Nitzan 2000, J. Biomed. Opt. 5:155).
     blood_fraction : any shape, float. Blood in the zone. [1]
 
-    At rest blood gives off its oxygen evenly along a capillary: the zone has the mean of both. A touch that shuts the
-    veins lets the arteries pool fresh blood in it (the paper's section II): what is there beyond rest is arterial. What
-    is squeezed out is blood as it was. Tissue needs a minute to use up what pooled: `saturation_over_time`.
+    At rest the zone has the mean of both. A touch that shuts the veins lets the arteries pool fresh blood in it (the
+    paper's section II): what is there beyond rest is arterial. What is squeezed out is blood as it was.
     """
     fraction = np.asarray(blood_fraction, dtype=float)
     at_rest = blood.rest_so2
@@ -142,18 +144,9 @@ def white_band_mm(v_mm: np.ndarray, part: np.ndarray, *, ends_mm: tuple[float, f
     return width
 
 
-def _constants(parameters: Parameters, zones: Zones, unit: int | None, axes: int) -> tuple[np.ndarray, ...]:
-    """Diameter at rest [m], venular share and closing pressure [Pa]: one unit's, or with units on the first axis."""
-    rest_m, share, closing_pa = _of_units(parameters, zones)
-    if unit is not None:
-        return rest_m[unit], share[unit], closing_pa[unit]
-    if np.ptp(rest_m) == np.ptp(share) == np.ptp(closing_pa) == 0.0:
-        return rest_m[0], share[0], closing_pa[0]
-    return tuple(constant.reshape(-1, *(1,) * (axes - 1)) for constant in (rest_m, share, closing_pa))
-
-
 @functools.lru_cache(64)
 def _of_units(parameters: Parameters, zones: Zones) -> tuple[np.ndarray, ...]:
+    """Diameter at rest [m], venular share and closing pressure [Pa] of each unit."""
     p = parameters
     venules = [np.array(zones.of_beds(value)) for value in (p.venular_share, p.venular_closing_pressure_pa)]
     if any(isinstance(value, tuple) for value in vars(p).values()):
@@ -167,12 +160,10 @@ class Arterioles:
     """Small arteries and arterioles of the bed, beside the capillaries of the paper's network.
 
     blood_fraction : Volume fraction of their blood at the mean pressure without touch. [1]
-    peak_pa : Transmural pressure at which they are most compliant. [Pa]
-    mean_pa : Mean arterial pressure. [Pa]
+    peak_pa, mean_pa : Transmural pressure at which they are most compliant, and mean arterial pressure. [Pa]
     pulse_ratio : Their pulse pressure over that of P_H, which acts behind them. [1]
 
-    V(P) = V_max / (1 + exp(-(P - peak_pa) / width)): compliance falls off exponentially on both sides, as in models of
-    oscillometry. They follow the pressure at once.
+    V(P) = V_max / (1 + exp(-(P - peak_pa) / width)), as in models of oscillometry. They follow the pressure at once.
 
     References: G. Drzewiecki, R. Hood, H. Apple, Ann. Biomed. Eng. 22, 88 (1994); G. J. Langewouters et al., Clin.
     Phys. Physiol. Meas. 7, 43 (1986) for the fingers' arteries.
@@ -190,15 +181,6 @@ class Arterioles:
     def compliance_per_pa(self, transmural_pa: ArrayLike) -> Array:
         """Change of that fraction with the pressure, any shape. [Pa^-1]"""
         return self.fraction(transmural_pa) * (1.0 - _sigmoid(transmural_pa, self.peak_pa)) / WIDTH_PA
-
-
-def arterioles_of(body: Body | None, *, mean_pa: float) -> Arterioles | None:
-    """The arterioles of a body; None where no heart beats, as in the paper's own network."""
-    heart = body.heartbeat if body is not None else None
-    if heart is None or heart.pulse_pressure_pa == 0 or heart.arteriolar_blood_fraction == 0:
-        return None
-    ratio = heart.arterial_pulse_pressure_pa / heart.pulse_pressure_pa
-    return Arterioles(heart.arteriolar_blood_fraction, heart.arteriolar_peak_pa, mean_pa, ratio)
 
 
 def _sigmoid(transmural_pa: ArrayLike, peak_pa: float) -> Array:

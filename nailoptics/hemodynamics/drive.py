@@ -37,14 +37,11 @@ class Waveform:
 
     def __init__(self, *, time_s: ArrayLike, pressure_pa: ArrayLike) -> None:
         time, pressure = finite("waveform.time_s", time_s), finite("waveform.pressure_pa", pressure_pa)
-        if time.ndim != 1 or time.size < 1 or pressure.shape != time.shape:
+        if time.ndim != 1 or time.size < 1 or pressure.shape != time.shape or np.any(np.diff(time) < 0.0):
             raise InputError(
                 f"waveform: time_s and pressure_pa must be two rows of one length, got shapes {time.shape} and "
-                f"{pressure.shape}; give one pressure for each knot."
+                f"{pressure.shape}, and times must not fall; give one pressure for each knot, sorted."
             )
-        if np.any(np.diff(time) < 0.0):
-            i = int(np.argmax(np.diff(time) < 0.0)) + 1
-            raise InputError(f"waveform.time_s[{i}] must not come before {time[i - 1]:g} s; sort the knots.")
         object.__setattr__(self, "time_s", time)
         object.__setattr__(self, "pressure_pa", pressure)
 
@@ -65,7 +62,6 @@ class Drive:
     """Inputs that an integrator can read at any time, and how far it may go at once.
 
     waveforms : The inputs. to_channels : Makes the (channels, S) float values to be read from (inputs, S) of them.
-    begin_s, end_s : The first and the last instant. [s]
 
     The time is cut into pieces on which every channel is linear; knots on a line with their neighbours are dropped
     (nothing is lost). A stretch is a run of pieces with no jump or corner inside, nor so much of a smooth curve that a
@@ -99,7 +95,15 @@ class Drive:
         self.stretches = [(low, high - 1) for low, high in zip(borders[:-1], borders[1:], strict=True)]
         self.starts, self.ends = array("d", starts), array("d", ends)
         slopes = (last - first) / sides
-        left, right = _smooth_slopes(sides, slopes, corner)
+        # The slope at the left and at the right end of each piece, second order within a stretch.
+        left, right = slopes.copy(), slopes.copy()
+        inner = (slopes[:, :-1] * sides[1:] + slopes[:, 1:] * sides[:-1]) / (sides[1:] + sides[:-1])
+        right[:, :-1][:, ~corner] = left[:, 1:][:, ~corner] = inner[:, ~corner]
+        # At a stop the slope on the other side does not count: mirror the one at the far end of the piece.
+        before, after = np.append(True, corner), np.append(corner, True)
+        opens, closes = before & ~after, ~before & after
+        left[:, opens] = 2.0 * slopes[:, opens] - right[:, opens]
+        right[:, closes] = 2.0 * slopes[:, closes] - left[:, closes]
         self._first, self._slopes, self._left = first.T.copy(), slopes.T.copy(), left.T.copy()
         self._bends = ((right - left) / sides).T.copy()
 
@@ -143,20 +147,6 @@ def _is_next_level(misses: np.ndarray, roots: float) -> np.ndarray:
     """Where the square roots of misses, added from knot to knot, pass the next multiple of `roots`."""
     # The root, since a smooth curve's miss goes with the square of the distance of its knots.
     return np.diff(np.floor(np.cumsum(np.sqrt(misses)) / roots), prepend=0.0) > 0.0
-
-
-def _smooth_slopes(sides: np.ndarray, slopes: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The slope at the left and at the right end of each piece, second order within a stretch."""
-    left, right = slopes.copy(), slopes.copy()
-    inner = (slopes[:, :-1] * sides[1:] + slopes[:, 1:] * sides[:-1]) / (sides[1:] + sides[:-1])
-    right[:, :-1][:, ~corner] = inner[:, ~corner]
-    left[:, 1:][:, ~corner] = inner[:, ~corner]
-    # At a stop the slope on the other side does not count: mirror the one at the far end of the piece.
-    starts, ends = np.append(True, corner), np.append(corner, True)
-    opens, closes = starts & ~ends, ~starts & ends
-    left[:, opens] = 2.0 * slopes[:, opens] - right[:, opens]
-    right[:, closes] = 2.0 * slopes[:, closes] - left[:, closes]
-    return left, right
 
 
 def waveform_of(name: str, value: Any, time_s: np.ndarray) -> Waveform:

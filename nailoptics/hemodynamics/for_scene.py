@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..scene import Blood, Body, Scene, Touch
 from ..statistics import covariance_root
 from ..variables import described, precision
-from .blood import Arterioles, arterioles_of
+from .blood import Arterioles
 from .parameters import posture_pa, vessels, with_posture
 from .respond import Model
 from .steady import linear_response
@@ -84,10 +84,12 @@ class BloodModel:
 
     @property
     def arterioles(self) -> Arterioles | None:
-        """Small arteries and arterioles; None where no heart beats, or the bed has no blood."""
-        if self.blood.rest_blood_fraction == 0.0:
+        """Small arteries and arterioles; None where no heart beats, as in the paper, or the bed has no blood."""
+        heart, rest_blood = self.body.heartbeat if self.body else None, self.blood.rest_blood_fraction
+        if heart is None or 0.0 in (heart.pulse_pressure_pa, heart.arteriolar_blood_fraction, rest_blood):
             return None
-        return arterioles_of(self.body, mean_pa=self.rest.arterial_pressure_pa)
+        ratio, mean_pa = heart.arterial_pulse_pressure_pa / heart.pulse_pressure_pa, self.rest.arterial_pressure_pa
+        return Arterioles(heart.arteriolar_blood_fraction, heart.arteriolar_peak_pa, mean_pa, ratio)
 
     @property
     def rest_fraction(self) -> float:
@@ -116,10 +118,8 @@ class BloodModel:
         return replace(self, body=body, parameters=with_posture(self.rest, body))
 
     def forces_with_two_balances_n(self) -> np.ndarray:
-        """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states. [N]
-
-        There the blood depends on whether the force has grown or fallen to what it is.
-        """
+        """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states: there the
+        blood depends on whether the force has grown or fallen to what it is. [N]"""
         force_n = np.linspace(0.0, float(self.touch.force_n.max()), 101)
         pressure_pa = self.touch.held_pa(force_n)
         state = hemodynamics.steady_state(self.parameters, pressure_pa=pressure_pa, zones=self.zones)
@@ -150,10 +150,7 @@ class BloodModel:
 
     def covariance(self, waves: Body, force_n: float, *, bandwidth_hz: float) -> np.ndarray:
         """Covariance of both zones' blood by a body's waves of the arterial pressure while a force is held, (2, 2)
-        float.
-
-        They reach the blood through the network, each with the gain G of its frequency: the sum of G G^H times their
-        variances. Waves faster than a stage's bandwidth are left out, as its noise is.
+        float: the sum over waves, up to a stage's bandwidth, of G G^H times their variances, with the gain G of each.
         """
         frequency_hz, variance_pa2 = pressure_lines(waves)
         slow = frequency_hz <= bandwidth_hz
@@ -172,11 +169,8 @@ class BloodModel:
         return SteadyTouch(blood[0], per_pa, force_n, force_per_pa=force_per_pa, pressure_per_n=per_n)
 
     def posture_force_n(self, force_n: float, at_rest: Mapping[str, Any] = POSTURE) -> float:
-        """The false force by the hand's height and venous pressure of the body while a force is held: what their change
-        of both zones' blood is as a change of both touch pressures, on their areas; NaN as for
-        `SteadyTouch.as_force_n`. [N]
-
-        at_rest : the posture in which rest was read, as for `in_posture`.
+        """The false force, as of `SteadyTouch.as_force_n`, by the hand's height and venous pressure of the body while a
+        force is held. [N] at_rest : the posture in which rest was read, as for `in_posture`.
         """
         usual = self.in_posture({**POSTURE, **at_rest}).at_force(force_n)
         return float(usual.as_force_n(self.at_force(force_n).blood_fraction - usual.blood_fraction))
@@ -288,8 +282,6 @@ class BloodModel:
         self, *, model: Model = "massless", rtol: float = 1e-6, bandwidth_hz: float | None = None
     ) -> xr.Dataset:
         """The touch over time and what it does: force, pressures, vessel diameters, and the blood fraction by zone.
-
-        The touch and the body are followed corner by corner, so that nothing depends on how often results are sampled.
 
         model, rtol : as for `hemodynamics.respond`.
         bandwidth_hz : of a stage, to have the `false_forces_n` at the end of the hold, too. [Hz]
@@ -404,14 +396,12 @@ class BloodBeat:
 
 def heart_rate_per_min(body: Body | None) -> float:
     """Beats in a minute of a body's heart; raises InputError where it does not beat."""
-    heart = body.heartbeat if body else None
-    if heart is None or heart.pulse_pressure_pa == 0:
-        what = "a heart without a pulse" if heart else "no [body.heartbeat]"
+    if body is None or body.heartbeat is None or body.heartbeat.pulse_pressure_pa == 0:
         raise InputError(
-            f"body: the scene has {what}, and without a pulse the arterial saturation cannot be measured; "
+            "body: no heart beats, and without a pulse the arterial saturation cannot be measured; "
             "give [body.heartbeat] with pulse_pressure_pa above 0, such as 2000."
         )
-    return heart.rate_per_min
+    return body.heartbeat.rate_per_min
 
 
 def rest_beat(scene: Scene) -> BloodBeat:
@@ -420,9 +410,7 @@ def rest_beat(scene: Scene) -> BloodBeat:
 
 
 def beat_at(scene: Scene, force_n: float) -> BloodBeat:
-    """A beat of the scene's heart, always alike, while a force is held where its touch presses.
-
-    Breathing and vasomotion are left out: what is slower than a beat is no part of a pulse.
+    """A beat of the scene's heart alone, always alike, while a force is held where its touch presses.
 
     Raises: InputError where the heart does not beat.
     """

@@ -24,7 +24,7 @@ from .rosenbrock import RODAS, RODAS_CURVE, combine, interpolate, solver, stages
 from .walls import MasslessNetwork, Walls
 
 _LOG = logging.getLogger(__name__)
-_MOST_STEPS = 2_000_000
+MOST_STEPS = 2_000_000
 # Samples whose pressures are worked out at once: what is between fills the processor's cache, not the memory.
 _AT_ONCE = 1 << 14
 _FIRST_STEP_S = 1e-3
@@ -76,10 +76,8 @@ _larger = np.frompyfunc(lambda a, b: a.write(f"{a} if {a} > {b} else {b}"), 2, 1
 
 
 def _unroll(function: Callable[..., list[Any]], *shapes: tuple[int, ...]) -> Callable[..., Any]:
-    """The function for arrays of given shapes, compiled for lists (of one axis) and floats (of none).
-
-    function : works on its arrays by + - * / abs and `_larger` alone.
-    """
+    """The function, of + - * / abs and `_larger` of arrays of given shapes alone, compiled for lists (of one axis) and
+    floats (of none)."""
     lines: dict[str, _Symbol] = {}
     names, arguments, unpack = [f"a{i}" for i in range(len(shapes))], [], []
     for name, shape in zip(names, shapes, strict=True):
@@ -129,10 +127,8 @@ def _lift(*arguments: Any) -> list[Any]:
 
 
 def _try_step(*arguments: Any) -> list[Any]:
-    """A step of one length: its error over what is allowed, how near a wall comes to contact, and its curve.
-
-    Of constants, inputs at each of _INSTANTS, their slopes, widths, who is free, the step and rtol.
-    """
+    """A step of one length: its error over what is allowed, how near a wall comes to contact, and its curve; of
+    constants, inputs at each of _INSTANTS, their slopes, widths, who is free, the step and rtol."""
     *instants, change, width, free, step_s, rtol = arguments[9:]
     walls, inputs = Walls(*arguments[:9]), dict(zip(_INSTANTS, instants, strict=True))
 
@@ -171,7 +167,6 @@ class _Motion:
         self.constants = [constant.tolist() for constant in walls.constants]
         self.closed, self.snap_m = walls.closed.tolist(), (_SNAP * walls.diameter).tolist()
         self.width: list[float] = np.maximum(start_m, walls.closed).tolist()
-        self.listed = walls.diameter.tolist()
         self.free, self.piece = [1.0] * len(self.width), 0
         self.time, self.step_s = drive.starts[0], min(_FIRST_STEP_S, drive.ends[-1] - drive.starts[0])
         # A failed step this short cannot move the time: it would be repeated for ever.
@@ -221,10 +216,7 @@ class _Motion:
                 excess = math.inf
             if not excess <= 1.0:
                 if step_s < self.least_step_s:
-                    raise NotReachedError(
-                        f"hemodynamics: the response stops at {self.time:g} s, where no step is short enough for the "
-                        "tolerance; raise rtol, or take constants of the vessels nearer to those listed."
-                    )
+                    raise _not_reached(f"stops at {self.time:g} s, where no step is short enough for the tolerance")
                 # The error goes with the fourth power of the step: aim a little below what is allowed.
                 self.step_s = step_s * (max(0.2, min(0.9, 0.9 * excess**-0.25)) if excess < 1e6 else 0.2)
                 continue
@@ -259,15 +251,13 @@ class _Motion:
         return part
 
 
+def _not_reached(how: str) -> NotReachedError:
+    cure = "raise rtol, or take constants of the vessels nearer to those listed"
+    return NotReachedError(f"hemodynamics: the response {how}; {cure}.")
+
+
 def integrate(
-    walls: Walls,
-    drive: Drive,
-    time_s: np.ndarray,
-    start_m: np.ndarray,
-    inputs: np.ndarray | None,
-    *,
-    rtol: float,
-    most_steps: int = _MOST_STEPS,
+    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: np.ndarray | None, *, rtol: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Diameters D + x [m], pressures [Pa] and contact (bool) of walls at given times, (N+1, T) each.
 
@@ -276,7 +266,7 @@ def integrate(
         pressures are needed, which are then (N+1, 0). [Pa]
     rtol : Allowed local error of a step, relative to the diameter or the listed one if that is larger. [1]
 
-    Raises: NotReachedError if the tolerance needs more than `most_steps` steps.
+    Raises: NotReachedError if the tolerance needs more than `MOST_STEPS` steps.
     """
     motion, taken = _Motion(walls, drive, start_m, rtol=rtol), 0
     for motion.piece, last in drive.stretches:
@@ -284,19 +274,15 @@ def integrate(
         while motion.time < drive.ends[last]:
             motion.step(last)
             taken += 1
-            if taken > most_steps:
-                raise NotReachedError(
-                    f"hemodynamics: the response needs more than {most_steps} steps (reached {motion.time:g} s); "
-                    "raise rtol, or take constants of the vessels nearer to those listed."
-                )
+            if taken > MOST_STEPS:
+                raise _not_reached(f"needs more than {MOST_STEPS} steps (reached {motion.time:g} s)")
             if motion.snap() or 0.0 in motion.free:
                 motion.settle()
     _LOG.debug("massless model: %d steps over %g s", taken, drive.ends[-1] - drive.starts[0])
     width, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
     pressure = np.empty((len(width), 0 if inputs is None else time_s.size))
-    if inputs is None:
-        return width, pressure, ~free
-    for start in range(0, time_s.size, _AT_ONCE):
+    for start in range(0, pressure.shape[1], _AT_ONCE):
+        assert inputs is not None
         given, at, loose = (rows[:, start : start + _AT_ONCE] for rows in (inputs, width, free))
         network = MasslessNetwork(walls, at, loose.astype(float))
         pressure[:, start : start + _AT_ONCE] = network.rates(_load(walls, given, at), given[0], given[1])[0]

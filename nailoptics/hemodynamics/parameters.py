@@ -1,7 +1,6 @@
 """The constants of the paper's network: named sets, bounds for tuning, and the check of every value."""
 
 import dataclasses
-import difflib
 import math
 import operator
 import tomllib
@@ -18,6 +17,8 @@ from ..scene import Body, Scene
 
 PerBed = float | tuple[float, float]
 """A constant of both beds, or those of the proximal and of the distal one."""
+# Constants of the beds, each of which may have a different one, begin so.
+OF_BEDS = ("capillary_", "venul")
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
 # With less damping a wall's own force is lost beside the blood's, in floats: results are wrong, not slow.
 LEAST_DAMPING_N_S_PER_M = 1e-12
@@ -80,7 +81,7 @@ class Parameters:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if is_of_beds(field.name) and isinstance(value, list | tuple) and len(value) == 2:
+            if field.name.startswith(OF_BEDS) and isinstance(value, list | tuple) and len(value) == 2:
                 pair = tuple(_checked(field.name, item) for item in value)
                 value = pair[0] if pair[0] == pair[1] else pair
             else:
@@ -88,23 +89,12 @@ class Parameters:
             object.__setattr__(self, field.name, value)
 
     def replace(self, **changes: Any) -> "Parameters":
-        """A copy with some values changed, checked like a new set; InputError also for an unknown name."""
-        known = [field.name for field in dataclasses.fields(self)]
-        for name in changes:
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-                hint = f"did you mean {near[0]!r}?" if near else f"use one of {', '.join(known)}."
-                raise InputError(f"{name} is not a parameter; {hint}")
+        """A copy with some values changed, checked like a new set; TypeError for an unknown name."""
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, Any]:
         """The values by name."""
         return dataclasses.asdict(self)
-
-
-def is_of_beds(name: str) -> bool:
-    """Whether a constant belongs to the beds, each of which may have a different one."""
-    return name.startswith(("capillary_", "venul"))
 
 
 def _checked(name: str, given: Any) -> float:
@@ -131,19 +121,7 @@ def parameters(name: str = "listed") -> Parameters:
       to which stiffness and damping alone are tuned. Each bed has its own constants, within an order of magnitude of
       the list; 3 % of the distal bed's blood is in venules, beyond the paper. Together they meet all 40 rules
       of `paper.claims`.
-
-    Of earlier versions, kept for scenes that name them:
-
-    - figures: every value within a factor 2 of the list; shows the paper's Fig. 10.
-    - compromise: meets a part of Figs. 10, 11 and 12.
-    - best: found by global search within an order of magnitude of the list
-      (`tests/benchmarks/parameter_search.py`). It meets 30 of the 40 rules of `paper.claims`. Its capillaries are
-      hardly slower on release than on loading (Fig. 10), V_P2 begins a little less steeply and levels off at higher
-      pressure than in Fig. 12, and the proximal reading takes 0.153 s to follow a falling force, where 0.15 were
-      allowed (Fig. 16).
-    - sluggish: from the same search, with 32 rules: much slower capillaries on release (Fig. 10), for which the
-      proximal reading takes 0.29 s to follow a falling force (Fig. 16) and the distal one overshoots under steps of
-      both pressures (Fig. 11). No set was found without one of these.
+    - figures, compromise, best, sluggish: of earlier versions, for scenes that name them (assets/vessels.toml).
 
     Raises: InputError if the name is unknown.
     """
@@ -153,26 +131,16 @@ def parameters(name: str = "listed") -> Parameters:
 
 
 def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
-    """The range for tuning of each value: the listed one divided and multiplied by a factor.
-
-    The paper tunes "within an order of magnitude". P_H and P_L are the body's, not the model's, and stay out.
-
-    Raises: InputError if the factor is not greater than 1.
-    """
-    if not (math.isfinite(factor) and factor > 1.0):
-        raise InputError(f"factor must be finite and greater than 1, got {factor}; use 10.")
+    """The range for tuning of each value: the listed one divided and multiplied by a factor, in the paper an order of
+    magnitude. P_H and P_L are the body's, not the model's, and stay out."""
     listed = Parameters().as_dict()
     left_out = _MAY_BE_ANY_SIGN + _BEYOND_THE_PAPER
     return {name: (value / factor, value * factor) for name, value in listed.items() if name not in left_out}
 
 
 def vessels(scene: Scene) -> Parameters:
-    """The constants of the scene's vessels: those of the named set, but for what the scene tunes.
-
-    P_H is the mean of a body whose pressure moves.
-
-    Raises: InputError if there is no such set, or a constant cannot be.
-    """
+    """The constants of the scene's vessels: those of the named set, but for what the scene tunes; P_H is the mean of a
+    body whose pressure moves. Raises InputError if there is no such set, or a constant cannot be."""
     blood, body = scene.blood, scene.body
     constants = parameters(blood.parameters)
     if blood.tuning:
@@ -200,10 +168,8 @@ def _scaled(constants: Parameters, factors: Mapping[str, PerBed]) -> Parameters:
 
 
 def far_from_list(*scenes: Scene) -> list[str]:
-    """A warning of constants of the vessels that are farther off the paper's than a factor of `FAR_FROM_LIST`.
-
-    It is one for all scenes. A scene whose vessels cannot be has none, and fails where it is simulated.
-    """
+    """A warning, one for all scenes, of constants of the vessels that are farther off the paper's than a factor of
+    `FAR_FROM_LIST`. A scene whose vessels cannot be has none, and fails where it is simulated."""
     far = dict[str, None]()
     for scene in scenes:
         with suppress(InputError):

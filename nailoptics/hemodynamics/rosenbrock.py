@@ -134,8 +134,7 @@ def step(
 ) -> np.ndarray:
     """Diameters D + x of the massless walls of many networks after one step, (N+1, *S) float. [m]
 
-    For fits and filters, which step thousands of networks side by side by some 10 ms, by ROS2; for one network, to a
-    tolerance, take `respond`.
+    For fits and filters, which step thousands of networks side by side by some 10 ms, by ROS2.
 
     walls : its constants may be arrays that broadcast to S.
     width : (N+1, *S) float. Diameters before it. [m]

@@ -34,7 +34,6 @@ class SteadyState:
     vein_diameter_m : S float. D_V + x_V. [m]
     capillary_pressure_pa : (N, *S) float. Blood pressure. [Pa]
     vein_pressure_pa : S float. Blood pressure. [Pa]
-    branch : "wide" or "narrow": which balance this is, where there are two.
     two_branches : S bool. There are two: what unloading ends in may differ from what loading led to.
     """
 
@@ -42,16 +41,11 @@ class SteadyState:
     vein_diameter_m: np.ndarray
     capillary_pressure_pa: np.ndarray
     vein_pressure_pa: np.ndarray
-    branch: Branch
     two_branches: np.ndarray
 
 
 def steady_state(
-    parameters: Parameters,
-    *,
-    zones: Zones = PAPER_ZONES,
-    branch: Branch = "wide",
-    **pressures: Unpack[Pressures],
+    parameters: Parameters, *, zones: Zones = PAPER_ZONES, branch: Branch = "wide", **pressures: Unpack[Pressures]
 ) -> SteadyState:
     """The vessels once a touch has been held for long; arrays of pressures are broadcast and solved together.
 
@@ -80,7 +74,6 @@ def steady_state(
         vein_diameter_m=width[n].reshape(shape)[()],
         capillary_pressure_pa=pressure[:n].reshape((n, *shape)),
         vein_pressure_pa=pressure[n].reshape(shape)[()],
-        branch=branch,
         two_branches=(gap.max(axis=0) > _SAME).reshape(shape)[()],
     )
 
@@ -162,15 +155,7 @@ def solve_walls(
     return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
-def _openings(
-    tension: np.ndarray,
-    barrier: np.ndarray,
-    push: np.ndarray,
-    head: np.ndarray,
-    *,
-    tolerance: float,
-    branch: Branch,
-) -> np.ndarray:
+def _openings(tension: Array, barrier: Array, push: Array, head: Array, *, tolerance: float, branch: Branch) -> Array:
     """The widest (or narrowest) opening u = (D+x)/D at which a capillary wall balances, or that of contact.
 
     tension (u-1) = push + head u^4/(u^4 + barrier), with P_N the vein node's pressure, all arrays that broadcast:

@@ -7,7 +7,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite, fraction, not_negative, positive
+from ..checks import finite, not_negative
 from ..errors import InputError
 from ..scene import Scene, Touch
 from ..scene.base import USUAL_CONTACT_AREA_MM2
@@ -32,14 +32,11 @@ class Contact:
     contact_area_mm2 : Area of the whole touch. [mm^2]
     proximal_share : Part of the force that the proximal side carries, 0 to 1. [1]
     proximal_area_mm2, distal_area_mm2 : Area of a side. None: the part of the contact that goes with the side's share
-        of the force, but no less than half: a touch on one side presses there with all of the contact, an even one
-        with half of it on each side. [mm^2]
+        of the force, but no less than half. [mm^2]
     contact_force_n : Force at which all areas are as stated. They grow with force^(2/3), as the contact of a sphere
-        (Hertz 1882) does, so that pressures grow with force^(1/3). None: they do not grow. [N]
+        (Hertz 1882) does. None: they do not grow. [N]
     distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
         its share, the proximal side carries all else. [N]
-
-    Raises: InputError if an area or contact_force_n is not positive, or the share is not in 0..1.
     """
 
     contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2
@@ -48,12 +45,6 @@ class Contact:
     distal_area_mm2: ArrayLike | None = None
     contact_force_n: float | None = None
     distal_onset_n: float = 0.0
-
-    def __post_init__(self) -> None:
-        fraction("proximal_share", self.proximal_share)
-        for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2", "contact_force_n"):
-            if getattr(self, name) is not None:
-                positive(name, getattr(self, name))
 
     def side_areas_mm2(self, proximal_share: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Areas on which the touch presses the proximal and the distal pulp, by another share if given. [mm^2]"""
@@ -66,9 +57,8 @@ class Contact:
     def pressures(self, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The proximal and the distal pressure, P_F1 and P_F2, that a force gives, of any shape. [Pa]
 
-        Each side carries its share of the force on its own area, so that both forces add up to the touch's. By default
-        1 N on one side is 1 N/cm^2 there, and an even touch of 1 N is 1 N/cm^2 on both, which puts the paper's model
-        (level near 1 N/cm^2) and its experiments (level near 1 N) on one axis.
+        Each side carries its share of the force on its own area. By default 1 N on one side is 1 N/cm^2 there, and an
+        even touch of 1 N is 1 N/cm^2 on both: the paper's model and its experiments on one axis.
 
         Raises: InputError if the force is negative or not finite.
         """
@@ -81,11 +71,8 @@ class Contact:
         return share * force / (proximal_mm2 * 1e-6), (1.0 - share) * force / (distal_mm2 * 1e-6)
 
     def shear_pressure(self, shear_n: ArrayLike) -> np.ndarray:
-        """The pressure of a longitudinal force of either sign on the distal capillaries. [Pa]
-
-        It bears on the distal half of the contact, or on the stated distal area: a newton of it whitens the tip twice
-        as much as one of normal force. The paper says that shear is more effective, not by how much.
-        """
+        """The pressure of a longitudinal force of either sign, on the distal half of the contact or the stated distal
+        area: so it whitens the tip twice as much as normal force, of which the paper says "more". [Pa]"""
         return np.asarray(np.abs(finite("shear_n", shear_n)) / (1e-6 * self.side_areas_mm2(0.5)[1]))
 
 
@@ -96,13 +83,9 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     pressure_pa : (..., T) float. Of the touch, linear between the times. [Pa]
     relaxation_s : (...) float. Time constant of the recovery; 0 is none. [s]
 
-    Where the touch presses harder than what is left, the pulp follows; where it presses less, the difference dies away
-    as exp(-t / relaxation_s).
-
-    Raises: InputError if a value is not finite, or the time constant is negative.
+    Where the touch presses less than what is left, the difference dies away as exp(-t / relaxation_s).
     """
-    time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    relaxation = not_negative("relaxation_s", relaxation_s)
+    time, touch, relaxation = (np.asarray(given, float) for given in (time_s, pressure_pa, relaxation_s))
     left = touch.copy()
     if relaxation.any():
         # Of several, those that are 0 die away within any step.
@@ -124,15 +107,12 @@ def spreading_pressure(
     time_constant_s : of its loss, and of the pulp's return once the touch is over. [s]
 
     What is lost follows the pressure with that delay, and never exceeds it.
-
-    Raises: InputError if a value is not finite, the part is not in 0..1, or the time constant is not positive.
     """
-    time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
-    lost, delay = fraction("part", part), positive("time_constant_s", time_constant_s)
+    touch = np.asarray(pressure_pa, float)
     delayed = np.zeros_like(touch)
-    for i, h in enumerate(np.diff(time)):
-        delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, delay)
-    return np.maximum(touch - lost[..., None] * delayed, 0.0)
+    for i, h in enumerate(np.diff(time_s)):
+        delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, time_constant_s)
+    return np.maximum(touch - np.asarray(part)[..., None] * delayed, 0.0)
 
 
 def _lagging(value: Any, before: Any, after: Any, step_s: float, delay_s: Any) -> Any:
@@ -183,7 +163,7 @@ def named_pressures(parameters: Parameters, zones: Zones, pressures: Pressures) 
 class TouchCourse:
     """A touch over time, linear between corners; a time comes twice where it jumps.
 
-    touch, contact : the scene's, and where it presses as stated, whatever the force.
+    touch, contact : the scene's, and where it presses as stated.
     samples_s : (t,) float. At which results are given.
     time_s, force_n : (k,) float. Where pressures alone were recorded the force is theirs, each on the area of its side.
     shear_n : (k,) float. The longitudinal force, positive towards the tip; None of a touch without.
@@ -202,18 +182,15 @@ class TouchCourse:
     per_n_pa: np.ndarray | None
 
     def sides_pa(self, force_n: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Proximal and distal pressure of a force that presses as the touch does. [Pa]
-
-        Recorded pressures have the ratio that they have where the force is largest.
-        """
+        """Proximal and distal pressure of a force that presses as the touch does, recorded ones in the ratio that they
+        have where the force is largest. [Pa]"""
         if self.per_n_pa is None:
             return self.contact.pressures(force_n)
         return self.per_n_pa[0] * np.asarray(force_n, float), self.per_n_pa[1] * np.asarray(force_n, float)
 
     def contact_at(self, force_n: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where the touch presses at a force: both pressures [Pa], their change by newton, and the change of the force
-        on either side by pascal [N/Pa], (2,) each.
-        """
+        on either side by pascal [N/Pa], (2,) each."""
         low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
         before, here, after = np.transpose(self.sides_pa([low_n, force_n, high_n]))
         # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
@@ -247,7 +224,13 @@ def touch_course(touch: Touch) -> TouchCourse:
     beside = {name: np.array(column) for name, column in columns.items() if column is not None}
     contact, recorded_pa = Contact(**where), (touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa)
     if recorded_pa[0] is None:
-        courses, bends_s = [force_n, *beside.values()], _bend_times_s(contact, time_s, force_n)
+        courses = [force_n, *beside.values()]
+        # When the force passes what its pressures bend at between corners.
+        levels_n = force_n.max() * (np.arange(1, KNOTS_OF_CONTACT) / KNOTS_OF_CONTACT) ** 3
+        levels_n = np.append([] if contact.contact_force_n is None else levels_n, contact.distal_onset_n)[:, None]
+        level, before = np.nonzero(((force_n[:-1] < levels_n) != (force_n[1:] < levels_n)) & (np.diff(time_s) > 0.0))
+        part = (levels_n[level, 0] - force_n[before]) / np.diff(force_n)[before]
+        bends_s = time_s[before] + part * np.diff(time_s)[before]
         time_s, (force_n, *finer) = _with_knots(time_s, courses, bends_s)
         beside = dict(zip(beside, finer, strict=True))
         moving = Contact(**where | {name: beside[name] for name in beside.keys() - {"shear_n"}})
@@ -263,15 +246,6 @@ def touch_course(touch: Touch) -> TouchCourse:
     if shear_n is not None:
         rows = np.vstack([rows, contact.shear_pressure(shear_n)])
     return TouchCourse(touch, contact, samples_s, time_s, force_n, shear_n, rows, per_n_pa)
-
-
-def _bend_times_s(contact: Contact, time_s: np.ndarray, force_n: np.ndarray) -> np.ndarray:
-    """When a force passes what its pressures bend at between corners."""
-    levels_n = force_n.max() * (np.arange(1, KNOTS_OF_CONTACT) / KNOTS_OF_CONTACT) ** 3
-    levels_n = np.append([] if contact.contact_force_n is None else levels_n, contact.distal_onset_n)[:, None]
-    level, before = np.nonzero(((force_n[:-1] < levels_n) != (force_n[1:] < levels_n)) & (np.diff(time_s) > 0.0))
-    part = (levels_n[level, 0] - force_n[before]) / np.diff(force_n)[before]
-    return np.asarray(time_s[before] + part * np.diff(time_s)[before])
 
 
 def _relaxation_times_s(time_s: np.ndarray, relaxation_s: float) -> np.ndarray:

@@ -135,10 +135,8 @@ class MasslessNetwork:
         return self.free * np.concatenate([drive, net]) / (total * damping)
 
     def jacobian(self, pressures: np.ndarray, high: Any, low: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How the speeds change with the widths: d, p, q of diag(d) + outer(p, q), (N+1, ...) float each.
-
-        The units meet in the vein node only, hence the rank of one. pressures : (N+1, ...) float. Of `rates`. [Pa]
-        """
+        """How the speeds change with the widths: d, p, q of diag(d) + outer(p, q), (N+1, ...) float each, as units meet
+        in the vein node only. pressures : (N+1, ...) float. Of `rates`. [Pa]"""
         slope = 4.0 * self.conductance / self.width
         rise = slope[:-1] * (high - pressures[:-1])
         give = self.free * self.walls.stiffness / self.walls.damping

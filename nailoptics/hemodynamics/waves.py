@@ -15,18 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ..checks import finite, not_negative, number, positive
-from ..errors import InputError
+from ..checks import Array
 from ..scene import Body
 from ..statistics import seed_of
-
-Array = NDArray[np.float64]
 
 # Height, instant (part of a beat) and sharpness of the systolic, the reflected and the dicrotic wave: chosen so that
 # their sum climbs faster than it falls and has the notch of a finger's pulse.
 _PULSE_COMPONENTS = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))
 
-MOST_VARIABILITY = 0.2
 # Streams of the seed.
 _HEART, _BREATH, _SLOW_WAVES = range(3)
 # Sines that make the slow waves: as many as make them irregular over minutes.
@@ -68,18 +64,16 @@ def cardiac_pressure(
 
     One beat is the sum of three smooth periodic bumps exp(s (cos(phase - phase_0) - 1)): the systolic wave, its
     reflection and the dicrotic wave, the shape of a finger's pulse (Allen 2007, Physiol. Meas. 28 R1).
-
-    Raises: InputError if a value is not finite, the rate is not positive, the pulse is negative, or the variability is
-    not in 0..0.2.
     """
-    mean, pulse = number("mean_pressure_pa", mean_pressure_pa), not_negative("pulse_pressure_pa", pulse_pressure_pa)
-    variability = number("rate_variability", rate_variability)
-    if not 0.0 <= variability <= MOST_VARIABILITY:
-        raise InputError(f"rate_variability must lie in 0..{MOST_VARIABILITY:g}, got {variability:g}; 0.05 is usual.")
     beat = _beat(np.arange(2048) / 2048.0)
-    beats = finite("time_s", time_s) * positive("rate_per_min", rate_per_min) / 60.0
-    phase = _uneven(beats, variability, seed) if variability else beats
-    return mean + pulse * (_beat(phase) - beat.mean()) / np.ptp(beat)
+    beats = np.asarray(time_s, float) * rate_per_min / 60.0
+    phase = beats
+    if rate_variability:
+        most = int(np.ceil(beats.max(initial=0.0) / (1.0 - 3.0 * rate_variability))) + 1
+        drawn = np.random.default_rng(seed_of(seed, _HEART)).standard_normal(most)
+        starts = np.concatenate(([0.0], np.cumsum(1.0 + rate_variability * np.clip(drawn, -3.0, 3.0))))
+        phase = np.where(beats < 0.0, beats, np.interp(beats, starts, np.arange(most + 1.0)))
+    return mean_pressure_pa + pulse_pressure_pa * (_beat(phase) - beat.mean()) / np.ptp(beat)
 
 
 def breathing_pressure(
@@ -87,12 +81,10 @@ def breathing_pressure(
 ) -> np.ndarray:
     """What the breath adds to the arterial pressure: a sine whose phase at time 0 follows from the seed. [Pa]
 
-    time_s : any shape, float. [s]
-    amplitude_pa : Half of top to bottom. [Pa]
-    rate_per_min : Breaths in a minute. [1/min]
+    time_s : any shape, float. [s] amplitude_pa : Half of top to bottom. [Pa]
     """
     phase = np.random.default_rng(seed_of(seed, _BREATH)).random()
-    return amplitude_pa * np.sin(2.0 * np.pi * (finite("time_s", time_s) * rate_per_min / 60.0 + phase))
+    return amplitude_pa * np.sin(2.0 * np.pi * (np.asarray(time_s, float) * rate_per_min / 60.0 + phase))
 
 
 def vasomotion_pressure(
@@ -105,7 +97,7 @@ def vasomotion_pressure(
     band_hz : Lowest and highest frequency. [Hz]
     seed : of the waves: sines of equal height whose frequencies are spread at random over equal parts of the band.
     """
-    time = finite("time_s", time_s)
+    time = np.asarray(time_s, float)
     rng = np.random.default_rng(seed_of(seed, _SLOW_WAVES))
     low, high = band_hz
     frequencies = low + (high - low) * (np.arange(_SINES) + rng.random(_SINES)) / _SINES
@@ -115,21 +107,12 @@ def vasomotion_pressure(
     return amplitude_pa * np.sqrt(2.0 / _SINES) * waves
 
 
-def _uneven(beats: np.ndarray, variability: float, seed: int) -> np.ndarray:
-    """The phase of a heart whose beats have random intervals, from the time in mean intervals."""
-    most = int(np.ceil(beats.max(initial=0.0) / (1.0 - 3.0 * variability))) + 1
-    drawn = np.random.default_rng(seed_of(seed, _HEART)).standard_normal(most)
-    intervals = 1.0 + variability * np.clip(drawn, -3.0, 3.0)
-    starts = np.concatenate(([0.0], np.cumsum(intervals)))
-    return np.where(beats < 0.0, beats, np.interp(beats, starts, np.arange(most + 1.0)))
-
-
 def _beat(phase: np.ndarray) -> np.ndarray:
     """The pulse before it is scaled, from the phase in beats."""
-    waves = [
-        height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for height, at, sharp in _PULSE_COMPONENTS
-    ]
-    return sum(waves, start=np.zeros_like(phase))
+    waves = np.zeros_like(phase)
+    for height, at, sharp in _PULSE_COMPONENTS:
+        waves += height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0))
+    return waves
 
 
 Lines = tuple[Array, Array]
@@ -212,14 +195,13 @@ def fastest_hz(body: Body) -> float:
 def waves_pressure(body: Body, time_s: Array, *, mean_pressure_pa: float, pulse_ratio: float = 1.0) -> Array:
     """The arterial pressure by all waves of a body about a mean, (t,) float; a recorded one is not in it. [Pa]
 
-    time_s : (t,) float, from the start of the touch. pulse_ratio : amplitude of the heartbeat over that in P_H.
+    pulse_ratio : amplitude of the heartbeat over that in P_H.
     """
-    ratios = [pulse_ratio if wave is HEARTBEAT else 1.0 for wave, _ in waves_of(body)]
-    parts = [
-        ratio * wave.pressure_pa(time_s, seed=body.seed, **fields)
-        for ratio, (wave, fields) in zip(ratios, waves_of(body), strict=True)
-    ]
-    return sum(parts, start=np.full(time_s.shape, mean_pressure_pa))
+    pressure_pa = np.full(time_s.shape, mean_pressure_pa)
+    for wave, fields in waves_of(body):
+        ratio = pulse_ratio if wave is HEARTBEAT else 1.0
+        pressure_pa = pressure_pa + ratio * wave.pressure_pa(time_s, seed=body.seed, **fields)
+    return pressure_pa
 
 
 def pressure_lines(body: Body) -> Lines:
@@ -264,8 +246,7 @@ def resolved_harmonics(rate_hz: float, count: int, nyquist_hz: float) -> NDArray
 
 @dataclass(frozen=True)
 class CardiacOscillator:
-    """State-space model of the heartbeat for a filter: harmonics of one rate that keep their height while their phase
-    drifts.
+    """State-space model of the heartbeat for a filter: harmonics that keep their height while their phase drifts.
 
     rate_hz : beats in a second. rms_pa : of each harmonic. spread : relative standard deviation of their heights.
     """
@@ -306,12 +287,10 @@ class CardiacOscillator:
             - (growth**3 * forgotten / height2)[:, None, None] * before[:, :, None] * before[:, None, :]
         )
         jacobian, first = np.zeros((self.size, self.size)), 1 + 2 * np.arange(len(order))
-        decay = np.exp(-step_s / RATE_MEMORY_S)
-        jacobian[0, 0] = decay
+        jacobian[0, 0] = decay = np.exp(-step_s / RATE_MEMORY_S)
         block = rotation @ inner
-        for i in range(2):
-            for j in range(2):
-                jacobian[first + i, first + j] = block[:, i, j]
+        for i, j in np.ndindex(2, 2):
+            jacobian[first + i, first + j] = block[:, i, j]
         across = np.column_stack([-after[:, 1], after[:, 0]])
         jacobian[1:, 0] = (turn[:, None] * across).ravel()
         # All harmonics belong to one beat: when it is late, all are.

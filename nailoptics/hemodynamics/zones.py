@@ -1,12 +1,11 @@
 """Zones of the nail bed: capillary units along the nail, and which touch pressure reaches the wall of each."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..checks import finite, positive
 from ..errors import InputError
 from ..scene import Scene
 from .parameters import beds
@@ -20,24 +19,13 @@ class Zones:
     reach : (N, M) floats. Part of pressure input m that acts on the capillary wall of unit i. [1]
     vein_reach : (M,) floats. Part of pressure input m that acts on the vein wall. [1]
 
-    A unit of share s has s N_C capillaries, s A_C, s k_C, s b_C, s m_C and R_V1/s: cutting a bed into units
-    that feel one pressure changes nothing.
+    A unit of share s has s N_C, s A_C, s k_C, s b_C, s m_C and R_V1/s: cutting a bed that feels one pressure changes
+    nothing.
     """
 
     share: tuple[float, ...]
     reach: tuple[tuple[float, ...], ...]
     vein_reach: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        share, reach = positive("zones.share", self.share), finite("zones.reach", self.reach)
-        vein_reach = finite("zones.vein_reach", self.vein_reach)
-        if share.ndim != 1 or not np.isclose(share.sum(), 2.0, rtol=1e-9):
-            raise InputError(f"zones.share must sum to 2 (the paper's two beds), got {share.sum():g}; scale it.")
-        if reach.shape != (share.size, vein_reach.size) or vein_reach.ndim != 1:
-            raise InputError(
-                f"zones.reach must have shape (units, inputs) = ({share.size}, {vein_reach.size}), got {reach.shape}; "
-                "give one row for each unit and one column for each input."
-            )
 
     @property
     def count(self) -> int:
@@ -79,10 +67,7 @@ PAPER_ZONES = Zones(share=(1.0, 1.0), reach=((0.0, 0.0), (0.0, 1.0)), vein_reach
 
 
 def zones_between(
-    edges: Sequence[float] | np.ndarray,
-    *,
-    decay_length: float | None = None,
-    shield: tuple[float, float] | None = None,
+    edges: Sequence[float] | np.ndarray, *, shield: tuple[float, float] = (0.5, 0.1), decay_length: float | None = None
 ) -> Zones:
     """Cut the nail bed at given places into units whose size is their part of it, with the paper's two inputs.
 
@@ -93,42 +78,25 @@ def zones_between(
     decay_length : Instead of the shield, a reach that falls off as exp(-d/decay_length) with the distance d from the
         last unit, where P_F2 is its mean over the distal half; the law of versions before the shield. [1]
 
-    Raises: InputError if the edges do not rise from above 0 to below 1, a length is not positive, or there is not one
-    of the two laws.
+    Raises: InputError if the edges do not rise from above 0 to below 1.
     """
     ends = np.concatenate(([0.0], np.asarray(edges, dtype=float), [1.0]))
     size = np.diff(ends)
-    if not (np.all(np.isfinite(ends)) and np.all(size > 0.0)):
+    if not np.all(size > 0.0):
         raise InputError(f"zones.edges must rise between 0 and 1, got {list(edges)}; sort them and leave out the ends.")
-    if (shield is None) == (decay_length is None):
-        raise InputError("zones take one law of the distal pressure's reach; give shield or decay_length.")
-    name, (end, length) = ("decay_length", (0.0, decay_length)) if shield is None else ("shield", shield)
-    if length is None or not (np.isfinite(length) and np.isfinite(end) and length > 0.0):
-        raise InputError(f"zones.{name} must be positive and finite, got {length}; 0.15 is usual.")
-    if shield is not None:
+    if decay_length is None:
+        end, length = shield
         past = (ends - end) / length
         # The integral of tanh is log cosh.
         distal = 0.5 + 0.5 * length * np.diff(np.logaddexp(past, -past)) / size
     else:
         in_distal_half = np.diff(np.maximum(ends, 0.5))
         centre = 0.5 * (ends[:-1] + ends[1:])
-        falling = np.exp((centre - centre[-1]) / length)
+        falling = np.exp((centre - centre[-1]) / decay_length)
         distal = falling * in_distal_half.sum() / (falling @ in_distal_half)
     return Zones(
-        share=tuple((2.0 * size).tolist()),
-        reach=tuple((0.0, part) for part in distal.tolist()),
-        vein_reach=(1.0, 0.0),
+        share=tuple((2.0 * size).tolist()), reach=tuple((0.0, part) for part in distal.tolist()), vein_reach=(1.0, 0.0)
     )
-
-
-def with_shear(zones: Zones) -> Zones:
-    """The same units with a third input, shear, which reaches each of them as the distal pressure does.
-
-    The paper says of shear only that it widens the white band, and more than normal force does. This is the simplest
-    law that does: it presses on the capillaries (`shear_pressure`), and on no vein.
-    """
-    reach = tuple((proximal, distal, distal) for proximal, distal in zones.reach)
-    return Zones(share=zones.share, reach=reach, vein_reach=(*zones.vein_reach, 0.0))
 
 
 def capillary_zones(scene: Scene) -> Zones:
@@ -139,13 +107,14 @@ def capillary_zones(scene: Scene) -> Zones:
     else:
         length_mm = scene.fingertip.nail_length_mm
         edges = [0.5 + edge / length_mm for edge in edges_mm]
-        end, edge = 0.5 + scene.fingertip.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
-        law: dict[str, Any] = {"shield": (end, edge)}
-        if blood.decay_length is not None:
-            law = {"decay_length": blood.decay_length}
-        cut = zones_between(edges, **law)
+        shield = 0.5 + scene.fingertip.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
+        cut = zones_between(edges, shield=shield, decay_length=blood.decay_length)
     if (everywhere := blood.distal_reach) > 0.0:
         reach = tuple((proximal, everywhere + (1.0 - everywhere) * distal) for proximal, distal in cut.reach)
-        cut = Zones(share=cut.share, reach=reach, vein_reach=cut.vein_reach)
-    shears = touch.shear_n is not None or touch.recorded_shear_n is not None
-    return with_shear(cut) if shears else cut
+        cut = replace(cut, reach=reach)
+    if touch.shear_n is not None or touch.recorded_shear_n is not None:
+        # A third input. The paper says of shear only that it widens the white band, and more than normal force does.
+        # This is the simplest law that does: it presses on capillaries as the distal pressure does, and on no vein.
+        by_shear = tuple((proximal, distal, distal) for proximal, distal in cut.reach)
+        cut = replace(cut, reach=by_shear, vein_reach=(*cut.vein_reach, 0.0))
+    return cut

@@ -121,11 +121,6 @@ def _release_over_loading(on: np.ndarray, off: np.ndarray) -> np.ndarray:
     return np.exp(np.log(ratio).mean(axis=-1))
 
 
-def _difference(on: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """Largest difference over the steps between the time constants on release and on loading. [s]"""
-    return np.abs(_release_time(on, off) - _time_constant(on)).max(axis=-1)
-
-
 def _change_over(curve: np.ndarray, between: tuple[float, float], other: tuple[float, float]) -> np.ndarray:
     """Change of a curve between two pressures in N/cm^2 over the size of that between two others. [1]"""
     change, size = (curve[..., _at(end)] - curve[..., _at(start)] for start, end in (between, other))
@@ -168,13 +163,6 @@ def _band(r: Responses, *forces_n: float) -> np.ndarray:
     return white_band_mm(FINGER_ZONES.position, blood, ends_mm=(0.0, 1.0))
 
 
-def _shear_over_normal(r: Responses) -> np.ndarray:
-    """Blood that half a newton of shear more drives from the tip over that of normal force. [1]"""
-    tip = r.even[-1]
-    usual = tip[..., SHEARED]
-    return (usual - tip[..., -1]) / np.maximum(usual - tip[..., SHEARED + 1], _TINY)
-
-
 def _varies_more(change: np.ndarray) -> np.ndarray:
     """Relative range over people of the proximal change to 2 N (P, 2, ...) over that of the distal one. [1]"""
     size = np.abs(change)
@@ -195,7 +183,9 @@ MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
         _time_constant(r.proximal_on[0][..., 0, :]) / _time_constant(r.proximal_on[0][..., -1, :])
     ),
     "capillary_release_over_loading": lambda r: _release_over_loading(r.proximal_on[0], r.proximal_off[0]),
-    "vein_time_difference": lambda r: _difference(r.proximal_on[2], r.proximal_off[2]),
+    "vein_time_difference": lambda r: np.abs(
+        _release_time(r.proximal_on[2], r.proximal_off[2]) - _time_constant(r.proximal_on[2])
+    ).max(axis=-1),
     "vein_overshoot": lambda r: _overshoot(r.proximal_on[2], r.proximal_off[2]),
     "proximal_step": lambda r: _smallest_step(r.both[0]),
     "distal_step": lambda r: _smallest_step(-r.both[1]),
@@ -225,7 +215,10 @@ MEASURES: dict[str, Callable[[Responses], np.ndarray]] = {
     "band_smallest_growth": lambda r: np.diff(_band(r, 1.0, 2.0, 3.0, 4.0), axis=-1).min(axis=-1),
     "band_growth_past_4_n": lambda r: np.diff(_band(r, 4.0, 16.0), axis=-1)[..., 0],
     "rear_change": lambda r: (r.even[:4, ..., _touch(1.0) : -1] - r.even[:4, ..., [_touch(1.0)]]).min(axis=(0, -1)),
-    "shear_over_normal": _shear_over_normal,
+    "shear_over_normal": lambda r: (
+        (r.even[-1][..., SHEARED] - r.even[-1][..., -1])
+        / np.maximum(r.even[-1][..., SHEARED] - r.even[-1][..., SHEARED + 1], _TINY)
+    ),
 }
 PEOPLE_MEASURES: dict[str, Callable[[PeopleReadings], np.ndarray]] = {
     "people_who_rise": lambda r: _past_the_knee(r.cycle[0].mean(axis=-2)) >= _SLIGHT_RISE,
@@ -285,15 +278,6 @@ def evaluate_people(readings: PeopleReadings) -> list[Claim]:
     return claims
 
 
-def bounds_in_words(rule: Rule) -> str:
-    """The bounds of a rule: from one to the other, or the only one."""
-    if math.isinf(rule.high):
-        return f">= {rule.low:.3g}"
-    if math.isinf(rule.low):
-        return f"<= {rule.high:.3g}"
-    return f"{rule.low:.3g} to {rule.high:.3g}"
-
-
 def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
     """Claims as plain rows: one for each rule, with value and verdict of each set that it applies to."""
     claims = {(name, claim.rule): claim for name, claims in claims_by_set.items() for claim in claims}
@@ -301,7 +285,9 @@ def as_rows(claims_by_set: Mapping[str, list[Claim]]) -> list[dict[str, Any]]:
     for rule in dict.fromkeys((*RULES, *PEOPLE_RULES)):
         row = {"figure": rule.figure, "sentence": rule.sentence, "measure": rule.text, "unit": rule.unit}
         number = f"the sentence gives {rule.given}, the tolerance is our choice" if rule.given else "our choice"
-        row |= {"rule": bounds_in_words(rule), "number": number, "applies_to": rule.applies_to}
+        bounds = f"<= {rule.high:.3g}" if math.isinf(rule.low) else f"{rule.low:.3g} to {rule.high:.3g}"
+        bounds = f">= {rule.low:.3g}" if math.isinf(rule.high) else bounds
+        row |= {"rule": bounds, "number": number, "applies_to": rule.applies_to}
         of_rule = {name: claims[name, rule] for name in claims_by_set if (name, rule) in claims}
         sets = {name: {"value": one.value, "half_95": one.half_95, "met": one.met} for name, one in of_rule.items()}
         rows.append(row | {"sets": sets})

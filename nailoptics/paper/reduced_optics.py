@@ -61,10 +61,8 @@ class FittedCurve:
         return np.asarray(np.linalg.pinv(design / length, rcond=1e-14) / length[:, None])
 
     def replicates(self, x: Array, y: Array) -> Array:
-        """Values at x of the curves through replicates y (r, n), of which it fits the first: (r, n) float.
-
-        To first order in how far replicates differ, which is their noise.
-        """
+        """Values at x of the curves through replicates y (r, n), of which it fits the first, to first order in how far
+        they differ, which is their noise: (r, n) float."""
         moved = (y - y[0]) @ self.gradient(x).T
         return np.asarray(self.at(x) + moved @ self.design(x).T)
 
@@ -183,9 +181,8 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
 def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
     """Fit the constants of Beer-Lambert (8), V = V0 + V1 exp(-alpha D^2), by least squares.
 
-    At alpha D^2 of 1e-2 the curve is nearly a straight line in D^2, which fixes only the product alpha V1: the standard
-    errors then say how far the three are known, and the prediction is good even where they are not. Where the readings
-    do not determine alpha, the constants are those of the best curve in range, and `note` says so.
+    At alpha D^2 of 1e-2 the curve is nearly a straight line in D^2, which fixes only the product alpha V1. Where the
+    readings do not determine alpha, the constants are those of the best curve in range, and `note` says so.
     Parameters and errors: as in `fit_taylor`.
 
     References: Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), eq. (8).
@@ -198,16 +195,19 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
         constants, jacobian = {"v0_v": float(y.mean()), "v1_v": 0.0, "alpha_per_m2": 0.0}, np.eye(3, 2)
         note = f"the {what}: neither V1 nor alpha is known"
     else:
-        constants, jacobian = _beer_lambert_constants(curve, scale_m2)
-        note = ""
+        centre, slope, curvature = curve.centre, curve.slope, curve.curvature
+        growth = float(np.exp(curvature * centre))
+        constants = {"v0_v": curve.value - slope / curvature, "v1_v": slope / curvature * growth}
+        constants["alpha_per_m2"] = curvature / scale_m2
+        by_v0 = [1.0, -1.0 / curvature, slope / curvature**2]
+        by_v1 = [0.0, growth / curvature, slope * growth * (centre * curvature - 1) / curvature**2]
+        jacobian, note = np.array([by_v0, by_v1, [0.0, 0.0, 1.0 / scale_m2]]), ""
         if distinct == 2:
             note = "only two different diameters: any alpha fits, and the straight line in D^2 is taken"
         elif not curve.curved:
-            low, high = (
-                "straight in D^2, or bent the other way: alpha is at the low",
-                "a step in D^2: alpha is at the high",
-            )
-            note = f"the readings are {low if curve.curvature < 1 else high} end of its range"
+            note = "the readings are a step in D^2: alpha is at the high end of its range"
+            if curvature < 1:
+                note = "the readings are straight in D^2, or bent the other way: alpha is at the low end of its range"
     return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
 
 
@@ -250,20 +250,6 @@ def fit_reduced_optics(result: "xr.Dataset", few: Array, replicates_v: Array | N
             columns[f"{model}_{name}"] = [[getattr(fit, name) for fit in of_led] for of_led in fits]
         data |= described(__package__, **columns)
     return data | described(__package__, fit_note=notes.astype(str))
-
-
-def _beer_lambert_constants(curve: FittedCurve, scale_m2: float) -> tuple[dict[str, float], Array]:
-    """V0, V1 and alpha of a curve, and their derivatives by its value, slope and curvature."""
-    centre, slope, curvature = curve.centre, curve.slope, curve.curvature
-    growth = float(np.exp(curvature * centre))
-    constants = {
-        "v0_v": curve.value - slope / curvature,
-        "v1_v": slope / curvature * growth,
-        "alpha_per_m2": curvature / scale_m2,
-    }
-    v0 = [1.0, -1.0 / curvature, slope / curvature**2]
-    v1 = [0.0, growth / curvature, slope * growth * (centre * curvature - 1) / curvature**2]
-    return constants, np.array([v0, v1, [0.0, 0.0, 1.0 / scale_m2]])
 
 
 def _residual(curve: FittedCurve, x: Array, y: Array) -> tuple[float, float]:

@@ -7,7 +7,6 @@ its experiments and state forces, of which 1 N on one side is 1 N/cm^2.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,22 +57,19 @@ class Protocol:
     """Pressures over time, each from rest: one that is there at the first instant is a step at that instant.
 
     time_s : (T,) float. Instants between which the pressures are linear. [s]
-    proximal_pa, distal_pa : (S, T) float. Of S touches. [Pa]
+    touch_pa : (2, S, T) float. Proximal and distal pressures of S touches. [Pa]
     """
 
     time_s: np.ndarray
-    proximal_pa: np.ndarray
-    distal_pa: np.ndarray
+    touch_pa: np.ndarray
 
 
 def steps(*, distal_part: float) -> Protocol:
-    """The paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1).
-
-    Their phases are samples 0 to 80 and, from just after the release, 81 to 161.
-    """
+    """The paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1); their phases are
+    samples 0 to 80 and, from just after the release, 81 to 161."""
     time = np.concatenate([PHASE_S, [ON_S + _RELEASE_S], ON_S + PHASE_S[1:]])
     touch = STEPS_PA[:, None] * (time <= ON_S)
-    return Protocol(time, touch, distal_part * touch)
+    return Protocol(time, np.stack([touch, distal_part * touch]))
 
 
 def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
@@ -81,7 +77,7 @@ def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
     time = np.asarray(time_s, dtype=float)
     proximal, none = Contact(proximal_share=1.0).pressures(force_n)
     distal = creeping_pressure(time, Contact(proximal_share=0.0).pressures(force_n)[1], relaxation_s=RELAXATION_S)
-    return Protocol(time, np.stack([proximal, none]), np.stack([none, distal]))
+    return Protocol(time, np.array([[proximal, none], [none, distal]]))
 
 
 def cycle() -> Protocol:
@@ -100,30 +96,24 @@ def press() -> Protocol:
 
 
 def even() -> np.ndarray:
-    """Pressures of even touches, (2, F): of EVEN_N, and then of EVEN_N[SHEARED] with SHEAR_N of shear. [Pa]
-
-    The pulp meets what it presses first: only from ONSET_N on its tip does, too.
-    """
+    """Pressures of even touches, (2, F): of EVEN_N, and then of EVEN_N[SHEARED] with SHEAR_N of shear; the tip meets
+    what the pulp presses only from ONSET_N on. [Pa]"""
     touch = np.array(Contact(distal_onset_n=ONSET_N, distal_area_mm2=DISTAL_AREA_MM2).pressures(EVEN_N))
     sheared = touch[:, SHEARED] + [0.0, Contact(distal_area_mm2=DISTAL_AREA_MM2).shear_pressure(SHEAR_N)]
     return np.column_stack([touch, sheared])
 
 
 def subject_force(time_s: ArrayLike) -> np.ndarray:
-    """The force of the paper's subjects over time, 1 N from 0 s on: exponential, with 0.16 s on loading and 0.12 s on
-    unloading. [N]
-
-    References: Mascaro and Asada 2001, Figs. 16 and 18.
-    """
+    """The force of the paper's subjects over time, 1 N from 0 s on: exponential (Figs. 16 and 18). [N]"""
     time = np.asarray(time_s, dtype=float)
     top = 1.0 - np.exp(-ON_S / LOADING_S)
     loading = 1.0 - np.exp(-np.maximum(time, 0.0) / LOADING_S)
     return np.where(time < ON_S, loading, top * np.exp(-np.maximum(time - ON_S, 0.0) / UNLOADING_S))
 
 
-# Steady widths [m] and blood pressures [Pa] from the (S,) proximal and distal pressures, with k_C and k_V times two
+# Steady widths [m] and blood pressures over P_H from (2, S) proximal and distal pressures, with k_C and k_V times two
 # factors, and widths over time from a touch: (N+1, *B, S) or (N+1, *B, S, T) float, capillary units and then the vein.
-Steady = Callable[[np.ndarray, np.ndarray, Zones, tuple[float, float]], tuple[np.ndarray, np.ndarray]]
+Steady = Callable[[np.ndarray, Zones, tuple[float, float]], tuple[np.ndarray, np.ndarray]]
 Follow = Callable[[Protocol, Zones], np.ndarray]
 # People differ in their walls: k_C and k_V of a set times these. The paper tunes both for each subject.
 PEOPLE = ((0.7, 0.7), (0.7, 1.4), (1.4, 0.7), (1.4, 1.4))
@@ -192,23 +182,20 @@ def simulate_responses(parameters: Parameters) -> Responses:
     """The responses of one set, by `steady_state` and `respond`."""
     p = parameters
 
-    def steady(
-        proximal: np.ndarray, distal: np.ndarray, zones: Zones, stiffness: tuple[float, float]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def steady(touch: np.ndarray, zones: Zones, stiffness: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         person = p.replace(
             capillary_stiffness_n_per_m=each_bed(lambda k: k * stiffness[0], p.capillary_stiffness_n_per_m),
             vein_stiffness_n_per_m=p.vein_stiffness_n_per_m * stiffness[1],
         )
-        state = steady_state(person, proximal_pressure_pa=proximal, distal_pressure_pa=distal, zones=zones)
+        state = steady_state(person, pressure_pa=touch, zones=zones)
         pressure = np.vstack([state.capillary_pressure_pa, state.vein_pressure_pa[None]])
         return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]]), pressure / p.arterial_pressure_pa
 
     def follow(touch: Protocol, zones: Zones) -> np.ndarray:
         widths = []
-        for proximal, distal in zip(touch.proximal_pa, touch.distal_pa, strict=True):
-            given: dict[str, Any] = {"proximal_pressure_pa": proximal, "distal_pressure_pa": distal, "zones": zones}
+        for pressure_pa in np.moveaxis(touch.touch_pa, 1, 0):
             # A part in ten thousand of a diameter: no rule is that fine, and long cycles take a tenth of the time.
-            run = respond(p, touch.time_s, rtol=1e-4, **given)
+            run = respond(p, touch.time_s, rtol=1e-4, pressure_pa=pressure_pa, zones=zones)
             widths.append(np.vstack([run["capillary_diameter_m"].values, run["vein_diameter_m"].values]))
         return np.stack(widths, axis=1)
 
@@ -216,10 +203,8 @@ def simulate_responses(parameters: Parameters) -> Responses:
 
 
 def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[PerBed, PerBed]) -> np.ndarray:
-    """Blood of units over that at their first sample, (N, *B, ...), from widths of (N+1, *B, ...).
-
-    touch : (2, ...) float. Proximal and distal pressure. [Pa]
-    """
+    """Blood of units over that at their first sample, (N, *B, ...), from widths of (N+1, *B, ...) and a touch of
+    (2, ...) float, proximal and distal pressure. [Pa]"""
     axes = (zones.count,) + (1,) * (width.ndim - touch.ndim)
     outside = zones.on_walls(touch)[:-1].reshape(*axes, *touch.shape[1:])
     units = [np.array(zones.of_beds(venule)) for venule in venules]
@@ -233,8 +218,7 @@ def _own_readings(width: np.ndarray, touch: Protocol, venules: tuple[PerBed, Per
     Those of Taylor (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode
     sees its half of the bed: the mean over its units, weighted by their shares.
     """
-    zones = FINGER_ZONES
-    blood = _blood(width, np.stack([touch.proximal_pa, touch.distal_pa]), zones, venules)
+    zones, blood = FINGER_ZONES, _blood(width, touch.touch_pa, FINGER_ZONES, venules)
     share, proximal = np.asarray(zones.share), zones.position < 0.5
     halves = [np.tensordot(share[half], blood[half], axes=1) / share[half].sum() for half in (proximal, ~proximal)]
     return 1.0 - np.stack([halves[0][..., 0, :], halves[1][..., 1, :]])
@@ -244,13 +228,13 @@ def responses_of(steady: Steady, follow: Follow, venules: tuple[PerBed, PerBed])
     """What every figure shows, by a solver of steady states, one over time, and venular share and closing pressure."""
     fields: dict[str, np.ndarray] = {}
     size, usual, none = PHASE_S.size, (1.0, 1.0), np.zeros_like(CURVE_PA)
-    fields["proximal"], fields["pressure"] = steady(CURVE_PA, none, PAPER_ZONES, usual)
+    sides = np.stack([CURVE_PA, none]), np.stack([none, CURVE_PA])
+    fields["proximal"], fields["pressure"] = steady(sides[0], PAPER_ZONES, usual)
 
     def held(touch: np.ndarray, zones: Zones, stiffness: tuple[float, float] = usual) -> np.ndarray:
-        return _blood(steady(touch[0], touch[1], zones, stiffness)[0], touch, zones, venules)
+        return _blood(steady(touch, zones, stiffness)[0], touch, zones, venules)
 
     ends = np.array([[0.0, CURVE_PA[-1], 0.0], [0.0, 0.0, CURVE_PA[-1]]])
-    sides = np.stack([CURVE_PA, none]), np.stack([none, CURVE_PA])
     fields["alone"] = np.stack([held(touch, PAPER_ZONES)[side] for side, touch in enumerate(sides)])
     fields["both"] = held(np.stack([CURVE_PA, CURVE_PA]), PAPER_ZONES)
     people = [held(ends, PAPER_ZONES, stiffness) for stiffness in PEOPLE]
@@ -258,7 +242,7 @@ def responses_of(steady: Steady, follow: Follow, venules: tuple[PerBed, PerBed])
     width = follow(steps(distal_part=0.0), PAPER_ZONES)
     fields["proximal_on"], fields["proximal_off"] = width[..., :size], width[..., size:]
     touch = steps(distal_part=1.0)
-    blood = _blood(follow(touch, PAPER_ZONES), np.stack([touch.proximal_pa, touch.distal_pa]), PAPER_ZONES, venules)
+    blood = _blood(follow(touch, PAPER_ZONES), touch.touch_pa, PAPER_ZONES, venules)
     fields["both_on"], fields["both_off"] = blood[..., :size], blood[..., size:]
     pressed = _own_readings(follow(press(), FINGER_ZONES), press(), venules)
     fields["press_on"], fields["press_off"] = pressed[..., :size], pressed[..., size - 1 :]

@@ -46,7 +46,7 @@ def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dic
 
     def course(protocol: Protocol, rate_hz: float) -> tuple[Array, Array, Array]:
         """Change of the reading, that of its fit by Taylor (9), (T,) each, and the blood at the samples, (t, zones)."""
-        force_n = tuple(protocol.proximal_pa[0] / N_PER_CM2)
+        force_n = tuple(protocol.touch_pa[0][0] / N_PER_CM2)
         given: dict[str, Any] = {"recorded_time_s": tuple(protocol.time_s), "recorded_force_n": force_n}
         given |= {"profile": "recorded", "site": None, "proximal_share": 1.0 - side, "sample_rate_hz": rate_hz}
         blood = blood_over_touch(scene.model_copy(update={"touch": scene.touch.model_copy(update=given)}))

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics.parameters import Parameters, beds, bounds, each_bed, is_of_beds
+from nailoptics.hemodynamics.parameters import OF_BEDS, Parameters, beds, bounds, each_bed
 from nailoptics.hemodynamics.rosenbrock import step
 from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.walls import Walls, build_walls
@@ -38,7 +38,7 @@ SHARED = (
     "vein_count",
     "venule_resistance_pa_s_per_m3",
 )
-DISTAL = tuple(name for name in SHARED if is_of_beds(name))
+DISTAL = tuple(name for name in SHARED if name.startswith(OF_BEDS))
 # Coordinates of the search: constants of the proximal bed and the vein, of the distal bed, and both of the subject.
 SEARCHED = (*SHARED, *DISTAL, *OF_SUBJECT, *(name for name in OF_SUBJECT if name in DISTAL))
 # Beyond the paper: a part of the distal bed's blood lies in venules that close early, as much as Fig. 12 needs.
@@ -289,13 +289,13 @@ def simulate_responses_of_many(values: dict[str, Any], rules: Sequence[Rule] = R
     # Networks side by side have their constants on the axis of sets.
     high, low = (np.broadcast_to(columns[f"{side}_pressure_pa"], (size, 1)) for side in ("arterial", "venous"))
 
-    def steady(proximal: np.ndarray, distal: np.ndarray, zones: Zones, stiffness: tuple[float, float]) -> Any:
+    def steady(touch: np.ndarray, zones: Zones, stiffness: tuple[float, float]) -> Any:
         person = {
             "capillary_stiffness_n_per_m": each_bed(lambda k: k * stiffness[0], columns["capillary_stiffness_n_per_m"]),
             "vein_stiffness_n_per_m": columns["vein_stiffness_n_per_m"] * stiffness[1],
         }
         given = cast(Parameters, SimpleNamespace(**columns | person))
-        outside = zones.on_walls(np.stack([proximal, distal]))[:, None]
+        outside = zones.on_walls(touch)[:, None]
         each = (size, outside.shape[-1])
         pressures = np.broadcast_to(high, each), np.broadcast_to(low, each)
         width, pressure = solve_walls(
@@ -305,10 +305,9 @@ def simulate_responses_of_many(values: dict[str, Any], rules: Sequence[Rule] = R
 
     def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
         if not any(rule.applies_to == (SIMULATION if zones.count == 2 else SUBJECT) for rule in rules):
-            return np.ones((zones.count + 1, size, len(touch.proximal_pa), touch.time_s.size))
-        none = np.zeros(touch.proximal_pa.shape[0])
-        rest = steady(none[:1], none[:1], zones, (1.0, 1.0))[0].repeat(none.size, axis=-1)
-        outside = zones.on_walls(np.stack([touch.proximal_pa, touch.distal_pa]))[:, None]
+            return np.ones((zones.count + 1, size, touch.touch_pa.shape[1], touch.time_s.size))
+        rest = steady(np.zeros((2, 1)), zones, (1.0, 1.0))[0].repeat(touch.touch_pa.shape[1], axis=-1)
+        outside = zones.on_walls(touch.touch_pa)[:, None]
         given = cast(Parameters, SimpleNamespace(**columns))
         return march(build_walls(given, zones), rest, touch.time_s, outside, high, low)
 

@@ -166,7 +166,7 @@ def test_named_sets_have_one_balance_at_any_touch(name):
     for proximal, distal in ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0)):
         pressures = {"proximal_pressure_pa": proximal * touch, "distal_pressure_pa": distal * touch}
         wide, narrow = (steady_state(parameters(name), branch=branch, **pressures) for branch in ("wide", "narrow"))
-        assert not wide.two_branches.any() and (wide.branch, narrow.branch) == ("wide", "narrow")
+        assert not wide.two_branches.any()
         assert np.allclose(wide.capillary_diameter_m, narrow.capillary_diameter_m, rtol=1e-9)
 
 

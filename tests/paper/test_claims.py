@@ -156,28 +156,28 @@ def test_every_rule_stands_for_a_sentence_and_has_a_bound():
 
 
 def test_each_touch_presses_where_its_figure_says():
-    assert not steps(distal_part=0.0).distal_pa.any() and np.array_equal(*vars_of(steps(distal_part=1.0)))
+    assert not steps(distal_part=0.0).touch_pa[1].any() and np.array_equal(*vars_of(steps(distal_part=1.0)))
     for touch in (cycle(), press()):
-        assert not touch.distal_pa[0].any() and not touch.proximal_pa[1].any()
-        assert touch.proximal_pa[0].max() == pytest.approx(touch.distal_pa[1].max())
-    assert cycle().proximal_pa.max() == 2 * N_PER_CM2
+        assert not touch.touch_pa[1][0].any() and not touch.touch_pa[0][1].any()
+        assert touch.touch_pa[0][0].max() == pytest.approx(touch.touch_pa[1][1].max())
+    assert cycle().touch_pa[0].max() == 2 * N_PER_CM2
     # Three cycles of 20 s, each a sine.
     wave = 1e4 * (1.0 - np.cos(2 * np.pi * 0.05 * cycle().time_s))
-    assert cycle().time_s[-1] == pytest.approx(60.0) and np.allclose(cycle().proximal_pa[0], wave, atol=1e-6)
+    assert cycle().time_s[-1] == pytest.approx(60.0) and np.allclose(cycle().touch_pa[0][0], wave, atol=1e-6)
     # 1 N on one side is 1 N/cm^2 there.
-    assert press().proximal_pa.max() == pytest.approx(1e4, rel=1e-5)
+    assert press().touch_pa[0].max() == pytest.approx(1e4, rel=1e-5)
 
 
 def vars_of(touch):
-    return touch.proximal_pa, touch.distal_pa
+    return touch.touch_pa[0], touch.touch_pa[1]
 
 
 def test_distal_pulp_recovers_with_its_relaxation_time():
     time = np.linspace(0.0, 3.0, 301)
     touch = one_sided(time, np.where(time < 1.0, time, 0.0))
     after = time >= 1.0
-    assert np.array_equal(touch.distal_pa[1][~after], touch.proximal_pa[0][~after])
-    left = touch.distal_pa[1][after]
+    assert np.array_equal(touch.touch_pa[1][1][~after], touch.touch_pa[0][0][~after])
+    left = touch.touch_pa[1][1][after]
     assert np.allclose(left / left[0], np.exp(-(time[after] - 1.0) / RELAXATION_S), rtol=1e-12)
 
 
