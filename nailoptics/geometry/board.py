@@ -18,15 +18,13 @@ class BentBoard:
     """A board whose underside is a cylinder around the nail's axis.
 
     Positions across the board are arc lengths on that underside: a film that bends keeps its lengths there, and its
-    dies keep their areas; on the nail's own face they would grow by the height over the radius.
+    dies keep their areas.
 
-    layout : The flat board.
     radius_mm : Radius of the underside. [mm]
     heights_mm : (n + 3,) float, or one more with a layer of air. Heights above the nail: the air, faces of parts that
         stand out of the underside, the underside, film and cover. [mm]
     rim : The outline with the rim of opaque epoxy around it, as far as the nail carries it.
     parts : Region, rectangle and height below the underside of each part: LEDs, photodiodes, unwired elements.
-    regions : Names of all regions.
     rectangles : Everything on the board that begins or ends somewhere.
     """
 

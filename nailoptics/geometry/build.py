@@ -37,20 +37,25 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
 
     Raises: InputError where the scene has no finger, or its sizes make no finger.
     """
-    if not 0.1 <= resolution <= 10:
-        raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
-    bent, grid = _grid(scene, resolution)
+    for fold_rad in FOLDS_RAD:
+        surfaces = FingerSurfaces(scene.fingertip, fold_rad)
+        bent = BentBoard(scene, surfaces)
+        nodes = Nodes(surfaces, bent, resolution)
+        grid = Grid(nodes.positions(), nodes.labels())
+        if 6 * grid.least_volume_mm3 > -1e-9:
+            break
+    else:
+        raise InputError(
+            "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
+            "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
+        )
     faces = [_face(grid, r.name, region) for region, r, _ in bent.parts if region != SILICON] if board else []
     if not board:
         grid.labels[:, :, BELOW:] = AIR
     for part in scene.light.left_out:
         grid.labels[grid.labels == REGIONS.index(part)] = REGIONS.index(AROUND[part])
-    vertices, triangles, below, above = grid.interfaces()
     geometry = Geometry(
-        vertices=vertices,
-        triangles=triangles,
-        below=below,
-        above=above,
+        *grid.interfaces(),
         regions=bent.regions,
         leds=tuple(faces[: len(scene.leds)]),
         photodiodes=tuple(faces[len(scene.leds) :]),
@@ -58,7 +63,7 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
         board_radius_mm=bent.radius_mm,
         grid=grid,
     )
-    log.info("geometry: %d triangles between %d regions", len(triangles), len(geometry.regions))
+    log.info("geometry: %d triangles between %d regions", len(geometry.triangles), len(geometry.regions))
     return geometry
 
 
@@ -82,21 +87,6 @@ def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
     read_out = {name: Photodiode.model_fields[name].default for name in READ_OUT}
     usual["photodiodes"] = tuple(photodiode.model_copy(update=read_out) for photodiode in scene.photodiodes)
     return scene.model_copy(update=usual)
-
-
-def _grid(scene: Scene, resolution: float) -> tuple[BentBoard, Grid]:
-    """The board and the grid, with the steepest folds of skin beside the nail that leave the layers apart."""
-    for fold_rad in FOLDS_RAD:
-        surfaces = FingerSurfaces(scene.fingertip, fold_rad)
-        board = BentBoard(scene, surfaces)
-        nodes = Nodes(surfaces, board, resolution)
-        grid = Grid(nodes.positions(), nodes.labels())
-        if 6 * grid.least_volume_mm3 > -1e-9:
-            return board, grid
-    raise InputError(
-        "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
-        "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
-    )
 
 
 def _face(grid: Grid, name: str, region: int, *, over: int | None = None) -> Face:

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import Array
+
 Integers = NDArray[np.int64]
-Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
 RAYS_AT_ONCE = 20_000  # keep the work arrays small

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .cast import Array, Indices
 from .regions import AIR
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
 
 MIN_AREA_MM2 = 1e-12
 
@@ -75,26 +73,17 @@ class Grid:
         add(labels[:, :-1, :-1], labels[:, 1:, :-1], [i[:-1, :, :-1], i[:-1, :, 1:], i[1:, :, 1:], i[1:, :, :-1]])
         q = np.concatenate(quads)
         triangles = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
-        low, high = np.tile(np.concatenate(below), 2), np.tile(np.concatenate(above), 2)
-        return _clean(self.nodes.reshape(-1, 3), triangles, low, high)
-
-
-def _clean(
-    points: Array, triangles: NDArray[np.int64], below: Indices, above: Indices
-) -> tuple[Array, Indices, Indices, Indices]:
-    """Merge equal vertices, drop triangles without area, and join those that a collapsed cell left on one another."""
-    used, flat = np.unique(triangles, return_inverse=True)
-    # Adding zero makes one of the two zeros that are equal but differ in their bits.
-    vertices, merged = np.unique(points[used] + 0.0, axis=0, return_inverse=True)
-    triangles = merged.reshape(-1)[flat.reshape(-1)].reshape(-1, 3)
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    keep = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2 > MIN_AREA_MM2
-    triangles, below, above = triangles[keep], below[keep], above[keep]
-
-    below, above, keep = _join(triangles, below, above)
-    triangles, below, above = triangles[keep], below[keep], above[keep]
-    used, flat = np.unique(triangles, return_inverse=True)
-    return vertices[used], flat.reshape(-1, 3).astype(np.int32), below.astype(np.int32), above.astype(np.int32)
+        # Merge equal vertices; adding zero makes one of the two zeros that are equal but differ in their bits.
+        used, flat = np.unique(triangles, return_inverse=True)
+        vertices, merged = np.unique(self.nodes.reshape(-1, 3)[used] + 0.0, axis=0, return_inverse=True)
+        triangles = merged.reshape(-1)[flat.reshape(-1)].reshape(-1, 3)
+        # Drop triangles without area, and join those that a collapsed cell left on one another.
+        p, q, r = (vertices[triangles[:, i]] for i in range(3))
+        keep = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2 > MIN_AREA_MM2
+        low, high = (np.tile(np.concatenate(sides), 2)[keep] for sides in (below, above))
+        low, high, stays = _join(triangles[keep], low, high)
+        used, flat = np.unique(triangles[keep][stays], return_inverse=True)
+        return vertices[used], *(x.astype(np.int32) for x in (flat.reshape(-1, 3), low[stays], high[stays]))
 
 
 def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple[Indices, Indices, NDArray[np.bool_]]:

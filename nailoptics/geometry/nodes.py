@@ -21,6 +21,7 @@ TIP_ORDER = 1.2  # each depth ends at least so many times as far before the tip 
 SECTION_SHARES = (0.45, 0.3, 0.2, 0.0)  # of the way to the central line, the most that depths and skin take
 WITHIN, BEYOND = 0.8, 1.25  # a depth that bounds nothing lies at these multiples of its neighbour
 SNAP_BONE_MM = 0.1  # a thinner gap between bone and bed is closed
+MERGE_MM = 1e-3  # edges closer than this share a line, so that no cell is thinner
 BELOW = 5  # layers below the skin or the nail's face: bone, pulp, and three between the depths
 
 
@@ -194,10 +195,6 @@ class Nodes:
 def _direction(angle: Array) -> Array:
     """Unit vectors (..., 2) in (x, z) at angles from z towards x."""
     return np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-
-
-MERGE_MM = 1e-3
-"""Edges closer than this share a line, so that no cell is thinner. [mm]"""
 
 
 def grid_lines(

@@ -1,12 +1,10 @@
 """The finger's surfaces: skin, nail, layers and bone as functions of the angle around it and the place along it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..checks import Array
 from ..errors import InputError
 from ..scene import Finger
-
-Array = NDArray[np.float64]
 
 PHALANX_MM = 15.8  # mean length of the distal phalanx of adult index fingers
 # Set by eye, as anatomy gives no number.
@@ -39,16 +37,12 @@ class FingerSurfaces:
     cylinder has its axis at x = 0, z = -nail_radius. Sections are described around the line x = 0, z = center_z,
     which runs inside the bone: phi is the angle around it from z towards x.
 
-    Sizes are anatomy's (see the finger's fields); what is between them, the rounding of the tip, the bone's waist and
-    base, is set by eye in proportion to these.
+    Sizes are anatomy's (see the finger's fields); what is between them is set by eye in proportion to these.
 
     fold_rad : Angle over which the skin beside the nail leaves the nail's cylinder, at least. [rad]
     nail_half_angle : Half of the angle that the nail spans around its axis. [rad]
     deep, bed_radius : Depth and radius of the bed's lower face.
-    bone_half_height : Half thickness of the bone under the nail.
-    center_z : Height of the line around which sections are described.
     nail_end : Place of the nail's free edge; its other end lies at -nail_end.
-    beyond_nail : How far the tip reaches beyond the nail.
     tip, cut, bone_end : Places of the tip, of the proximal end of what is modelled, of the end of the distal phalanx.
     """
 
@@ -99,7 +93,11 @@ class FingerSurfaces:
         power = np.where(cos > 0, 2.0, PULP_EXPONENT)
         section = ((sin / (width + tiny)) ** power + (np.abs(cos) / (height + tiny)) ** power) ** (-1 / power)
         nail = self._nail_circle(phi) * top
-        weight = self._fold_weight(phi)
+        edge = self.nail_angle_to_phi(np.array(self.nail_half_angle))
+        across = ((np.sin(edge) / half_width) ** 2 + (np.cos(edge) / -self.center_z) ** 2) ** -0.5
+        # Where the skin lies much higher than the nail's edge it takes a longer way up.
+        rise = max(0.0, float(across / self._nail_circle(edge)) - 1)
+        weight = smooth_step((np.abs(signed_angle(phi)) - edge) / (self.fold_rad + 0.5 * rise))
         # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
         mixed = ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
         return mixed + (1 - weight) * self.fold(y)
@@ -128,11 +126,3 @@ class FingerSurfaces:
         offset = -radius - self.center_z
         along = offset * np.cos(phi)
         return along + np.sqrt(along**2 - offset**2 + radius**2)
-
-    def _fold_weight(self, phi: Array) -> Array:
-        edge = self.nail_angle_to_phi(np.array(self.nail_half_angle))
-        across, up = self.finger.width_mm / 2, -self.center_z
-        section = ((np.sin(edge) / across) ** 2 + (np.cos(edge) / up) ** 2) ** -0.5
-        # Where the skin lies much higher than the nail's edge it takes a longer way up.
-        rise = max(0.0, float(section / self._nail_circle(edge)) - 1)
-        return smooth_step((np.abs(signed_angle(phi)) - edge) / (self.fold_rad + 0.5 * rise))

@@ -273,11 +273,6 @@ def test_a_phantom_has_no_finger_to_build():
         build(scene)
 
 
-def test_a_wild_resolution_is_refused(sensor):
-    with pytest.raises(InputError, match="resolution = 0"):
-        build(sensor(), resolution=0)
-
-
 def test_a_turned_photodiode_has_its_area_and_place_and_closes(sensor):
     turned = {"rotation_deg": 30.0, "position_mm": [0.5, 1.0]}
     scene = sensor(board="barrier = false", leds=((-3.5, 0.0),), elements=1, wired=[0], **turned)
