@@ -12,7 +12,7 @@ from nailoptics import geometry as finger_geometry
 from nailoptics.light import optics
 from nailoptics.light.backend import Backend
 from nailoptics.light.reference.mitsuba_scene import FILM, RGB_FILM, BedAbsorption, finger_scene
-from nailoptics.light.reference.rendering import SEEDS, stock_mitsuba
+from nailoptics.light.reference.readings import SEEDS, stock_mitsuba
 from nailoptics.light.walk.nail_reflectance import Patch
 from nailoptics.scene import Scene
 from nailoptics.statistics import seed_of

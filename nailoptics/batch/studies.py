@@ -52,7 +52,7 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
         return _trace(scene, options, stores, traced)
     from ..hemodynamics.for_scene import blood_over_touch
     from ..sensor.ambient import scene_ambient_a
-    from ..sensor.worn_light import WornLight, with_fitted_resistors
+    from ..sensor.volts import WornLight, with_fitted_resistors
     from ..studies.simulate import simulate_from
 
     transfer, photons, reached = _transfer(scene, options, stores, None)

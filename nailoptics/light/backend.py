@@ -271,7 +271,11 @@ def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
             _answers[key] = engines, why
             log.info("backend %s with %s: %s", name, library, why)
             if lasting:
-                _remember(key, engines, why)
+                # Without a cache the next process probes again.
+                with suppress(RuntimeError, WriteError):
+                    make_folder(cache_folder())
+                    answers = _read_cache() | {key: {"engines": engines, "why": why}}
+                    write_bytes(cache_folder() / CACHE, json.dumps(answers, indent=1).encode())
     return _answers[key]
 
 
@@ -344,16 +348,6 @@ def _read_cache() -> dict[str, Any]:
         answers = json.loads((cache_folder() / CACHE).read_text(encoding="utf-8"))
         return answers if isinstance(answers, dict) else {}
     return {}
-
-
-def _remember(key: str, engines: tuple[str, ...], why: str) -> None:
-    """Add an answer to the user's cache; without one the next process probes again."""
-    try:
-        make_folder(cache_folder())
-        answers = _read_cache() | {key: {"engines": engines, "why": why}}
-        write_bytes(cache_folder() / CACHE, json.dumps(answers, indent=1).encode())
-    except (RuntimeError, WriteError) as error:
-        log.debug("backends are not remembered: %s", error)
 
 
 def set_threads(count: int) -> None:

@@ -1,9 +1,9 @@
 """The photon map: every photon that arrives at the board's underside, read as any photodiode anywhere would read it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,7 @@ from ..scene import Scene
 from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
-from ..variables import Variables, variable
+from ..variables import Estimate, described
 from . import backend as backends
 from . import optics
 from .identity import light_scene
@@ -26,8 +26,8 @@ from .transfer.records import FINGER_BATCH_PHOTONS, attenuation
 if TYPE_CHECKING:
     from .walk.finger import FingerTracer
 
-T = TypeVar("T")
-
+# What is known of each photon that arrived, beside its number.
+PHOTON_COLUMNS = ("place_mm", "weight", "path_mm")
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
 
@@ -52,11 +52,10 @@ class Arrivals:
     path_mm: np.ndarray
     mu_a: np.ndarray
 
-    def stored(self, part: str = "") -> dict[str, np.ndarray]:
-        """The same as arrays of numbers in single precision, in which they were traced; `part` begins their names."""
+    def stored(self) -> dict[str, np.ndarray]:
+        """The same as arrays of numbers in single precision, in which they were traced."""
         arrays = {"photon": self.photon.astype(np.uint32), "place_mm": self.place_mm.astype(np.float32)}
-        arrays |= {"weight": self.weight.astype(np.float32), "path_mm": self.path_mm}
-        return {part + name: array for name, array in arrays.items()}
+        return arrays | {"weight": self.weight.astype(np.float32), "path_mm": self.path_mm}
 
     def reweighted(self, by: np.ndarray) -> "Arrivals":
         """The same with every weight times `by`, (n,) float. [1]"""
@@ -64,18 +63,14 @@ class Arrivals:
 
     def select(self, which: np.ndarray) -> "Arrivals":
         """Some of the arrivals of these photons, (n,) bool."""
-        names = ("photon", "place_mm", "weight", "path_mm")
-        return replace(self, **{name: getattr(self, name)[which] for name in names})
+        return replace(self, **{name: getattr(self, name)[which] for name in ("photon", *PHOTON_COLUMNS)})
 
     @staticmethod
     def joined(batches: "Sequence[Arrivals]") -> "Arrivals":
         """Batches of one LED as one, their photons counted on."""
         first = np.cumsum([0, *(batch.photons for batch in batches)])
         photon = np.concatenate([batch.photon + n for batch, n in zip(batches, first, strict=False)])
-        columns = {
-            name: np.concatenate([getattr(batch, name) for batch in batches])
-            for name in ("place_mm", "weight", "path_mm")
-        }
+        columns = {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in PHOTON_COLUMNS}
         return replace(batches[0], photons=int(first[-1]), photon=photon, **columns)
 
     def thin(self, step: int, first: int) -> "Arrivals":
@@ -88,9 +83,8 @@ class Arrivals:
 
         By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
         n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun
-        in one place gives no part of the skin more than its irradiance, so that the same from all sides is no less, but
-        for the few percent by which steep light enters more easily. Scattering is that of the traced wavelength: at
-        shorter ones light scatters more and less of it comes in.
+        in one place gives no more, but for the few percent by which steep light enters more easily. Scattering is that
+        of the traced wavelength: at shorter ones light scatters more and less of it comes in.
 
         per_mm2 : (sources, q) float. What an area would collect without a finger, wavelength by wavelength. [mm^-2]
         mu_a : (q, r) float. Absorption at each wavelength. [mm^-1]
@@ -117,8 +111,7 @@ class BoardTracer:
     ) -> None:
         """spacing_mm : cells of the distances that the walk looks up; wider ones are made sooner and walk slower.
 
-        store : the cache of light.
-        seed : of the command, which stored light is listed with.
+        store, seed : the cache of light, and the command's seed, with which light is listed there.
         """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
@@ -137,15 +130,8 @@ class BoardTracer:
         # Light arrives on the film between the parts, whatever becomes of it there.
         return FingerTracer(self.scene, spacing_mm=self.spacing_mm, with_faces=("kapton",))
 
-    def _stored(
-        self,
-        led: int,
-        name: str,
-        trace: Callable[[], dict[str, np.ndarray]],
-        build: Callable[[dict[str, np.ndarray]], T],
-        **more: Any,
-    ) -> T:
-        """What `build` makes of arrays of the store, or of new ones.
+    def _stored(self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any) -> Any:
+        """Arrays of the store, or new ones.
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
@@ -154,53 +140,47 @@ class BoardTracer:
             made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
             made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": self.mu_a[led].tolist()}
             lights = [self.store.light(made)]
-        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: build(arrays))[0]
+        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 
-    def _from_stored(self, led: int, photons: int, arrays: Mapping[str, np.ndarray], part: str = "") -> Arrivals:
-        """What arrivals were that are stored, bit for bit."""
-        photon, place, weight, path = (arrays[part + name] for name in ("photon", "place_mm", "weight", "path_mm"))
-        columns = photon.astype(np.int64), place.astype(float), weight.astype(float), path
-        return Arrivals(photons, *columns, self.mu_a[led])
+    def _stored_arrivals(self, led: int, name: str, photons: int, seed: int, trace: Callable[[], Arrivals]) -> Arrivals:
+        """Arrivals of the store, or new ones, with the same bits."""
+        arrays = self._stored(led, f"{name}{seed}-{photons}", lambda: trace().stored())
+        columns = arrays["photon"].astype(np.int64), arrays["place_mm"].astype(float), arrays["weight"].astype(float)
+        return Arrivals(photons, *columns, arrays["path_mm"], self.mu_a[led])
 
     def arrivals(self, led: int, *, photons: int, seed: int) -> Arrivals:
         """Trace some photons of one LED, as photodiodes like the scene's would read them; same seed, same bits."""
         check_one_response(self.photodiodes)
 
-        def trace() -> dict[str, np.ndarray]:
+        def trace() -> Arrivals:
             arrived, cos, _ = self._onto_board(led, None, photons, seed)
-            return arrived.reweighted(self._accepted(0, cos)).stored()
+            return arrived.reweighted(self._accepted(0, cos))
 
-        return self._stored(led, f"arrivals{seed}-{photons}", trace, partial(self._from_stored, led, photons))
+        return self._stored_arrivals(led, "arrivals", photons, seed, trace)
 
-    def back(self, photodiode: int, led: int, *, photons: int, seed: int) -> tuple[Arrivals, Arrivals]:
-        """Trace light the other way, from a photodiode that shines as a Lambertian LED of the wavelength of one LED,
-        each photon counting as the photodiode counts light of that angle.
+    def leaving(self, photodiode: int, led: int, *, photons: int, seed: int) -> Arrivals:
+        """Trace light that leaves into the air from a photodiode that shines as a Lambertian LED of the wavelength of
+        one LED, each photon counting as the photodiode counts light of that angle; it has no place (nan).
 
-        By reciprocity a photodiode of area A reads, of a Lambertian LED that lies where this light arrives, A times the
-        irradiance there; and of diffuse light from outside n^2 A times its irradiance times the part that leaves.
-
-        Returns: light that arrives on the board, and light that leaves into the air; that has no place (nan).
+        By reciprocity a photodiode of area A reads of diffuse light from outside n^2 A times its irradiance times the
+        part that leaves.
         """
 
-        def trace() -> dict[str, np.ndarray]:
-            face, scene = self.tracer.geometry.photodiodes[photodiode], self.scene
-            arrived, _, left = self._onto_board(led, face, photons, seed)
-            if scene.layout.photodiodes[photodiode].photodiode.angular_response is not None:
-                sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
-                arrived, left = (arrivals.reweighted(sent[arrivals.photon]) for arrivals in (arrived, left))
-            return arrived.stored() | left.stored("left_")
+        def trace() -> Arrivals:
+            face = self.tracer.geometry.photodiodes[photodiode]
+            left = self._onto_board(led, face, photons, seed)[2]
+            if self.scene.layout.photodiodes[photodiode].photodiode.angular_response is None:
+                return left
+            sent = self._accepted(photodiode, self.tracer.starts(face, photons=photons, seed=seed)[1])
+            return left.reweighted(sent[left.photon])
 
-        def build(arrays: dict[str, np.ndarray]) -> tuple[Arrivals, Arrivals]:
-            return self._from_stored(led, photons, arrays), self._from_stored(led, photons, arrays, "left_")
-
-        return self._stored(led, f"back{photodiode}_{seed}-{photons}", trace, build)
+        return self._stored_arrivals(led, f"leaving{photodiode}_", photons, seed, trace)
 
     def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
         """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
 
         Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, as a photodiode
-        like the scene's counts it there; the same as such a photodiode counts it where it starts, of an LED where it
-        arrives; and light that leaves into the air, as it counts where it starts.
+        like the scene's counts it there, and where it starts; and light that leaves into the air, as it counts there.
         """
         check_one_response(self.photodiodes)
         face = underside(self.tracer.geometry)
@@ -251,21 +231,20 @@ class BoardTracer:
             return {"means": np.stack(by_column, -1) / photons}
 
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
-        return self._stored(led, f"detected{seed}-{photons}", trace, lambda arrays: arrays["means"], blood=blood)
+        return np.asarray(self._stored(led, f"detected{seed}-{photons}", trace, blood=blood)["means"])
 
     def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
         """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail
         plate's outer face, (radius_mm, depth_mm) float. [mm^-2]"""
         backends.activate(self.backend)
-        from .walk.tallies import FluenceTally, VoxelGrid
+        from .walk.tallies import FluenceTally
 
-        cells = VoxelGrid.under_nail(self.scene, self.tracer.geometry)
-        tally = FluenceTally(cells)
+        tally = FluenceTally(self.scene, self.tracer.geometry)
         self.tracer.walk(led, photons=photons, seed=seed, section=tally)
-        u, v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in (cells.u_mm, cells.v_mm, cells.depth_mm))
+        u, v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in tally.edges_mm)
         at = self.scene.layout.leds[led].center_mm
         ring = (np.hypot(u[:, None] - at[0], v - at[1]) / ring_mm).astype(int).ravel()
-        fluence = (tally.sums() / (photons * cells.volume_mm3)).reshape(len(ring), len(depth))
+        fluence = (tally.sums() / (photons * tally.volume_mm3)).reshape(len(ring), len(depth))
         mean = np.stack([np.bincount(ring, column) for column in fluence.T], -1) / np.bincount(ring)[:, None]
         return xr.DataArray(mean, {"radius_mm": ring_mm * (np.arange(len(mean)) + 0.5), "depth_mm": depth})
 
@@ -333,8 +312,7 @@ def readings(arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectan
 class PhotonMap:
     """Sums of arrivals on cells of the board, in blocks of photons: any rectangle is read in microseconds.
 
-    Blocks are independent samples of equal size; statistics over them give every standard error. Between the cells'
-    edges sums are interpolated, which shows only where light changes much within a cell.
+    Blocks are independent samples of equal size, for standard errors. Between cells' edges sums are interpolated.
     """
 
     def __init__(self, outline: Rectangle, *, values: int, spacing_mm: float = 0.1, blocks: int = 32) -> None:
@@ -398,15 +376,8 @@ class PhotonMap:
 def map_dataset(leds: Sequence[str], maps: Sequence[PhotonMap]) -> xr.Dataset:
     """Maps of several LEDs on one board as a Dataset over led, zone, u and v."""
     mean, stderr = (np.stack(both) for both in zip(*(light_map.per_mm2() for light_map in maps), strict=True))
-    data: Variables = {}
-    for name, column, dims, text in (
-        ("irradiance", 0, ("led", "u", "v"), "irradiance of the board's underside"),
-        ("direct", 1, ("led", "u", "v"), "irradiance by light that was never in the bed"),
-        ("sensitivity", np.s_[2:], ("led", "blood_zone", "u", "v"), "change of the irradiance by a zone's blood"),
-    ):
-        values, errors = mean[:, column], stderr[:, column]
-        data |= variable(name, dims, values, f"{text}, per emitted power", units="mm-2", stderr=errors)
+    columns: dict[str, Any] = {"irradiance": 0, "direct": 1, "sensitivity": np.s_[2:]}
+    maps_mm2 = {name: Estimate(mean[:, column], stderr[:, column]) for name, column in columns.items()}
     u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (maps[0].u_mm, maps[0].v_mm))
-    data |= variable("u", "u", u, "across the nail, on the flat board", units="mm")
-    data |= variable("v", "v", v, "along the nail, towards the tip", units="mm")
+    data = described(__package__, **maps_mm2, u=u, v=v)
     return xr.Dataset(data, {"led": list(leds), "blood_zone": np.arange(mean.shape[1] - 2)})

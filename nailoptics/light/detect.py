@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, Unpack
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
 from ..statistics import upper_limit_95
-from ..variables import from_record, to_record, variable
+from ..variables import described, from_record, to_record
 from . import backend as backends
 from . import optics
 from .identity import led_digest, light_scene
@@ -78,9 +79,7 @@ class RestReadings:
     """Readings of every LED and photodiode at rest, and where the light went (None by volpath).
 
     The standard error of a reading is NaN where it rests on fewer than 25 effective photons. Seconds count everything,
-    from the scene to its readings.
-
-    reused : whether all photons came from the store.
+    from the scene to its readings. reused : whether all photons came from the store.
     """
 
     readings: list[dict[str, Any]]
@@ -141,10 +140,8 @@ def read_rest(
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
-    """How a scene is traced, on the backend that is there and as far as it says, and the engine that traces it.
-
-    Warns where volpath cannot run on the backend and takes scalar.
-    """
+    """How a scene is traced, on the backend that is there and as far as it says, and the engine that traces it; warns
+    where volpath cannot run on the backend and takes scalar."""
     options = TraceOptions(**requested)
     chosen = backends.choose(options.backend, volpath=scene.light.engine == "volpath")
     if chosen.advice == backends.VOLPATH_ADVICE:
@@ -156,10 +153,8 @@ def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
 
 
 def engine_for(scene: Scene, chosen: backends.Backend) -> str:
-    """The engine that traces a scene on a backend: "photons" or "volpath".
-
-    Raises: InputError where the scene asks for photons and the backend compiles no kernels.
-    """
+    """The engine that traces a scene on a backend, "photons" or "volpath"; raises InputError where the scene asks for
+    photons and the backend compiles no kernels."""
     if scene.light.engine == "photons" and not chosen.jit:
         raise InputError(
             f'light.engine = "photons" needs a backend that compiles kernels (llvm, cuda or metal), and {chosen.name} '
@@ -188,10 +183,8 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
 
 
 def rough_readings(scene: Scene, states: np.ndarray) -> ReadingSeries:
-    """Detected fractions of a finger scene in blood states (t, zones) by a short trace, the same for every command.
-
-    Raises: InputError without a backend that compiles kernels.
-    """
+    """Detected fractions of a finger scene in blood states (t, zones) by a short trace, the same for every command;
+    raises InputError without a backend that compiles kernels."""
     photons = max(ROUGH_PHOTONS // len(scene.leds), LEAST_ROUGH_PHOTONS)
     transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
     return light_of(transfer).readings_at(states)
@@ -239,10 +232,7 @@ def section(
 
 
 def _section(scene: Scene, options: TraceOptions, finger: Geometry | None = None) -> xr.Dataset:
-    """The longitudinal section at u = 0: regions and each LED's path density, which is traced.
-
-    finger : what is shown without light.
-    """
+    """The section: regions and each LED's path density, which is traced; finger : what is shown without light."""
     tracer = None
     if finger is None:
         # Light from the store needed no Mitsuba so far.
@@ -255,20 +245,17 @@ def _section(scene: Scene, options: TraceOptions, finger: Geometry | None = None
     low, high = np.asarray(finger.bounds_mm)
     y = np.arange(max(low[1], SECTION_FROM_Y_MM), high[1] + AIR_BEYOND_TIP_MM, SECTION_MM)
     z = np.arange(max(low[2], SECTION_FROM_Z_MM), high[2] + AIR_ABOVE_BOARD_MM, SECTION_MM)
-    plane = ("section_y", "section_z")
     about = {"long_name": "region along the section at u = 0", "regions": json.dumps(finger.regions)}
-    data: dict[str, Any] = {"section_region": (plane, finger.section(y, z).astype(np.int16), about)}
+    regions = finger.section(y, z).astype(np.int16)
+    data: dict[str, Any] = {"section_region": (("section_y", "section_z"), regions, about)}
     if tracer:
         density = []
         for led in range(len(scene.leds)):
             section = Section(y, z)
             tracer.walk(led, photons=SECTION_PHOTONS, seed=options.seed, section=section)
             density.append(section.density(SECTION_PHOTONS))
-        text = "path density of an LED's light in usual blood, summed over the finger's width, per emitted photon"
-        data |= variable("path_density", ("led", *plane), density, text, units="mm-1")
-    data |= variable("section_y", "section_y", y, "along the nail, towards the tip", units="mm")
-    data |= variable("section_z", "section_z", z, "out of the nail, from the plate's face", units="mm")
-    return xr.Dataset(data)
+        data |= described(__package__, path_density=density)
+    return xr.Dataset(data | described(__package__, section_y=y, section_z=z))
 
 
 def _light_by_volpath(
@@ -288,23 +275,15 @@ def _light_by_volpath(
     begin, cpu = time.perf_counter(), time.process_time()
     corners = volpath.corner_states(states)
     traced = volpath.read_leds(scene, options, progress, corners)
-    fraction, stderr, ratio, ratio_stderr = (
-        np.stack([getattr(reading, name) for reading in traced])
-        for name in ("fraction", "fraction_stderr", "ratio", "ratio_stderr")
-    )
-    rest = fraction[:, :, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        relative = stderr[:, :, 0] / rest
+        relative = np.stack([reading.fraction_stderr[:, 0] / reading.fraction[:, 0] for reading in traced])
     absorbers = optics.absorbers(scene)
-    no_path = np.full((*rest.shape, len(absorbers)), np.nan)
+    no_path = np.full((*relative.shape, len(absorbers)), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
     made = provenance(scene, photons=sum(reading.paths for reading in traced), **made)
     made |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     made["accuracy_reached"] = _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them"
-
-    def readings_at(blood: np.ndarray) -> ReadingSeries:
-        return volpath.between(rest, relative, ratio, ratio_stderr, corners, np.asarray(blood, float))
-
+    readings_at = partial(volpath.between, traced, corners)
     return unless_cut_off(DetectedLight(readings_at, no_path, no_path, absorbers, made), _unmet(traced))
 
 
@@ -350,15 +329,7 @@ def _rest_by_volpath(
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:
     """One reading, of so many photons emitted, without the paths, which only the photons engine records."""
-    row = {
-        "led": led.name,
-        "photodiode": photodiode,
-        "wavelength_nm": led.wavelength_nm,
-        "detected_fraction": float(fraction),
-        "stderr": float(stderr),
-        "mean_path_mm": {},
-        "mean_path_stderr_mm": {},
-    }
-    if fraction == 0:
-        row["upper_limit_95"] = upper_limit_95(photons)
-    return row
+    row = {"led": led.name, "photodiode": photodiode, "wavelength_nm": led.wavelength_nm}
+    row |= {"detected_fraction": float(fraction), "stderr": float(stderr)}
+    row |= {"mean_path_mm": {}, "mean_path_stderr_mm": {}}
+    return row | {"upper_limit_95": upper_limit_95(photons)} if fraction == 0 else row

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import geometry as finger_geometry
+from ..checks import Array
 from ..errors import InputError
 from ..scene import Scene
 from .backend import choose
 from .reference.mitsuba_scene import rectangle
-from .reference.rendering import stock_mitsuba
+from .reference.readings import stock_mitsuba
 from .walk.nail_reflectance import as_seen
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 # The camera looks there; the window is where the nail mirrors it into a camera before the tip and above. [mm]
@@ -55,13 +55,12 @@ def photograph(
     outer = (mesh.below == 0) | (mesh.above == 0)
     inside = names[np.where(mesh.below == 0, mesh.above, mesh.below)]
     parts = {"nail": outer & (inside == "plate"), "skin": outer & (inside != "plate") & (inside != "cut")}
+    pictures = []
     with stock_mitsuba(choose(backend, volpath=True)) as mi:
-        return [
-            _render(
-                mi, [_part(mi, mesh, parts[k], k, tile_mm, on_nail, colour) for k in parts], size, samples, camera_mm
-            )
-            for colour in colours
-        ]
+        for colour in colours:
+            shapes = [_part(mi, mesh, parts[kind], kind, tile_mm, on_nail, colour) for kind in parts]
+            pictures.append(_render(mi, shapes, size, samples, camera_mm))
+    return pictures
 
 
 def _part(

@@ -61,10 +61,7 @@ def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
 
 @lru_cache(maxsize=16)
 def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> Array:
-    """Photocurrent of each wavelength of `SILICON_NM` per area without a finger, (q,) float. [A/mm^2]
-
-    Steps are equal, so that the sum is the integral.
-    """
+    """Photocurrent at each wavelength of `SILICON_NM` per area without a finger, (q,) float; they add up. [A/mm^2]"""
     responsivity = electronics.responsivity_a_per_w(photodiode, SILICON_NM)
     return np.asarray(1e-6 * STEP_NM * spectral_irradiance(ambient, SILICON_NM) * responsivity)
 
@@ -95,7 +92,7 @@ def trace_ambient(
         check_time()
         area_mm2 = element.area.area_mm2
         bare = np.stack([photocurrent_a_per_mm2(source, element.photodiode) for source in sources])
-        _, left = tracer.back(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
+        left = tracer.leaving(j, led, photons=photons, seed=seed_of(seed, _BACK, j))
         currents_a, whole_a = left.from_outside(bare, mu_a, area_mm2=area_mm2, n=n), area_mm2 * bare.sum(1)
         largest_a = currents_a.max(1, initial=0.0)
         largest_a = np.where(largest_a > 0, largest_a, whole_a / photons)

@@ -64,10 +64,7 @@ class Output:
 
 def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Array:
     """A photodiode's photocurrent per watt of light, by its own table or quantum efficiency times wavelength / 1240 nm,
-    of the wavelength's shape. [A/W]
-
-    For a line of some width take the mean of this with the line's weights.
-    """
+    of the wavelength's shape. [A/W]"""
     wavelength = np.asarray(wavelength_nm, float)
     if photodiode.responsivity is None:
         return np.asarray(photodiode.quantum_efficiency * wavelength / PHOTON_NM_PER_V)
@@ -97,9 +94,7 @@ def fitted_ohm(current_a: ArrayLike, amplifier: Electronics) -> Array:
 def stage_ohm(photodiodes: Photodiodes, amplifier: Electronics, *, largest_a: Array | float | None = None) -> Array:
     """Feedback resistance of a photodiode's stage, or of each of several, () or (photodiodes,) float. [ohm]
 
-    largest_a : (..., photodiodes) float. Their largest photocurrents, to which "auto" fits; then of its shape. [A]
-
-    Raises: InputError for "auto" without them.
+    largest_a : (..., photodiodes) float. Their largest photocurrents, to which "auto" fits; InputError without. [A]
     """
 
     def of(photodiode: Photodiode) -> float:
@@ -121,10 +116,8 @@ def has_resistors(scene: Scene) -> bool:
 
 
 def with_resistors(scene: Scene, largest_a: Array) -> Scene:
-    """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents.
-
-    largest_a : (photodiodes,) float. Of elements that are read, in the layout's order. [A]
-    """
+    """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents of the
+    layout's elements, (photodiodes,) float. [A]"""
     ohm = stage_ohm([e.photodiode for e in scene.layout.photodiodes], scene.electronics, largest_a=largest_a)
     photodiodes, first = [], 0
     for photodiode in scene.photodiodes:
@@ -221,7 +214,7 @@ def read(
     photodiode : or several, along the last axis.
     amplifier : The stage and its converter, a scene's `[electronics]`.
     ambient_a : photocurrent by light from outside; as feedback_ohm a number or an array that broadcasts. [A]
-    feedback_ohm : feedback resistance; the photodiode's own if not given. [ohm]
+    feedback_ohm : the photodiode's own if not given. [ohm]
 
     A dark slot adds the noise of its own sample. A lock-in has the mean noise of both states times 4 at the same
     bandwidth, as a reading is twice what the demodulator sees of an LED that is lit half of the time.
@@ -258,10 +251,8 @@ def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics
 
 
 def ambient_in_readings(scene: Scene, current: Array, error: Array, bare: Array) -> Variables:
-    """The light from outside on a scene's photodiodes, and what of it is in a reading.
-
-    current, error, bare : (photodiodes,) float. Photocurrent, its standard error, and that in the open. [A]
-    """
+    """The light from outside on a scene's photodiodes, and what of it is in a reading; current, error, bare :
+    (photodiodes,) float. Photocurrent, its standard error, and that in the open. [A]"""
     stage, diodes = scene.electronics, [element.photodiode for element in scene.layout.photodiodes]
     assert scene.ambient is not None
     flicker = scene.ambient.flicker / np.sqrt(2) * flicker_gain(scene.ambient.flicker_hz, stage)

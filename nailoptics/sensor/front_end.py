@@ -12,7 +12,7 @@ from ..hemodynamics.for_scene import heart_rate_per_min
 from ..scene import Oximeter, Photodiode, Scene, Slot
 from ..scene.oximeter import DARK, two_leds
 from . import electronics
-from .worn_light import with_fitted_resistors
+from .volts import with_fitted_resistors
 
 # A usual oximeter averages over so long. [s]
 AVERAGE_S = 8.0
@@ -159,10 +159,7 @@ def red_and_infrared(scene: Scene) -> tuple[int, int]:
 
 
 def oximeter_leds(scene: Scene) -> tuple[int, int]:
-    """The numbers of a scene's red and infrared LED.
-
-    Raises: InputError for a scene without a finger, a pulse, or two LEDs of different wavelengths.
-    """
+    """`red_and_infrared` of a scene; raises InputError without a finger or a pulse, too."""
     if scene.finger is None:
         raise InputError("oximeter needs a [finger] scene, whose blood beats; a [phantom] has none.")
     leds = red_and_infrared(scene)

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ..checks import Array
 from ..hemodynamics.for_scene import SteadyTouch, blood_model
 from ..scene import Led, Photodiode, Scene
 from ..scene.body import Drift
 from ..statistics import covariance_root, jackknife
 from . import electronics
-
-Array = NDArray[np.float64]
 
 # What is known of a pressure before any reading: that it is less than some ten N/cm^2. It keeps two unknowns
 # solvable where a layout sees one, and is nothing beside any reading worth having. [Pa]
@@ -38,8 +36,8 @@ SLIDE_PER_UM = 1e-4
 class PhysiologicalNoise:
     """What the body adds to one sample of all readings at a steady touch.
 
-    blood : (2, 2) float. Excursions of the proximal and distal zone's blood, in columns: two independent ones, each
-        as large as its standard deviation. Their outer products add up to the covariance of both zones' blood. [1]
+    blood : (2, 2) float. Excursions of the proximal and distal zone's blood, in columns: two independent ones, whose
+        outer products add up to the covariance of both zones' blood. [1]
     led_gain : (leds, leds) float. Relative changes of all readings of an LED, a row for each LED, in columns likewise.
     reading_gain : float. Relative change of each reading, independent of all others, rms: its drift.
     led_drift, lift : their parts in led_gain: of an LED by itself, and of all readings alike, rms.
@@ -61,31 +59,6 @@ class PhysiologicalNoise:
         return np.concatenate([zone_v @ self.blood, light_v[..., None] * self.led_gain[led]], -1)
 
 
-def physiological_noise(scene: Scene, force_n: float, *, since_rest_s: float) -> PhysiologicalNoise | None:
-    """The body's noise while a force is held; None where the scene has no body, or one that is still.
-
-    since_rest_s : for so long readings have drifted. [s]
-
-    Drift and lift of the sensor move all readings of an LED alike, as parts of themselves.
-    """
-    body, waves = scene.body, np.zeros((2, 2))
-    if body is None or not (body.moves or body.drift or body.motion):
-        return None
-    if body.moves:
-        waves = blood_model(scene).covariance(body, force_n, bandwidth_hz=scene.electronics.bandwidth_hz)
-    drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
-    led_drift, reading_drift = float(drift.led_per_rt_min * rt_min), float(drift.reading_per_rt_min * rt_min)
-    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if (motion := body.motion) else (0, 0)
-    return PhysiologicalNoise(
-        blood=covariance_root(waves),
-        led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),
-        reading_gain=reading_drift,
-        led_drift=led_drift,
-        lift=lift,
-        slide=slide,
-    )
-
-
 @dataclass(frozen=True)
 class OperatingPoint(SteadyTouch):
     """The touch at which a layout is evaluated.
@@ -97,12 +70,30 @@ class OperatingPoint(SteadyTouch):
 
 
 def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0) -> OperatingPoint:
-    """The blood at a steady force, and its change with either pressure, from the scene's hemodynamics.
+    """The blood at a steady force, its change with either pressure, and the body's noise while the force is held.
 
     since_rest_s : time since the untouched finger was read, in which readings of a scene with a body drift. [s]
+
+    Drift and lift of the sensor move all readings of an LED alike, as parts of themselves.
     """
-    body = physiological_noise(scene, force_n, since_rest_s=since_rest_s)
-    return OperatingPoint(**vars(blood_model(scene).at_force(force_n)), body=body)
+    model, body, waves = blood_model(scene), scene.body, np.zeros((2, 2))
+    touch = vars(model.at_force(force_n))
+    if body is None or not (body.moves or body.drift or body.motion):
+        return OperatingPoint(**touch)
+    if body.moves:
+        waves = model.covariance(body, force_n, bandwidth_hz=scene.electronics.bandwidth_hz)
+    drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
+    led_drift, reading_drift = float(drift.led_per_rt_min * rt_min), float(drift.reading_per_rt_min * rt_min)
+    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if (motion := body.motion) else (0, 0)
+    noise = PhysiologicalNoise(
+        blood=covariance_root(waves),
+        led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),
+        reading_gain=reading_drift,
+        led_drift=led_drift,
+        lift=lift,
+        slide=slide,
+    )
+    return OperatingPoint(**touch, body=noise)
 
 
 @dataclass(frozen=True)
@@ -152,10 +143,8 @@ class Response:
 def brightest_current_a(
     values: Array, led: Led, photodiode: Photodiode | Sequence[Photodiode], point: OperatingPoint
 ) -> Array:
-    """The photocurrent of an LED's light through a bed without blood, to first order, (...) float. [A]
-
-    values : (..., 4) float. As of `response`.
-    """
+    """The photocurrent of an LED's light through a bed without blood, to first order, (...) float; values : as of
+    `response`. [A]"""
     bloodless = values[..., 0] - np.minimum(values[..., 2:] @ point.blood_fraction, 0.0)
     return electronics.photocurrent_a(np.maximum(bloodless, 0.0), led, photodiode)
 
@@ -213,11 +202,8 @@ def response(
 
 
 def noise_by_cause(read: Response, body: PhysiologicalNoise | None) -> dict[str, Array]:
-    """The noise budget of one sample of readings, rms, (...) float for each cause. [V]
-
-    Returns: by the names of `NoiseBudget` what stage and converter make of each reading, whose squares add up to its
-        electronic noise; drift, lift, slide and waves of a body, which readings share.
-    """
+    """The noise budget of one sample of readings, rms, (...) float by cause: those of `NoiseBudget`, whose squares add
+    up to a reading's electronic noise; drift, lift, slide and waves of a body, which readings share. [V]"""
     assert read.noise is not None
     causes = {name.removesuffix("_v2"): np.sqrt(v2) for name, v2 in read.noise._asdict().items()}
     if body is not None:
@@ -234,8 +220,6 @@ def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[st
     variance w^T C w. Their sum is the square of `force_resolution_n`, but for what is known before any reading.
 
     by_led : of the photodiodes under each LED, with replicates (1 + blocks, photodiodes).
-
-    Returns: the causes of `NoiseBudget`, and with a body drift, lift and waves.
     """
     by_led = [read.by_all_photons for read in by_led]
     body, causes = point.body, [noise_by_cause(read, None) for read in by_led]
@@ -283,8 +267,7 @@ def total_information(by_led: Iterable[Response], *, electronics_alone: bool = F
 def pressure_information(information: Array) -> Array:
     """Information on the two pressures with the body's unknowns marginalised, (..., 3) float: 11, 12, 22. [Pa^-2]
 
-    information : of all unknowns, as `fisher_information`. One after the other the body's, each of variance 1
-        beforehand, are marginalised (Schur's complement).
+    One after the other the body's, each of variance 1 beforehand, are marginalised (Schur's complement).
     """
     count = int((np.sqrt(8 * information.shape[-1] + 1) - 1) / 2)
     if count == 2:
@@ -301,8 +284,8 @@ def pressure_information(information: Array) -> Array:
 def force_resolution_n(information: Array, point: OperatingPoint) -> Array:
     """Standard error of the force estimated from one sample of all readings, whatever its split. [N]
 
-    information : Of all readings, as `fisher_information`. It makes the matrix J of the two pressures; the force w . P
-        has the variance w^T J^-1 w (Cramer-Rao), with w the area of the side for each pressure.
+    With J the matrix of the two pressures that `information`, as of `fisher_information`, makes, the force w . P has
+    the variance w^T J^-1 w (Cramer-Rao), with w the area of the side for each pressure.
     """
     return _stderr_of(information, point.force_per_pa)
 
@@ -330,11 +313,8 @@ def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array
 
 
 def physiological_noise_force_n(point: OperatingPoint) -> float:
-    """False force, rms, by waves of the arterial pressure where light resolves the blood of both zones exactly. [N]
-
-    Their blood b is what the pressures B^-1 b would make of it: light from two zones cannot distinguish them, so
-    that no layout resolves finer unless the split of the touch is known. NaN as for `as_force_n`.
-    """
+    """False force, rms, by waves of the arterial pressure where light resolves the blood of both zones exactly: light
+    from two zones cannot distinguish waves from touch, whatever the layout. NaN as for `as_force_n`. [N]"""
     return 0.0 if point.body is None else float(np.linalg.norm(point.as_force_n(point.body.blood)))
 
 
@@ -351,10 +331,8 @@ def _with_prior(information: Array) -> tuple[Array, Array, Array]:
 
 
 def condition_number(read: Response) -> float:
-    """Condition number of the matrix of readings by zones, by all photons, each reading in units of its noise.
-
-    read : (1 + blocks, n), of n photodiodes by all photons and without each block of them.
-    """
+    """Condition number of the matrix of readings by zones, by all photons, each reading in units of its noise; read :
+    with replicates."""
     matrix = read.zone_v[0] / read.noise_v[0][..., None]
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
 

@@ -1,21 +1,29 @@
-"""Light to volts over a touch, of a worn sensor: its drift and motion, and what every photodiode reads, with its
-standard error and noise."""
+"""Light to volts over a touch, of a worn sensor: all light that it meets, in its place, where its body moves it and
+from outside, its drift and motion, and what every photodiode reads, with its standard error and noise."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Unpack
 
 import numpy as np
 import xarray as xr
 
 from ..checks import Array
-from ..errors import InputError
-from ..light import Transfer
+from ..errors import InputError, NotReachedError, as_far_as_reached
+from ..light import DetectedLight, ProgressCallback, Transfer, open_light
+from ..light.detect import rough_readings
+from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries, read_by_groups
-from ..scene import Scene
-from ..statistics import seed_of
+from ..options import Requested, TraceOptions
+from ..scene import Board, Scene
+from ..statistics import Z95, seed_of
 from ..variables import Estimate, Variables, described
 from . import electronics
-from .worn_light import MovedLight, WornLight
+from .ambient import LAMP, ambient_bound_a, scene_ambient_a
 
+# So far the sensor is moved to see what that makes of its readings: far enough to stand out from the photons' noise,
+# and little beside the 400 um of epoxy, or the 2 mm in which one blood zone passes into the next. [um]
+LIFT_UM, SLIDE_UM = 40.0, 250.0
 # Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
 KNOTS_PER_S = 20.0
 # Streams of the body's seed, beside those of its pressures.
@@ -23,12 +31,92 @@ _LED_DRIFT, _READING_DRIFT = 21, 22
 _MOTIONS = {"lift": 23, "slide": 24}
 
 
-def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
-    """Detected fractions and volts over the course, with standard errors and noise, ambient light, and the sensor's
-    drift and motion.
+@dataclass(frozen=True)
+class WornLight:
+    """All light that a scene's sensor meets.
 
-    course : of `blood_over_touch`.
+    scene : with a resistor at every photodiode.
+    in_place : the light under the sensor in its place.
+    ambient_a : (3, photodiodes) float. Photocurrents by the scene's [ambient], of `trace_ambient`; None without. [A]
+    moved : the light under the sensor elsewhere, where the scene's body moves it, and how far that is [um], by "lift"
+        and "slide".
     """
+
+    scene: Scene
+    in_place: DetectedLight
+    ambient_a: Array | None
+    moved: Mapping[str, tuple[float, DetectedLight]] = field(default_factory=dict)
+
+
+def worn_light(
+    scene: Scene, *, states: Array, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
+) -> tuple[WornLight, NotReachedError | None]:
+    """Trace the light that a scene's sensor meets, and say why some of it is less accurate than requested, if it is.
+
+    states : (t, zones) float. The blood states that will be read. A limit in seconds holds for all traces together.
+    """
+    moves, options = moved_boards(scene), TraceOptions(**requested)
+    fitted, ambient_a = with_fitted_resistors(scene), scene_ambient_a(scene, options)
+    limit = accuracy(scene, options).max_seconds
+    if moves and limit is not None:
+        requested = requested | Requested(max_seconds=limit / (1 + len(moves)))
+    given = {"states": states, "progress": progress, **requested}
+    light, unmet = as_far_as_reached(open_light, scene, **given)
+    moved = {}
+    for motion, distance_um, board in moves:
+        there, also = as_far_as_reached(open_light, scene.model_copy(update={"board": board}), **given)
+        moved[motion], unmet = (distance_um, there), unmet or also
+    return WornLight(fitted, light, ambient_a, moved), unmet
+
+
+def moved_boards(scene: Scene) -> list[tuple[str, float, Board]]:
+    """The boards to be traced beside the scene's own: motion, distance [um] and board."""
+    motion, board, moved = scene.body and scene.body.motion, scene.board, []
+    if motion and motion.lift_um:
+        moved.append(("lift", LIFT_UM, board.model_copy(update={"adhesive_um": board.adhesive_um + LIFT_UM})))
+    if motion and motion.slide_um:
+        moved.append(("slide", *_slid(scene)))
+    return moved
+
+
+def _slid(scene: Scene) -> tuple[float, Board]:
+    """How far the board is slid along the nail [um], and the board, cut off at the nail's end; raises InputError where
+    the parts lie too near to both of these."""
+    (u, v), outline = scene.board.center_mm, scene.layout.outline
+    corners = tuple((x - u, y - v) for x, y in outline.corners_mm)
+    for cut in ({}, {"size_mm": None, "outline_mm": corners, "outline_holes_mm": ()}):
+        for distance_um in (SLIDE_UM, -SLIDE_UM):
+            update = cut | {"center_mm": (u, v + 1e-3 * distance_um)}
+            slid = scene.model_copy(update={"board": scene.board.model_copy(update=update)})
+            try:
+                _ = slid.layout
+            except InputError:
+                continue
+            return distance_um, slid.board
+    raise InputError(
+        f"body.motion.slide_um: the parts lie within {1e-3 * SLIDE_UM:g} mm of both ends of the nail, which leaves no "
+        "room to slide the sensor; move them, or set slide_um = 0."
+    )
+
+
+def with_fitted_resistors(scene: Scene) -> Scene:
+    """The scene with a resistor at every photodiode where it has "auto", the same for every command: fitted to the
+    upper end of the 95 % interval of the brightest LED through a bed without blood, beside [ambient] or a lamp."""
+    if electronics.has_resistors(scene):
+        return scene
+    ambient_a = ambient_bound_a(scene, usual=LAMP)
+    read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))
+    bound = (read.fraction + Z95 * np.nan_to_num(read.stderr))[..., 0]
+    photodiodes = [element.photodiode for element in scene.layout.photodiodes]
+    lit_a = [
+        electronics.photocurrent_a(of_led, led, photodiodes) for of_led, led in zip(bound, scene.leds, strict=True)
+    ]
+    return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_a)
+
+
+def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
+    """Detected fractions and volts over the course, of `blood_over_touch`, with standard errors and noise, ambient
+    light, and the sensor's drift and motion."""
     scene, light, blood = lit.scene, lit.in_place, course.blood_fraction.values.T
     readings = light.over(scene, course)
     worn = drift_and_motion(scene, course.time.values)
@@ -89,8 +177,15 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
         walk = _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * drift.reading_per_rt_min
         data |= described(__package__, reading_drift=np.exp(walk).reshape(leds, photodiodes, -1))
     for name, stream in _MOTIONS.items():
+        # An Ornstein-Uhlenbeck process.
         if (motion := body.motion) and (rms_um := getattr(motion, f"{name}_um")) > 0:
-            course = _ornstein_uhlenbeck(since_s, motion.correlation_s, seed_of(body.seed, stream))
+            from scipy.signal import lfilter
+
+            knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 2
+            drawn = np.random.default_rng(seed_of(body.seed, stream)).standard_normal(knots)
+            memory = np.exp(-1.0 / (KNOTS_PER_S * motion.correlation_s))
+            drawn[1:] *= np.sqrt(1.0 - memory**2)
+            course = np.interp(since_s, np.arange(knots) / KNOTS_PER_S, lfilter([1.0], [1.0, -memory], drawn))
             data |= described(__package__, **{f"sensor_{name}_um": rms_um * course})
     return xr.Dataset(data)
 
@@ -102,31 +197,30 @@ def reading_gain(worn: xr.Dataset) -> Array:
 
 
 def motion_artefact(
-    worn: xr.Dataset, in_place: ReadingSeries, moved: Sequence[MovedLight], blood: Array
+    worn: xr.Dataset, in_place: ReadingSeries, moved: Mapping[str, tuple[float, DetectedLight]], blood: Array
 ) -> tuple[Array, Variables]:
     """What the sensor's motion makes of its readings: a factor on each, and how it comes about.
 
     worn : the scene's `drift_and_motion`. in_place : what is read with the sensor in its place, over blood (t, zones).
-    moved : the light under the sensor elsewhere. Between both the logarithm of a reading goes with the distance.
+    moved : of `WornLight`. Between both places the logarithm of a reading goes with the distance.
 
     Returns: the factor, (led, photodiode, t) or, where nothing moves, (1, 1, 1) float.
 
     Raises: InputError where the sensor moves in a way that was not traced.
     """
-    exponent, traced = np.zeros((1, 1, 1)), {shift.motion: shift for shift in moved}
-    data: Variables = {}
+    exponent, data = np.zeros((1, 1, 1)), Variables()
     for name in _MOTIONS:
         if f"sensor_{name}_um" not in worn:
             continue
-        if name not in traced:
+        if name not in moved:
             raise InputError(
                 f"body.motion.{name}_um: light under a sensor that moves is traced by simulate alone; leave it out."
             )
-        shift = traced[name]
-        there = shift.light.readings_at(blood)
+        distance_um, light = moved[name]
+        there = light.readings_at(blood)
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_um = np.log(there.fraction / in_place.fraction) / shift.distance_um
-            stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / shift.distance_um
+            per_um = np.log(there.fraction / in_place.fraction) / distance_um
+            stderr = np.hypot(there.stderr / there.fraction, in_place.stderr / in_place.fraction) / distance_um
         exponent = exponent + np.where(np.isfinite(per_um), per_um, 0.0) * worn[f"sensor_{name}_um"].values
         data |= described(__package__, **{f"{name}_per_um": Estimate(per_um[..., 0], stderr[..., 0])})
     return np.exp(exponent), data
@@ -141,23 +235,9 @@ def _random_walks(count: int, since_s: Array, seed: int) -> Array:
     return np.array([np.interp(since_s, at, column) for column in walk.T])
 
 
-def _ornstein_uhlenbeck(since_s: Array, correlation_s: float, seed: int) -> Array:
-    """An Ornstein-Uhlenbeck process of mean 0 and standard deviation 1, (t,) float."""
-    from scipy.signal import lfilter
-
-    knots = int(np.ceil(since_s[-1] * KNOTS_PER_S)) + 2
-    drawn = np.random.default_rng(seed).standard_normal(knots)
-    memory = np.exp(-1.0 / (KNOTS_PER_S * correlation_s))
-    drawn[1:] *= np.sqrt(1.0 - memory**2)
-    course = lfilter([1.0], [1.0, -memory], drawn)
-    return np.interp(since_s, np.arange(knots) / KNOTS_PER_S, course)
-
-
 def replicates_v(result: xr.Dataset, transfer: Transfer) -> Array:
-    """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float. [V]
-
-    result : of `read_volts` and its course. transfer : the trace behind it.
-    """
+    """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float, of a result of
+    `read_volts` with its course and the trace behind it. [V]"""
     read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T)
     read = np.moveaxis(read, 0, 2)
     with np.errstate(divide="ignore", invalid="ignore"):

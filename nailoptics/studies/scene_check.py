@@ -18,7 +18,7 @@ from ..sensor.ambient import ambient_bound_a
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
 from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, scene_responses
-from ..sensor.worn_light import with_fitted_resistors
+from ..sensor.volts import with_fitted_resistors
 from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the

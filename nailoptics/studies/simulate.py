@@ -12,8 +12,7 @@ from ..light import ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import evenly_apart, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
-from ..sensor.volts import read_volts, replicates_v
-from ..sensor.worn_light import WornLight, worn_light
+from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
 from .prior_uncertainty import readings_over_priors
 
 COORDINATES = {

@@ -17,8 +17,7 @@ from nailoptics.batch import load_sweep, run_batch
 from nailoptics.batch.folder import Folder
 from nailoptics.batch.jobs import Settings, in_order, jobs_of, plan_of, work
 from nailoptics.light import backend
-from nailoptics.light.identity import light_scene
-from nailoptics.light.tracing import photons_engine
+from nailoptics.light.tracing.trace_scene import LightEngine
 from nailoptics.options import TraceOptions
 
 BASE = """
@@ -56,19 +55,18 @@ def sweep_of(folder: Path, count: int, photons: int):
 
 def overhead_and_memory(folder: Path, count: int) -> dict[str, object]:
     """One worker's loop in this process: time beyond the traces alone, and memory along the way."""
-    name = backend.choose("auto").name
-    sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", TraceOptions(backend=name))
+    chosen = backend.choose("auto")
+    sweep, settings = sweep_of(folder, count, 1000), Settings(folder / "overhead", TraceOptions(backend=chosen.name))
     place = Folder(settings.folder)
     place.make()
     jobs = in_order(jobs_of(sweep, settings))
     place.write_plan(plan_of(sweep, jobs, settings))
-    kind = photons_engine(sweep.scenes[0], name)
     backend.set_threads(1)
     work(jobs[0], settings)  # compiles
     trace_s, work_s, memory_mb = 0.0, 0.0, []
     for i, (job, scene) in enumerate(zip(jobs[1:], sweep.scenes[1:], strict=True)):
         begin = time.perf_counter()
-        kind(light_scene(scene)).batch(0, photons=1000, seed=1)
+        LightEngine(scene, chosen)().batch(0, photons=1000, seed=1)
         middle = time.perf_counter()
         work(job, settings)
         trace_s, work_s = trace_s + middle - begin, work_s + time.perf_counter() - middle

@@ -16,7 +16,7 @@ from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
 from nailoptics.light.reference.mitsuba_scene import BedAbsorption
-from nailoptics.light.reference.rendering import Paths, finger_paths
+from nailoptics.light.reference.readings import Paths, finger_paths
 
 GROUPS = ((0, 1, 2), (3, 4), (5, 6, 7))
 PATHS = 11264

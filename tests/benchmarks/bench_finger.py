@@ -47,7 +47,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     led = scene.leds[0].wavelength_nm
     v = np.linspace(-15, 10, 501)
     from nailoptics.light.reference.mitsuba_scene import BedAbsorption
-    from nailoptics.light.reference.rendering import finger_paths
+    from nailoptics.light.reference.readings import finger_paths
 
     means, variances, cpu = [], [], 0.0
     for k, state in enumerate(states):

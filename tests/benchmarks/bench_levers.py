@@ -2,8 +2,8 @@
 
 On the photodiode-sized reading of a slab (10 mm, mu_a 0.05, mu_s 10 per mm, g 0.9, matched; 1 x 1 mm, 2 mm from a
 pencil beam), with a small walk of its own: analog; next-event estimation; that with multiple importance sampling of
-direction; quasi-random numbers for the first step and direction. On the prototype: splitting near the photodiodes;
-and, by reciprocity, light traced from a photodiode to the LED. Printed: figures of merit 1 / (relative error^2 CPU
+direction; quasi-random numbers for the first step and direction. On the prototype: splitting near the photodiodes.
+Printed: figures of merit 1 / (relative error^2 CPU
 seconds), as ratios to the plain way in the same run; errors are those of independent batches, which assume nothing.
 """
 
@@ -21,7 +21,6 @@ from nailoptics.light import backend
 backend.activate(backend.choose("auto"))
 import mitsuba as mi  # noqa: E402
 
-from nailoptics.light.board_map import BoardTracer  # noqa: E402
 from nailoptics.light.walk.finger import FingerTracer  # noqa: E402
 from nailoptics.light.walk.interfaces import DETECTED  # noqa: E402
 from nailoptics.light.walk.sampling import henyey_greenstein, rotate_direction  # noqa: E402
@@ -134,18 +133,6 @@ def finger() -> None:
         ratio = figures["split"][i] / figures["plain"][i]
         mean, error = values.mean(0)[i], values.std(0, ddof=1)[i] / math.sqrt(BATCHES)
         row(f"{names[i]}, split near photodiodes", mean, error, ratio)
-
-    board, die = BoardTracer(scene), tracer.geometry.leds[0]
-    area = tracer.geometry.photodiodes[0].area_mm2
-    u, v = scene.leds[0].position_mm
-
-    def back(seed: int) -> float:
-        there, _ = board.back(3, 0, photons=PHOTONS, seed=int(seed))
-        inside = np.all(np.abs(there.place_mm - (u, v)) < math.sqrt(die.area_mm2) / 2, axis=1)
-        return float(there.weight[inside].sum() / PHOTONS * area / die.area_mm2)
-
-    mean, error, figure = merit(back)
-    row(f"{names[3]}, from the photodiode to the LED", mean, error, figure / figures["plain"][3])
 
 
 def row(name: str, mean: float, error: float, ratio: float) -> None:

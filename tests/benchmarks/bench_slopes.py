@@ -108,7 +108,7 @@ def samples(count: int, name: str = "prototype", zones: int = 2) -> Callable[[],
     """Ten seconds at a higher rate: the vessels, the readings and the fits, without the photons."""
     from nailoptics.hemodynamics.for_scene import blood_over_touch
     from nailoptics.light import open_light
-    from nailoptics.sensor.worn_light import WornLight, with_fitted_resistors
+    from nailoptics.sensor.volts import WornLight, with_fitted_resistors
     from nailoptics.studies.simulate import simulate_from
 
     scene = shipped(name)

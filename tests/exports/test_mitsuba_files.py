@@ -14,7 +14,7 @@ from nailoptics.exports.compatibility import as_seen
 from nailoptics.geometry import build
 from nailoptics.light import backend, optics
 from nailoptics.light.reference.mitsuba_scene import finger_scene
-from nailoptics.light.reference.rendering import stock_mitsuba
+from nailoptics.light.reference.readings import stock_mitsuba
 from nailoptics.scene import load_scene
 
 # What the README of an export says, and where the pixels go.

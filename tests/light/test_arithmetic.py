@@ -33,7 +33,7 @@ def test_no_kernel_calls_what_aborts():
 def test_functions_of_floats_are_numpys(jit_backend):
     import mitsuba as mi
 
-    from nailoptics.light.walk.arithmetic import atan2, clip, maximum, minimum, safe_sqrt
+    from nailoptics.light.walk.sampling import atan2, clip, maximum, minimum, safe_sqrt
 
     special = np.array([0, -0.0, 1, -1, 1e-30, -1e-30, 1e30, -1e30, np.inf, -np.inf], np.float32)
     a, b = (grid.ravel() for grid in np.meshgrid(special, special))

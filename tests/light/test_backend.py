@@ -10,7 +10,7 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.light import backend
-from nailoptics.light.reference import rendering
+from nailoptics.light.reference import readings
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fr
         "scalar": "selected for volpath",
     }
     assert json.loads(fresh.read_text()).popitem()[1]["engines"] == ["photons"]
-    with pytest.raises(InputError, match=f"{library.name}.*scalar") as caught, rendering.stock_mitsuba(chosen):
+    with pytest.raises(InputError, match=f"{library.name}.*scalar") as caught, readings.stock_mitsuba(chosen):
         pass
     assert "\n" not in str(caught.value)
 

@@ -88,13 +88,13 @@ def of_trace(transfer: Transfer) -> Estimates:
     wavelength, _ = optics.spectrum(led)
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=states)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, 0.97))
-    read = read_replicates(transfer, 0, mu_a, blood)
-    ratio = read.reading[..., -1] / read.reading[..., 0]
-    x, rows = states[:, 0], read.reading[:, 0]
-    fitted = fit_curve(x, rows[0], curved=True).replicates(x, rows)[:, -1] / read.reading[:, 0, 0]
+    reading, path_mm = read_replicates(transfer, 0, mu_a, blood)
+    ratio = reading[..., -1] / reading[..., 0]
+    x, rows = states[:, 0], reading[:, 0]
+    fitted = fit_curve(x, rows[0], curved=True).replicates(x, rows)[:, -1] / reading[:, 0, 0]
     for name, values in (
         ("ratio of states", ratio),
-        ("predicted path", read.mean_path_mm[..., 0]),
+        ("predicted path", path_mm[..., 0]),
         ("fit of (8)", fitted),
     ):
         out[name] = (values[0], jackknife(values))
@@ -120,7 +120,7 @@ def of_several_photodiodes(transfer: Transfer) -> Estimates:
     rest = np.full((1, optics.zones(transfer.scene).count), transfer.scene.blood.rest_blood_fraction)
     wavelength, _ = optics.spectrum(transfer.scene.leds[0])
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=rest)
-    read = read_replicates(transfer, 0, mu_a, np.ones(len(wavelength))).reading[..., 0]
+    read = read_replicates(transfer, 0, mu_a, np.ones(len(wavelength)))[0][..., 0]
     for name, made in (("sum by groups", read @ slopes["sum"].T), ("ratio by groups", read[:, :-1] / read[:, 1:])):
         out[name] = made[0], jackknife(made)
     return out

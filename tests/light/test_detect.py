@@ -10,8 +10,8 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, open_light, optics, read_rest
 from nailoptics.light.detect import engine_for
+from nailoptics.light.reference.readings import StateReadings, corner_states
 from nailoptics.light.reference.readings import between as read_between
-from nailoptics.light.reference.readings import corner_states
 from nailoptics.light.transfer import Transfer
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene
@@ -49,9 +49,9 @@ def test_blood_at_rest_still_gets_distinct_valid_states(rest):
 
 
 def between(blood: np.ndarray, corners: np.ndarray, ratio: np.ndarray, *, relative: float = 0.05):
-    rest = np.array([[1e-3]])
-    stderr = np.where(ratio == 1, 0, 0.001)
-    return read_between(rest, np.full((1, 1), relative), ratio, stderr, corners, blood)
+    fraction, ratio = np.full((1, 3), 1e-3), ratio[0]
+    traced = StateReadings(fraction, relative * fraction, ratio, np.where(ratio == 1, 0, 0.001), 1, None, False)
+    return read_between([traced], corners, blood)
 
 
 def test_between_the_states_light_dims_as_in_beer_lambert():
@@ -80,10 +80,8 @@ def test_a_change_is_counted_from_the_first_state_wherever_that_lies():
 
 def test_an_unlit_photodiode_has_an_unknown_error():
     corners = np.array([[0.03, 0.03], [0.05, 0.03], [0.03, 0.01]])
-    nothing = np.array([[[1.0, 1.0, 1.0]]])
-    seen = read_between(
-        np.zeros((1, 1)), np.full((1, 1), np.nan), nothing, np.full_like(nothing, np.inf), corners, corners
-    )
+    ones = np.ones((1, 3))
+    seen = read_between([StateReadings(0 * ones, np.inf * ones, ones, np.inf * ones, 1, None, False)], corners, corners)
     assert np.all(seen.fraction == 0) and not np.isfinite(seen.stderr).any()
     assert detect._reached(np.array([0.01, np.nan])) == "some photodiode detected no light or too few photons"
     assert "0.02" in detect._reached(np.array([0.01, 0.02]))

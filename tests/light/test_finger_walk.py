@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
-from nailoptics.light.reference import mitsuba_scene, readings, rendering
+from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
@@ -55,7 +55,7 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     shape = geometry.build(scene)
     found = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    traced = rendering.finger_paths(
+    traced = readings.finger_paths(
         shape,
         found,
         bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
@@ -94,7 +94,7 @@ def test_stock_mitsuba_sees_a_tenth_more_absorption_on_the_prototype(jit_backend
     ratios = []
     for part in ((0, 1, 2, 3), (4, 5, 6, 7)):
         how = {"bed": bed, "photodiodes": part, "backend": backend.choose("auto", volpath=True)}
-        traced = rendering.finger_paths(shape, media, led=0, **how)
+        traced = readings.finger_paths(shape, media, led=0, **how)
         seeds = (seed_of(2, part[0], k) for k in range(BATCHES))
         ratios.append(np.array([traced.batch(paths=1 << 15, seed=seed) for seed in seeds]) / walk[list(part)])
     of_batches = np.concatenate(ratios, axis=1)

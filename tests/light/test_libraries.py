@@ -37,7 +37,7 @@ light = board.tracer.batch(0, photons=20_000, seed=1)
 note("finger", light.photodiode, light.weight, light.path_mm)
 note("detected", board.detected(0, blood_point(finger, 0), photons=5_000, seed=2))
 note("fluence", board.fluence(0, 0.3, photons=5_000, seed=4).values)
-onto = board.back(0, 0, photons=5_000, seed=3)[0]
+onto = board.arrivals(0, photons=5_000, seed=3)
 note("board", onto.photon, onto.place_mm, onto.weight, onto.path_mm)
 print(json.dumps({"library": backend.choose("llvm").library, "found": found}))
 """

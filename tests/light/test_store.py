@@ -305,16 +305,3 @@ def test_a_store_that_is_off_says_so(capsys):
     from nailoptics.cli import run
 
     assert run(["store"]) == 2 and "NAILOPTICS_STORE" in capsys.readouterr().err
-
-
-def test_a_folder_that_another_process_removes_is_written_again(tmp_path, monkeypatch):
-    light, written = LightStore(tmp_path, optional=True).light({"light": 1}), io.write_bytes
-
-    def after_a_rival(path, data, **more):
-        monkeypatch.setattr(io, "write_bytes", written)
-        path.parent.rmdir()
-        written(path, data, **more)
-
-    monkeypatch.setattr(io, "write_bytes", after_a_rival)
-    light.write("0-1", {}, {"x": np.zeros(3)})
-    assert light.path("0-1").exists() and not light.store.closed

@@ -6,7 +6,7 @@ from small_scenes import finger
 
 from nailoptics.light import optics
 from nailoptics.light.board_map import BoardTracer
-from nailoptics.light.walk.tallies import FluenceTally, VoxelGrid
+from nailoptics.light.walk.tallies import FluenceTally
 from nailoptics.scene import parse_scene
 
 SCENE = finger(
@@ -26,10 +26,10 @@ def test_fluence_in_the_bed_is_what_its_absorption_takes(chosen_jit):
     """
     scene = parse_scene(SCENE)
     tracer = BoardTracer(scene).tracer
-    cells = VoxelGrid.under_nail(scene, tracer.geometry)
-    tally = FluenceTally(cells)
+    tally = FluenceTally(scene, tracer.geometry)
     tracer.walk(0, photons=PHOTONS, seed=1, section=tally)
-    middle = (cells.depth_mm[1:] + cells.depth_mm[:-1]) / 2
+    depth_mm = tally.edges_mm[2]
+    middle = (depth_mm[1:] + depth_mm[:-1]) / 2
     top = scene.finger.nail_thickness_mm
     in_bed = (middle > top) & (middle < top + scene.finger.bed_thickness_mm)
     bed_per_mm = optics.absorption(scene, 800.0)[0][optics.bed_columns(scene)[0]]

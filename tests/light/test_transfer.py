@@ -12,7 +12,7 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics
-from nailoptics.light.transfer.records import LedTrace
+from nailoptics.light.transfer.records import LedTrace, joined
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95
@@ -132,38 +132,17 @@ def test_a_small_change_is_sharper_than_either_reading(traced):
 
 
 @pytest.mark.jit
-def test_merged_traces_are_one_trace_of_all_their_photons(jit_backend, traced):
+def test_batches_are_one_trace_of_all_their_photons(jit_backend, traced):
     other = nail.trace(two_layers(), photons=1 << 17, seed=2)
-    merged = traced.merge(other)
+    merged = replace(traced, traces=(joined([traced.traces[0], other.traces[0]]),))
     a, b, both = traced.at(), other.at(), merged.at()
-    assert merged.photons == traced.photons + other.photons and merged.events == traced.events + other.events
-    assert merged.cpu_seconds == traced.cpu_seconds + other.cpu_seconds
+    assert merged.photons == traced.photons + other.photons and merged.traces[0].seeds != traced.traces[0].seeds
     mean = (2 * a.detected_fraction + b.detected_fraction) / 3
     assert both.detected_fraction.values == pytest.approx(mean.values, rel=1e-12)
     spread = np.hypot(2 * a.detected_fraction_stderr, b.detected_fraction_stderr) / 3
     assert both.detected_fraction_stderr.values == pytest.approx(spread.values, rel=1e-3)
     expected = (2 * traced.energy()["reflected"]["value"] + other.energy()["reflected"]["value"]) / 3
     assert merged.energy()["reflected"]["value"] == pytest.approx(expected, rel=1e-12)
-
-
-@pytest.mark.jit
-def test_traces_that_share_a_seed_are_not_merged(jit_backend, traced):
-    with pytest.raises(InputError, match="share 1 seed"):
-        traced.merge(nail.trace(two_layers(), photons=1 << 10, seed=1))
-    with pytest.raises(InputError, match="share"):
-        traced.merge(traced)
-    more = nail.trace(two_layers(), photons=1 << 10, seed=2)
-    with pytest.raises(InputError, match="share"):
-        traced.merge(more).merge(more)
-
-
-@pytest.mark.jit
-def test_traces_of_different_light_are_not_merged(jit_backend, traced):
-    for other in (two_layers(upper=0.06), two_layers(photodiodes=1), two_layers(led={"flux_mw": 2.0})):
-        with pytest.raises(InputError, match="different scenes"):
-            traced.merge(nail.trace(other, photons=1 << 10, seed=9))
-    with pytest.raises(InputError, match="engines"):
-        traced.merge(replace(traced, engine="other"))
 
 
 @pytest.mark.jit
@@ -191,8 +170,6 @@ def test_a_stored_transfer_reads_as_before(traced, tmp_path):
         for name in ("photodiode", "weight", "path_mm", "mu_a"):
             assert getattr(a, name).dtype == getattr(b, name).dtype
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
-    with pytest.raises(InputError, match="share"):
-        again.merge(traced)
 
 
 @pytest.mark.jit
@@ -288,9 +265,7 @@ def test_intervals_of_95_percent_hold_for_few_photons(jit_backend):
     for seed in range(count):
         trace = tracer.batch(0, photons=1 << 11, seed=seed)
         runs.append(Transfer(scene, (trace,), "llvm", versions={"nailoptics": "0"}))
-    merged = runs[0]
-    for run in runs[1:]:
-        merged = merged.merge(run)
+    merged = replace(runs[0], traces=(joined([run.traces[0] for run in runs]),))
     truth, seen = merged.at(), xr.concat([run.at() for run in runs], "run")
     for name in ("detected_fraction", "mean_path_mm", "derivative_mm"):
         off = ((seen[name] - truth[name]) / seen[f"{name}_stderr"]).values

@@ -11,7 +11,7 @@ from nailoptics import geometry
 from nailoptics.errors import InputError
 from nailoptics.light import backend
 from nailoptics.light.optics import finger_media
-from nailoptics.light.reference import mitsuba_scene, readings, rendering
+from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.reference.mitsuba_scene import EVERYTHING, LEAVING, BedAbsorption, Window
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Led, parse_scene
@@ -45,8 +45,8 @@ def slab(*, mu_a, mu_s, g, n, thickness=1.0, n_below=1.0, led=None, photodiodes=
 
 def fractions(scene, windows, *, batches, paths, seed, backend):
     """The fraction of the LED's power through each window, (batches, windows) float."""
-    with rendering.stock_mitsuba(backend, rendering.SPECTRAL):
-        traced = rendering.phantom_paths(scene, windows, backend=backend)
+    with readings.stock_mitsuba(backend, readings.SPECTRAL):
+        traced = readings.phantom_paths(scene, windows, backend=backend)
         return np.stack([traced.batch(paths=paths, seed=seed_of(seed, k)) for k in range(batches)])
 
 
@@ -95,7 +95,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
     iadpython = pytest.importorskip("iadpython")
     states, mu_s, g = np.array([0.05, 0.1, 0.2]), 12.0, 0.8
     exact = [iadpython.Sample(a=mu_s / (m + mu_s), b=m + mu_s, g=g, n=1.4, quad_pts=20).rt()[0] for m in states]
-    with rendering.stock_mitsuba(engine) as mi:
+    with readings.stock_mitsuba(engine) as mi:
         scene = slab(mu_a=0.05, mu_s=mu_s, g=g, n=1.4)
         made = mitsuba_scene.phantom_scene(mi, scene.phantom, scene.leds[0], [Window((0.0, 0.0), EVERYTHING)])
         bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.repeat(states[:, None], 3, axis=1))
@@ -103,7 +103,7 @@ def test_three_blood_states_of_one_medium_meet_adding_doubling(engine):
         made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
         made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0])
         loaded = mi.load_dict(made, optimize=False)
-        batches = np.stack([rendering._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
+        batches = np.stack([readings._render(mi, loaded, paths=4096, seed=seed) for seed in range(12)])
     mean, stderr = statistics(batches)
     assert np.all(abs(mean - exact) < 4 * stderr)
     assert np.all(stderr < 0.01 * mean)
@@ -127,7 +127,7 @@ def test_a_line_is_read_wavelength_by_wavelength(along_y, jit_backend):
 
     assert np.allclose(nm, np.arange(740, 861, 3))
     scene = slab(mu_a=0.1, mu_s=12.0, g=g, n=1.4)
-    with rendering.stock_mitsuba(jit_backend, rendering.SPECTRAL) as mi:
+    with readings.stock_mitsuba(jit_backend, readings.SPECTRAL) as mi:
         made = mitsuba_scene.phantom_scene(mi, scene.phantom, led, [Window((0.0, 0.0), EVERYTHING)])
         bed = BedAbsorption(np.array([-80.0, 0.0, 80.0]), np.tile(mu_a, (1, 3, 1)))
         box = np.array([[-80.0, -80, -1.2], [80, 80, 0.2]])
@@ -136,7 +136,7 @@ def test_a_line_is_read_wavelength_by_wavelength(along_y, jit_backend):
             made["medium_0"] = mitsuba_scene.bed_medium(mi, bed, mu_s=mu_s, g=g, bounds_mm=box)
         made["window_0"]["emitter"] = mitsuba_scene.emitter([1.0, 1.0, 1.0, 0.5])
         loaded = mi.load_dict(mitsuba_scene.spectral(made), optimize=False)
-        batches = np.stack([rendering._render(mi, loaded, paths=8192, seed=seed) for seed in range(12)])
+        batches = np.stack([readings._render(mi, loaded, paths=8192, seed=seed) for seed in range(12)])
     mean, stderr = statistics(batches)
     assert np.all(abs(mean * [1, 1, 1, 2] - exact(mu_a)) < 4 * stderr * [1, 1, 1, 2])
     pooled, spread = statistics((batches * [1, 1, 1, 2]).mean(1))
@@ -151,7 +151,7 @@ def test_absorption_by_place_and_channel_is_that_of_the_table(jit_backend):
     """Read back from the medium's volume, between the nodes in place and at those in wavelength."""
     rng, v = np.random.default_rng(1), np.linspace(-6.0, 6.0, 25)
     states = rng.uniform(0.1, 0.3, (3, 25, mitsuba_scene.LINE_POINTS))
-    with rendering.stock_mitsuba(jit_backend, rendering.SPECTRAL) as mi:
+    with readings.stock_mitsuba(jit_backend, readings.SPECTRAL) as mi:
         box = np.array([[-5.0, -5, -9], [5, 5, 0]])
         made = mitsuba_scene.bed_medium(mi, BedAbsorption(v, states), mu_s=20.0, g=0.9, bounds_mm=box)
         for y, node in ((3.33, 7), (-4.87, 40)):
@@ -244,7 +244,7 @@ def prepare(text):
 
 def read(finger, engine, *, seed, batches, keep=slice(None), optics=None):
     scene, shape, media, bed = finger
-    traced = rendering.finger_paths(
+    traced = readings.finger_paths(
         shape,
         optics or media,
         bed=BedAbsorption(bed.v_mm, bed.mu_a_per_mm[keep]),
@@ -295,7 +295,7 @@ size_mm = [1.0, 1.0]
     scalar = backend.choose("scalar")
 
     def trace(photodiodes, seed):
-        traced = rendering.finger_paths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
+        traced = readings.finger_paths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
         return statistics(np.stack([traced.batch(paths=1024, seed=100 * seed + k) for k in range(6)]))
 
     together, error = trace((0, 1), 1)
@@ -344,8 +344,8 @@ def test_batches_of_an_interrupted_run_come_from_the_store(finger, store, monkey
     pace counts the stored batches' time, and other absorption has batches of its own."""
     scene, shape, media, bed = finger
     options, traced, heard = TraceOptions(photons=64, seed=1, backend="scalar"), [], []
-    batch = rendering.Paths.batch
-    monkeypatch.setattr(rendering.Paths, "batch", lambda *at, **how: traced.append(1) or batch(*at, **how))
+    batch = readings.Paths.batch
+    monkeypatch.setattr(readings.Paths, "batch", lambda *at, **how: traced.append(1) or batch(*at, **how))
 
     def run(bed=bed, options=options, progress=heard.append):
         return readings.finger_states(scene, shape, media, bed, led=0, options=options, progress=progress)

@@ -12,7 +12,7 @@ from watertight import check_watertight
 from nailoptics.assets import read_table
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
-from nailoptics.light.reference import mitsuba_scene, rendering
+from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, parse_scene
 from nailoptics.sensor.ambient import (
@@ -113,21 +113,21 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     area, mu_a = shape.photodiodes[0].area_mm2, optics.absorption(scene, 800.0)
     each = []
     for seed in range(4):
-        _, left = tracer.back(0, 0, photons=1 << 18, seed=seed)
+        left = tracer.leaving(0, 0, photons=1 << 18, seed=seed)
         each.append(left.from_outside(np.ones((1, 1)), mu_a, area_mm2=area, n=n).sum())
     ours, error = np.mean(each), np.std(each, ddof=1) / 2
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
     bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
     with (
-        rendering.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
+        readings.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
         tempfile.TemporaryDirectory() as folder,
     ):
         sensor = shape.photodiodes[0].region
         made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         loaded = mi.load_dict(made, optimize=False)
-        theirs = np.array([rendering._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
+        theirs = np.array([readings._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi
     spread = theirs.std(ddof=1) / np.sqrt(len(theirs))
     assert abs(theirs.mean() - ours) < 4 * np.hypot(error, spread), (theirs.mean(), spread, ours, error)
     assert error < 0.05 * ours and spread < 0.05 * ours

@@ -11,7 +11,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Electronics, Led, Photodiode, Scene, load_scene, parse_scene, to_toml
 from nailoptics.sensor import electronics
 from nailoptics.sensor.ambient import LAMP, ambient_bound_a
-from nailoptics.sensor.worn_light import with_fitted_resistors
+from nailoptics.sensor.volts import with_fitted_resistors
 from nailoptics.studies.prior_uncertainty import readings_over_priors
 from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate

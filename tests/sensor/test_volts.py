@@ -7,8 +7,7 @@ from small_scenes import SMALL_FINGER
 from nailoptics.errors import InputError
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Body, Drift, Motion, parse_scene
-from nailoptics.sensor.volts import drift_and_motion, motion_artefact
-from nailoptics.sensor.worn_light import MovedLight, moved_boards
+from nailoptics.sensor.volts import drift_and_motion, motion_artefact, moved_boards
 from nailoptics.studies.simulate import simulate
 
 
@@ -78,12 +77,12 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
             return ReadingSeries(0.8 * fraction, 0.01 * fraction, zero, zero)
 
     course = drift_and_motion(scene, time_s)
-    factor, data = motion_artefact(course, here, [MovedLight("lift", 40.0, Lifted())], np.zeros((4, 2)))
+    factor, data = motion_artefact(course, here, {"lift": (40.0, Lifted())}, np.zeros((4, 2)))
     assert factor[0, 0] == pytest.approx(0.8 ** (course.sensor_lift_um.values / 40.0))
     assert data["lift_per_um"][1] == pytest.approx(np.log(0.8) / 40.0)
     assert data["lift_per_um_stderr"][1] == pytest.approx(np.hypot(0.01, 0.0125) / 40.0)
     with pytest.raises(InputError, match="traced by simulate alone"):
-        motion_artefact(course, here, [], np.zeros((4, 2)))
+        motion_artefact(course, here, {}, np.zeros((4, 2)))
 
 
 @pytest.mark.jit

@@ -10,7 +10,7 @@ from nailoptics.light import backend
 from nailoptics.report.scene_description import check_lines
 from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene, to_toml
 from nailoptics.scene.catalogue import load_part
-from nailoptics.sensor.worn_light import with_fitted_resistors
+from nailoptics.sensor.volts import with_fitted_resistors
 from nailoptics.studies.scene_check import check
 
 # Of the light of a scene, which is traced once.

@@ -18,7 +18,7 @@ from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
 from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
-from nailoptics.sensor.worn_light import WornLight
+from nailoptics.sensor.volts import WornLight
 from nailoptics.studies.exploration.explore import explore
 from nailoptics.studies.force.calibrate import calibrate
 from nailoptics.studies.model_error.tradeoff import tradeoff
@@ -444,7 +444,7 @@ def test_both_engines_give_the_same_volts_over_time(chosen_jit):
 
 
 def test_what_cannot_be_simulated_is_refused_before_any_light_is_traced(monkeypatch):
-    monkeypatch.setattr("nailoptics.sensor.worn_light.open_light", None)
+    monkeypatch.setattr("nailoptics.sensor.volts.open_light", None)
     with pytest.raises(InputError, match="finger"):
         simulate(parse_scene(phantom({})))
     for seed in (-1, 2**63):

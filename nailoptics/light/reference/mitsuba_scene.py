@@ -109,10 +109,7 @@ def spectral(part: Any) -> Any:
 
 
 def medium(*, mu_a: ArrayLike, mu_s: ArrayLike, g: float) -> dict[str, Any] | None:
-    """A homogeneous medium, or None where light meets nothing.
-
-    mu_a, mu_s : numbers, or both (LINE_POINTS,) float. [mm^-1]
-    """
+    """A homogeneous medium, None where light meets nothing; mu_a, mu_s : numbers, or (LINE_POINTS,) float. [mm^-1]"""
     mu_t = np.add(mu_a, mu_s)
     if not mu_t.any():
         return None
@@ -130,9 +127,7 @@ def medium(*, mu_a: ArrayLike, mu_s: ArrayLike, g: float) -> dict[str, Any] | No
 
 def bed_medium(mi: Any, bed: BedAbsorption, *, mu_s: Any, g: float, bounds_mm: NDArray[np.float64]) -> dict[str, Any]:
     """The nail bed as a heterogeneous medium whose absorption varies along y; bounds_mm (2, 3) must hold all of it.
-
-    mu_s : a number, or (LINE_POINTS,) float. [mm^-1]
-    """
+    mu_s : a number, or (LINE_POINTS,) float. [mm^-1]"""
     v, mu_a = np.asarray(bed.v_mm, float), np.asarray(bed.mu_a_per_mm, float)
     if len(mu_a) > 1:
         mu_a = mu_a[np.minimum(np.arange(channel_count(mi.variant())), len(mu_a) - 1)]
@@ -197,8 +192,7 @@ def boundary(*, n_below: float, n_above: float) -> dict[str, Any]:
 def integrator(*, mu_a: NDArray[np.float64], mu_s: NDArray[np.float64]) -> dict[str, Any]:
     """volpath that drops no weight that counts: roulette only where less than e^-10 is left of it.
 
-    From 400 scatterings on it would take a third of the time in a finger, but leave what comes from far to rare bright
-    paths, which a standard error does not show until one is met: half of a skylight was missed.
+    From 400 scatterings on it would leave what comes from far to rare bright paths: half of a skylight was missed.
     """
     scattering = mu_s > 0
     share = np.min(mu_a[scattering] / (mu_a + mu_s)[scattering], initial=1.0)

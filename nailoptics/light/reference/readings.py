@@ -1,30 +1,55 @@
-"""Readings by stock volpath: LED by LED within an accuracy, and what lies between the blood states that were traced."""
+"""The independent engine: readings by Mitsuba's stock volpath, LED by LED within an accuracy, and what lies between the
+blood states that were traced.
+
+It shares nothing with the photon walk but the scene: absorption acts along the way through real participating media.
+"""
 
 import hashlib
 import math
+import sys
+import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ...errors import InputError
 from ...geometry import Geometry, build
 from ...options import TraceOptions
 from ...scene import Scene
 from ...scene.parts import check_flat
 from ...statistics import seed_of
 from .. import optics
-from ..backend import choose
+from ..backend import NAMES, Backend, Name, activate, choose
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
 from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
-from .mitsuba_scene import LEAVING, BedAbsorption, Window, channel_count, check_pattern, line_wavelengths_nm
-from .rendering import SPECTRAL, Paths, finger_paths, phantom_paths, stock_mitsuba
+from .mitsuba_scene import (
+    FILM,
+    LEAVING,
+    BedAbsorption,
+    Window,
+    channel_count,
+    check_pattern,
+    finger_scene,
+    line_wavelengths_nm,
+    phantom_scene,
+    spectral,
+)
 
+# The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
+RGB: dict[Name, str] = {name: f"{name}_ad_rgb" for name in NAMES} | {"scalar": "scalar_rgb"}
+SPECTRAL: dict[Name, str] = {name: f"{name}_ad_spectral" for name in NAMES} | {"scalar": "scalar_rgb"}
+MAX_SPP, PIXELS = 10_000, FILM * FILM
+# Mitsuba's seeds have 32 bits.
+SEEDS = 1 << 32
 # Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
 # stopping whenever they do favours low ones. So none stops before so many, and few rounds decide what is still needed.
 ROUND_BATCHES, ROUND_GROWTH = 32, 3.0
@@ -42,6 +67,94 @@ LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
 PLACES_PER_STEP, BEYOND_MM = 40, 0.2
 # What an LED still gets when no time is left. [s]
 LEAST_SECONDS = 1e-9
+
+
+@contextmanager
+def stock_mitsuba(backend: Backend, variants: Mapping[Name, str] = RGB) -> Iterator[Any]:
+    """Mitsuba in one of the variants that this engine needs; the one that was set before returns afterwards."""
+    if "volpath" not in backend.engines:
+        raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
+    # Dr.Jit loads its library at import, so only `activate`, which knows the right one, may import it.
+    loaded = sys.modules.get("mitsuba")
+    before = loaded.variant() if loaded else None
+    mi = activate(backend, variants)
+    try:
+        yield mi
+    finally:
+        if before and mi.variant() != before:
+            mi.set_variant(before)
+
+
+def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
+    """Mean of each channel over some paths, (channels,) float."""
+    spp = max(1, math.ceil(paths / PIXELS))
+    if spp > MAX_SPP:
+        raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
+    image = np.array(mi.render(scene, spp=spp, seed=seed % SEEDS), dtype=np.float64)
+    mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
+    if not np.isfinite(mean).all():
+        raise FloatingPointError(f"volpath gave {mean}")
+    return np.asarray(mean)
+
+
+class Paths:
+    """Traces one LED's light to up to four readings at once, three by the scalar backend.
+
+    made : the scene of a Mitsuba, which may write meshes to a folder; channel k of its film is reading k.
+    scale : (channels,) float. Fraction of the LED's power per channel.
+    """
+
+    def __init__(self, made: Callable[[Any, Path], dict[str, Any]], scale: Sequence[float], backend: Backend) -> None:
+        self._backend, self._scale = backend, np.array(scale)
+        folder = tempfile.TemporaryDirectory(prefix="nailoptics-")
+        with stock_mitsuba(self._backend, SPECTRAL) as mi, folder as meshes:
+            scene = made(mi, Path(meshes))
+            self._scene = mi.load_dict(spectral(scene) if self._backend.jit else scene, optimize=False)
+
+    def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
+        """Fractions of the LED's power from one batch, (channels,) float; kernels cannot be interrupted."""
+        with stock_mitsuba(self._backend, SPECTRAL) as mi:
+            return np.asarray(_render(mi, self._scene, paths=paths, seed=seed)[: len(self._scale)] * self._scale)
+
+
+def phantom_paths(scene: Scene, windows: Sequence[Window], *, led: int = 0, backend: Backend) -> Paths:
+    """An LED's light that leaves a phantom through as many windows as there are channels."""
+    assert scene.phantom is not None
+    phantom, source = scene.phantom, scene.leds[led]
+    # What is reciprocal is radiance over n squared. A beam reads the radiance that leaves along it; a die reads
+    # irradiance, pi times as much.
+    below = (phantom.n_below / phantom.n_above) ** 2
+    read = 1.0 if source.pattern == "pencil" else math.pi
+    scale = [(1.0 if window.top else below) / read for window in windows]
+    return Paths(lambda mi, _: phantom_scene(mi, phantom, source, windows), scale, backend)
+
+
+def finger_paths(
+    geometry: Geometry,
+    media: optics.Media,
+    *,
+    bed: BedAbsorption,
+    led: int,
+    photodiodes: tuple[int, ...],
+    backend: Backend,
+) -> Paths:
+    """An LED's light on one photodiode of a finger in up to three blood states, or on as many as there are channels.
+
+    media, bed : as of `line_optics`; the bed's own mu_a in `media` is not used.
+    led, photodiodes : indices into geometry.leds, whose light is taken to be Lambertian, and geometry.photodiodes;
+        several only with one state.
+    """
+    channels, die = max(len(bed.mu_a_per_mm), len(photodiodes)), geometry.leds[led]
+    colour = np.eye(channel_count(SPECTRAL[backend.name]))
+    colours = {geometry.photodiodes[p].region: colour[i].tolist() for i, p in enumerate(photodiodes)}
+    if len(photodiodes) == 1:
+        colours = dict.fromkeys(colours, [1.0] * len(colour))
+
+    def made(mi: Any, folder: Path) -> dict[str, Any]:
+        return finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)
+
+    # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
+    return Paths(made, [1 / math.pi] * channels, backend)
 
 
 @dataclass(frozen=True)
@@ -73,7 +186,6 @@ class _Group:
 
     photodiodes : names of those that it reads, or of the one that it reads in several states; none where it reads
         parts of the LED's power.
-    lights : stores of its batches, if any.
     sizes, rows : paths of each batch, and what it read, (channels,) float.
     seconds : that its batches took, stored ones when they were traced. [s]
     size, planned : paths of the next batch, and of all that are planned.
@@ -129,10 +241,8 @@ def pooled(sizes: Sequence[int], rows: NDArray[np.float64]) -> tuple[NDArray[np.
 
 
 def ratio_to_first(sizes: Sequence[int], rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ratio of each column's mean to the first column's, and its standard error; columns share their noise.
-
-    sizes, rows : as for `pooled`. Returns two (k,) floats; ones with infinite errors where nothing was detected.
-    """
+    """Ratio of each column's mean to the first column's, and its standard error, as `pooled`; columns share their
+    noise. Ones with infinite errors where nothing was detected."""
     mean, _ = pooled(sizes, rows)
     if not mean[0] > 0:
         return np.ones_like(mean), np.full_like(mean, math.inf)
@@ -209,8 +319,6 @@ def finger_states(
     progress: ProgressCallback | None = None,
 ) -> StateReadings:
     """Readings of all photodiodes in up to three blood states, until each has the error or paths, or time is up.
-
-    The channels of a path are the states of one photodiode, or several photodiodes in one state.
 
     Raises: InputError for an LED with a measured pattern, or a photodiode with an angular response.
     """
@@ -321,34 +429,21 @@ def corner_states(states: np.ndarray) -> np.ndarray:
     return np.stack([rest, *(np.where(np.arange(len(rest)) == k, far, rest) for k in range(len(rest)))])
 
 
-def between(
-    rest: np.ndarray,
-    relative: np.ndarray,
-    ratio: np.ndarray,
-    ratio_stderr: np.ndarray,
-    corners: np.ndarray,
-    blood: np.ndarray,
-) -> ReadingSeries:
-    """Readings between the corner states: ln S is linear in the blood of each zone.
+def between(traced: Sequence[StateReadings], corners: np.ndarray, blood: ArrayLike) -> ReadingSeries:
+    """Readings between the corner states, which were traced for each LED: ln S is linear in the blood of each zone.
 
-    rest, relative : (leds, photodiodes) float. Reading at the first corner as a fraction of the emitted power, and its
-        relative error. [1]
-    ratio, ratio_stderr : (leds, photodiodes, 1 + zones) float. Reading at each corner over the first. [1]
     corners : as `corner_states` makes them. blood : (t, zones) float. Blood fractions to read at. [1]
 
     The errors of the zones' ratios share noise of unknown sign, so they are added, which is an upper bound.
     """
-    x = (blood - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
+    columns = ("fraction", "fraction_stderr", "ratio", "ratio_stderr")
+    rest, stderr, ratio, ratio_stderr = (np.stack([getattr(one, name) for one in traced]) for name in columns)
+    x = (np.asarray(blood, float) - corners[0]) / (np.diagonal(corners[1:]) - corners[0])
     # Where nothing was detected the errors are infinite, and what comes of them is not a number.
     with np.errstate(invalid="ignore", divide="ignore"):
-        of_rest = np.exp(np.log(ratio[..., 1:]) @ x.T)
+        fraction, level = rest[..., :1] * np.exp(np.log(ratio[..., 1:]) @ x.T), stderr[..., :1] / rest[..., :1]
         each = ratio_stderr[..., 1:] / ratio[..., 1:]
         spread, moved = (each @ np.abs(d).T for d in (x, x - x[0]))
-        fraction, level = rest[..., None] * of_rest, relative[..., None]
         change = fraction - fraction[..., :1]
-        return ReadingSeries(
-            fraction=fraction,
-            stderr=fraction * np.hypot(level, spread),
-            change=change,
-            change_stderr=np.hypot(np.abs(change) * level, fraction * moved),
-        )
+        stderr, change_stderr = fraction * np.hypot(level, spread), np.hypot(np.abs(change) * level, fraction * moved)
+        return ReadingSeries(fraction, stderr, change, change_stderr)

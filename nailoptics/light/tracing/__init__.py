@@ -1,6 +1,6 @@
 """Sampling of light until enough is known: triggers, the loop of all sampling, and the trace of a scene."""
 
-from .trace_scene import accuracy, photons_engine, trace
+from .trace_scene import accuracy, trace
 from .trigger import (
     Ending,
     ProgressCallback,

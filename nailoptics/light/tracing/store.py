@@ -18,7 +18,7 @@ import numpy as np
 
 from ... import io
 from ...assets import data_dir
-from ...errors import InputError, WriteError
+from ...errors import WriteError
 from ...options import TraceOptions
 from ...scene import Scene
 from ..identity import led_digest
@@ -33,8 +33,6 @@ VARIABLE = "NAILOPTICS_STORE"
 # The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
 MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
-# A file is written so often where its folder goes meanwhile.
-WRITE_ATTEMPTS = 5
 # What decides a photon's way beside the scene, so that no other program's light passes for this one's.
 ROOMS = ("light", "geometry", "tissue", "scene")
 _KEY = 32
@@ -53,15 +51,12 @@ def program_digest(rooms: tuple[str, ...] = ROOMS) -> str:
 
 def made_of(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
     """All that decides the bits of one LED's light, plain enough for JSON."""
-    wavelength_nm = scene.leds[led].wavelength_nm
-    return made_by(what, led_digest(scene, led), wavelength_nm, seed=seed, backend=backend) | {"led": led}
+    light, wavelength_nm = led_digest(scene, led), scene.leds[led].wavelength_nm
+    return made_by(what, light, wavelength_nm, seed=seed, backend=backend) | {"led": led}
 
 
 def made_by(what: str, light: str, wavelength_nm: float, *, seed: int, backend: str) -> dict[str, Any]:
-    """All that decides the bits of some light, plain enough for JSON.
-
-    light : digest of what decides its ways.
-    """
+    """All that decides the bits of some light, plain enough for JSON. light : digest of what decides its ways."""
     return {
         "what": what,
         "light": light,
@@ -74,23 +69,14 @@ def made_by(what: str, light: str, wavelength_nm: float, *, seed: int, backend: 
 
 
 class LightStore:
-    """A folder of traced light, safe for many processes at once; whatever is there is whole, and is data only."""
+    """A folder of traced light, safe for many processes at once; whatever is there is whole, and is data only.
 
-    def __init__(
-        self,
-        root: Path,
-        *,
-        most_bytes: float = math.inf,
-        optional: bool = False,
-        on_damage: Callable[[Path, Exception], None] | None = None,
-    ) -> None:
-        """most_bytes : what is oldest in use gives way to keep the store below it. [bytes]
+    most_bytes : what is oldest in use gives way to keep the store below it. [bytes]
+    optional : whether light is traced all the same where nothing can be written.
+    """
 
-        optional : whether light is traced all the same where nothing can be written.
-        on_damage : called with a file that is not what was written, and why.
-        """
-        self.root, self.most_bytes, self.optional, self._on_damage = root, most_bytes, optional, on_damage
-        self.closed = False
+    def __init__(self, root: Path, *, most_bytes: float = math.inf, optional: bool = False) -> None:
+        self.root, self.most_bytes, self.optional, self.closed = root, most_bytes, optional, False
         self._unchecked = self._written = 0
 
     @classmethod
@@ -117,9 +103,7 @@ class LightStore:
 
     def damaged(self, path: Path, why: Exception) -> None:
         """Report a file that is not what was written."""
-        if self._on_damage is not None:
-            self._on_damage(path, why)
-        elif isinstance(why, PermissionError):
+        if isinstance(why, PermissionError):
             log.warning("%s: stored light cannot be read (%s); traced again", self.root, why.strerror)
         else:
             log.warning("%s: is not what was stored there (%s); traced again", path, why)
@@ -129,20 +113,15 @@ class LightStore:
         # os.path takes what a folder hides for missing, Path does not.
         if self.closed or os.path.isdir(path):
             return
-        for attempts_left in reversed(range(WRITE_ATTEMPTS)):
-            try:
-                io.make_folder(path.parent)
-                io.write_bytes(path, data)
-                break
-            except WriteError as error:
-                # Another process that makes room may have removed the folder in between.
-                if attempts_left and os.path.isdir(self.root) and not os.path.exists(path.parent):
-                    continue
-                if not self.optional:
-                    raise
-                self.closed = True
-                log.warning("traced light is not stored: %s", error)
-                return
+        try:
+            io.make_folder(path.parent)
+            io.write_bytes(path, data)
+        except WriteError as error:
+            if not self.optional:
+                raise
+            self.closed = True
+            log.warning("traced light is not stored: %s", error)
+            return
         self._unchecked += len(data)
         self._written += len(data)
         # One command must not push out all others' light and then its own.
@@ -152,22 +131,15 @@ class LightStore:
 
     def folders(self) -> Iterator[Path]:
         """The folders of lights; nothing else that may lie there, and no symbolic links out of the store."""
-        try:
-            named = [path for path in sorted(self.root.iterdir()) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name)]
-            yield from (path for path in named if not path.is_symlink())
-        except FileNotFoundError:
-            return
-        except OSError as error:
-            raise InputError(
-                f"{self.root}: is no store of light ({error.strerror}); set {VARIABLE} to another."
-            ) from None
+        named = (path for path in sorted(self.root.glob("*")) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
+        yield from (path for path in named if not path.is_symlink())
 
     def trim(self) -> None:
         """Let the lights go that were not used for longest, until the rest is within bounds."""
         self._unchecked = 0
         if math.isinf(self.most_bytes):
             return
-        with suppress(OSError, InputError):  # another process trims, too
+        with suppress(OSError):  # another process trims, too
             aged = sorted((folder.stat().st_mtime, folder, size_of(folder)) for folder in self.folders())
             total = sum(size for _, _, size in aged)
             for _, folder, size in aged:
@@ -195,10 +167,8 @@ class StoredLight:
         return self.folder / f"{name}.dat"
 
     def read(self, name: str, build: Callable[[dict[str, Any], dict[str, np.ndarray]], T]) -> T | None:
-        """What `build` makes of the header and the arrays of a name; None where there is nothing.
-
-        A file that is not what was written, or of which nothing can be made, is reported and taken for none.
-        """
+        """What `build` makes of the header and the arrays of a name; None where there is nothing, or a file that is not
+        what was written or of which nothing can be made, which is reported."""
         path = self.path(name)
         try:
             header, arrays = io.unpack(path.read_bytes())
@@ -224,10 +194,8 @@ def stored_or_made(
     make: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]],
     build: Callable[[dict[str, Any], dict[str, np.ndarray]], T],
 ) -> tuple[T, bool]:
-    """What `build` makes of a header and arrays that lie stored or, if there are none, are made and go to the first.
-
-    Returns: it, and whether it was stored.
-    """
+    """What `build` makes of a header and arrays that lie stored or, if there are none, are made and go to the first;
+    and whether it was stored."""
     for light in lights:
         if (stored := light.read(name, build)) is not None:
             return stored, True

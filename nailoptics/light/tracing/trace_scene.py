@@ -22,7 +22,6 @@ from .store import LightStore, made_of, stored_or_made
 from .trigger import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
-PHOTONS_ENGINE = "the photons engine"
 
 
 def trace(
@@ -51,7 +50,7 @@ def trace(
     """
     scene = as_scene(scene)
     begin, options = time.process_time(), TraceOptions(**requested)
-    chosen = backends.choose_jit(options.backend, PHOTONS_ENGINE)
+    chosen = backends.choose_jit(options.backend, "the photons engine")
     required = accuracy(scene, options)
     escaping = traced is not None
     engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=escaping, spacing_mm=spacing_mm)
@@ -86,31 +85,13 @@ def trace(
     return result
 
 
-def photons_engine(scene: Scene, backend: str) -> Any:
-    """The class of the photons engine for a scene, whose backend is active from then on.
-
-    Raises: InputError where the backend compiles no kernels.
-    """
-    backends.activate_jit(backend, PHOTONS_ENGINE)
-    if scene.phantom is not None:
-        from ..walk.layered import LayeredTracer
-
-        return LayeredTracer
-    from ..walk.finger import FingerTracer
-
-    return FingerTracer
-
-
 class LightEngine:
     """The engine of a scene's light, opened when the first photon is to be walked; scenes of one light share it.
 
     Until then Mitsuba is not even imported: light that is stored needs none.
 
-    with_faces : the parts that it has although the scene leaves them out.
-    escaping : whether all light that leaves a phantom is recorded.
-    spacing_mm : cells of the grid of distances, if not the usual ones. [mm]
-    full : photons of a full batch.
-    cpu_seconds, wall_seconds : what opening it took. [s]
+    with_faces, spacing_mm : as for `trace`. escaping : whether all light that leaves a phantom is recorded.
+    full : photons of a full batch. cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
     def __init__(
@@ -122,13 +103,10 @@ class LightEngine:
         escaping: bool = False,
         spacing_mm: float | None = None,
     ) -> None:
-        self.scene, self.backend = light_scene(scene), backend
-        self.more: dict[str, Any] = {"escaping": True} if escaping else {}
-        if faces := sorted({*with_faces} & {*scene.light.left_out}):
-            self.more["with_faces"] = faces
-        if spacing_mm is not None and scene.phantom is None:
-            self.more["spacing_mm"] = spacing_mm
-        self.escaping = escaping
+        self.scene, self.backend, self.escaping = light_scene(scene), backend, escaping
+        faces, spacing_mm = sorted({*with_faces} & {*scene.light.left_out}), None if scene.phantom else spacing_mm
+        more = {"escaping": escaping, "with_faces": faces, "spacing_mm": spacing_mm}
+        self.more: dict[str, Any] = {name: value for name, value in more.items() if value}
         self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
@@ -137,8 +115,15 @@ class LightEngine:
         """The engine itself."""
         if self._opened is None:
             begin, cpu = time.perf_counter(), time.process_time()
-            engine_class = photons_engine(self.scene, self.backend.name)
-            self._opened = engine_class(self.scene, **self.more)
+            backends.activate(self.backend)
+            if self.scene.phantom is not None:
+                from ..walk.layered import LayeredTracer
+
+                self._opened = LayeredTracer(self.scene, **self.more)
+            else:
+                from ..walk.finger import FingerTracer
+
+                self._opened = FingerTracer(self.scene, **self.more)
             self.wall_seconds, self.cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu
         return self._opened
 
@@ -208,8 +193,6 @@ def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: Pro
     """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
 
     What is stored is taken even when time is over; opening the engine is no part of the time.
-
-    progress : called after every batch.
     """
     begin = time.perf_counter() - source.engine.wall_seconds
 

@@ -182,13 +182,11 @@ class LedStoppingCriterion:
 
     photons, or the relative standard error of every photodiode at rest, checked by `check_schedule`; or the time; or
     very many photons of which some photodiode has detected none, which no number of photons will mend; or the memory.
+
+    full : photons of a full batch. seconds : for this LED. [s]
     """
 
     def __init__(self, scene: Scene, led: int, required: Accuracy, *, full: int, seconds: float = math.inf) -> None:
-        """full : photons of a full batch.
-
-        seconds : for this LED. [s]
-        """
         self.required, self.full, self.seconds = required, full, seconds
         self.name, self.photodiodes = scene.leds[led].name, photodiode_names(scene)
         self._at_rest = rest_state(scene, led)
@@ -209,7 +207,12 @@ class LedStoppingCriterion:
         count = len(self.photodiodes)
         self._total += [np.bincount(batch.photodiode, weight**k, minlength=count) for k in (1, 2)]
         self.photons, self.batches = self.photons + batch.photons, self.batches + 1
-        self.error = _largest_error(self._total, self.photons)
+        total, square = self._total
+        # An error is known of a photodiode once it has enough effective photons.
+        few = (total**2 < MIN_EFFECTIVE_PHOTONS * square) | (square == 0)
+        mean = np.divide(total, self.photons, out=np.ones_like(total), where=~few)
+        error = np.where(few, math.inf, stderr_of_mean(total, square, self.photons) / mean)
+        self.error = float(error.max(initial=0.0))
         if self._bytes > MAX_BYTES:
             self.futile = (
                 f'the detected photons of LED "{self.name}" fill {MAX_BYTES / 1e9:g} GB of memory after {self.photons} '
@@ -280,15 +283,3 @@ def unlit(led: str, photodiode: str, photons: int) -> str:
         f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error is '
         "known there; move it nearer, leave it out, or set max_seconds or photons."
     )
-
-
-def _largest_error(sums: np.ndarray, photons: int) -> float:
-    """Largest relative standard error; inf as long as a photodiode has too few effective photons for one.
-
-    sums : (2, photodiodes) float. Of weights and of their squares.
-    """
-    weight, square = sums
-    few = (weight**2 < MIN_EFFECTIVE_PHOTONS * square) | (square == 0)
-    mean = np.divide(weight, photons, out=np.ones_like(weight), where=~few)
-    error = np.where(few, math.inf, stderr_of_mean(weight, square, photons) / mean)
-    return float(error.max(initial=0.0))

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...io import CorruptError
 from ...statistics import (
     MIN_EFFECTIVE_TERMS,
@@ -82,10 +81,8 @@ class Moments:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Its standard error, (p,); photons are independent and each has one record for a photodiode.
-
-        NaN where it rests on fewer than 25 effective photons; so are those of mean paths and derivatives.
-        """
+        """Its standard error, (p,); NaN where it rests on fewer than 25 effective photons, as of mean paths and
+        derivatives."""
         return stderr_or_nan(stderr_of_mean(self.weight, self.square, self.photons), self.weight, self.square)
 
     @property
@@ -117,23 +114,15 @@ class Moments:
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:
     """Moments of records; weights are those of the state that is read."""
 
+    def total(values: np.ndarray) -> np.ndarray:
+        # Of no photons at all numpy makes integers.
+        return np.bincount(photodiode, values, minlength=count).astype(float)
+
     def by_absorber(values: np.ndarray, power: int) -> np.ndarray:
-        return np.stack([_total(photodiode, values * column**power, count) for column in path_mm.T], -1)
+        return np.stack([total(values * column**power) for column in path_mm.T], -1)
 
-    return Moments(
-        photons=photons,
-        weight=_total(photodiode, weight, count),
-        square=_total(photodiode, weight**2, count),
-        path=by_absorber(weight, 1),
-        path_square=by_absorber(weight**2, 2),
-        path_cross=by_absorber(weight**2, 1),
-        fourth=_total(photodiode, weight**4, count),
-    )
-
-
-def _total(photodiode: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    # Of no photons at all numpy makes integers.
-    return np.bincount(photodiode, values, minlength=count).astype(float)
+    paths = by_absorber(weight, 1), by_absorber(weight**2, 2), by_absorber(weight**2, 1)
+    return Moments(photons, total(weight), total(weight**2), *paths, total(weight**4))
 
 
 @dataclass(frozen=True)
@@ -169,19 +158,16 @@ class LedTrace:
         columns: dict[str, tuple[int, ...]] = {"mu_a": (absorbers,), "path_mm": (count, absorbers)}
         columns |= dict.fromkeys(("photon", "photodiode", "weight"), (count,))
         check_arrays(vars(self), columns)
-        for name, there in (("photon", self.photons), ("photodiode", photodiodes)):
-            if (column := getattr(self, name)).dtype.kind != "u" or (column >= there).any():
-                raise CorruptError(f"it names a {name} that there is not")
-        # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
-        if (self.weight < 0).any() or (self.path_mm < -1e-3).any():
-            raise CorruptError("a weight or path is negative")
+        for column, there in ((self.photon, self.photons), (self.photodiode, photodiodes)):
+            if column.dtype.kind != "u" or (column >= there).any():
+                raise CorruptError("it names a photon or photodiode that there is not")
         sums = np.array([pair for name in SUMS for pair in getattr(self, name).values()], float).reshape(-1, 2)
-        if not np.isfinite(sums).all() or (sums[:, 1] < 0).any() or self.energy.keys() != {*ENERGY}:
-            raise CorruptError("its sums cannot be of light")
-        if not (isinstance(self.photons, int) and self.photons > 0):
-            raise CorruptError("its counts cannot be of photons")
-        if any(not isinstance(seed, int) for seed in self.seeds):
-            raise CorruptError("its seeds are invalid")
+        # Paths in neighbouring zones of the bed are differences, so that one may round to below 0.
+        negative = (self.weight < 0).any() or (self.path_mm < -1e-3).any() or (sums[:, 1] < 0).any()
+        if negative or not np.isfinite(sums).all() or self.energy.keys() != {*ENERGY}:
+            raise CorruptError("its weights, paths or sums cannot be of light")
+        if not (isinstance(self.photons, int) and self.photons > 0 and all(isinstance(s, int) for s in self.seeds)):
+            raise CorruptError("its counts or seeds are invalid")
 
     def select(self, chosen: np.ndarray) -> "LedTrace":
         """Some of the records, (n,) bool, as a trace of as many photons; sums over all photons do not hold for them."""
@@ -211,10 +197,8 @@ class LedTrace:
         return np.asarray((square - np.outer(mean, mean)) / (self.photons - 1))
 
     def fractions(self, sums: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        """Fractions of the light that it emitted, each with its standard error, from such sums.
-
-        Of what rests on fewer than 25 effective photons it is at least that of the upper limit of what none showed.
-        """
+        """Fractions of the light that it emitted, each with its standard error, from such sums; of what rests on fewer
+        than 25 effective photons at least that of the upper limit of what none showed."""
         fractions, least = {}, upper_limit_95(self.photons) / Z95
         for name, (total, square) in sums.items():
             stderr = float(stderr_of_mean(total, square, self.photons))
@@ -224,30 +208,18 @@ class LedTrace:
 
 
 def joined(traces: Sequence[LedTrace]) -> LedTrace:
-    """Traces of one LED as one; raises InputError if they share a seed or were made at different absorption."""
-    seeds = [seed for trace in traces for seed in trace.seeds]
-    shared = len(seeds) - len(set(seeds))
-    if shared:
-        raise InputError(f"these traces share {shared} seed(s), so they are not independent; use different seeds.")
-    if any(not np.array_equal(trace.mu_a, traces[0].mu_a) for trace in traces):
-        raise InputError("these traces were made at different absorption; trace both at the same blood state.")
+    """Traces of one LED, at one absorption and of different seeds, as one."""
+    seeds = tuple(seed for trace in traces for seed in trace.seeds)
     together: dict[str, Any] = {name: np.concatenate([getattr(trace, name) for trace in traces]) for name in COLUMNS}
     *before, photons = np.cumsum([0, *(trace.photons for trace in traces)])
     photon = together["photon"] + np.repeat(before, [len(trace.photon) for trace in traces])
     together["photon"] = photon.astype(np.promote_types(np.uint32, np.min_scalar_type(photons)))
-    together |= {name: _added([getattr(trace, name) for trace in traces]) for name in SUMS}
-    return replace(
-        traces[0],
-        photons=int(photons),
-        seeds=tuple(seeds),
-        events=sum(trace.events for trace in traces),
-        **together,
-    )
-
-
-def _added(sums: Sequence[Mapping[str, tuple[float, float]]]) -> dict[str, tuple[float, float]]:
-    names, none = dict.fromkeys(name for by_name in sums for name in by_name), (0.0, 0.0)
-    return {name: (sum(s.get(name, none)[0] for s in sums), sum(s.get(name, none)[1] for s in sums)) for name in names}
+    for column in SUMS:
+        sums = [getattr(trace, column) for trace in traces]
+        pairs = {name: [by_name.get(name, (0.0, 0.0)) for by_name in sums] for by_name in sums for name in by_name}
+        together[column] = {name: tuple(map(sum, zip(*both, strict=True))) for name, both in pairs.items()}
+    events = sum(trace.events for trace in traces)
+    return replace(traces[0], photons=int(photons), seeds=seeds, events=events, **together)
 
 
 def read_escaping(batch: LedTrace, photodiodes: int, mu_a: np.ndarray) -> LedTrace:

@@ -228,38 +228,28 @@ def _absorption(
     return out
 
 
-@dataclass(frozen=True)
-class Replicates:
-    """One LED's readings in many states; in replicate 0 by all photons, in each other without one group of them.
-
-    All records of a photon are in one group, so that what is made of several readings has its true error, too.
-
-    reading : (1 + groups, photodiodes, states) float. Fraction of the emitted power, weighted by the photodiode's
-        response relative to that at the LED's peak.
-    mean_path_mm : (1 + groups, photodiodes, zones) float. In the first state, minus the derivative of ln reading by the
-        absorption of the blood in each zone, averaged over the line: the mean path there. [mm]
-    """
-
-    reading: np.ndarray
-    mean_path_mm: np.ndarray
-
-
 def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.ndarray:
     """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float."""
     by_led = []
     for i, led in enumerate(transfer.scene.leds):
         mu_a = optics.absorption(scene, optics.spectrum(led)[0], blood_fraction=states)
-        by_led.append(read_replicates(transfer, i, mu_a).reading)
+        by_led.append(read_replicates(transfer, i, mu_a)[0])
     return np.stack(by_led, 1)
 
 
 def read_replicates(
     transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray | None = None
-) -> Replicates:
-    """Read one LED's trace in many states, with and without each group of its photons.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read one LED's trace in many states: in replicate 0 by all photons, in each other without one group of them.
+
+    All records of a photon are in one group, so that what is made of several readings has its true error, too.
 
     mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
     blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state; even if not given. [mm^-1]
+
+    Returns: (1 + groups, photodiodes, states) float, fractions of the emitted power, weighted by the photodiode's
+    response relative to that at the LED's peak; and (1 + groups, photodiodes, zones) float, the mean paths in the first
+    state: minus the derivative of ln reading by the absorption of each zone's blood, averaged over the line. [mm]
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]
     wavelength, share = optics.spectrum(source)
@@ -285,7 +275,7 @@ def read_replicates(
             path[j] += _by_group(groups[chunk], slope[:, None] * lengths[:, zones])
     total, by_path = (left_out(np.moveaxis(sums, 1, 0) * (GROUPS / trace.photons)) for sums in (weight, path))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return Replicates(reading=total, mean_path_mm=by_path / total[:, :, :1])
+        return total, by_path / total[:, :, :1]
 
 
 def _by_group(groups: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,10 @@ from ...display import Displayed
 from ...errors import InputError
 from ...scene import Scene, digest, parse_scene, to_toml
 from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
-from ...variables import Variables, variable
+from ...variables import Estimate, Variables, described
 from ...version import code_attributes, code_versions
 from .. import optics
-from ..identity import light_digest
-from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, joined, moments_of
+from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, moments_of
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 400.0
@@ -30,7 +29,7 @@ SHARED_ERROR = (
     "photodiodes share photons, and so their errors, wholly where a phantom's lie at one distance from the LED; the "
     "error of a difference, ratio or mean of readings follows from Transfer.covariance"
 )
-# What a trace took, which adds up where traces are merged.
+# What a trace took.
 EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
 
 
@@ -136,23 +135,19 @@ class Transfer(Displayed):
             for name in ("effective_photons", "fraction", "stderr", "mean_path", "derivative")
         )
         self.warn_of_low_effective_sample_size(effective, moments)
-        pairs = ("led", "photodiode")
-        paths = (*pairs, "absorber")
-        names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
-        text = "detected fraction of the emitted power"
-        data = variable("detected_fraction", pairs, fraction, text, stderr=stderr)
+        limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
+        data = described(
+            optics.__package__,
+            detected_fraction=Estimate(fraction, stderr),
+            effective_photons=effective,
+            upper_limit_95=np.where(fraction == 0, limits, np.nan),
+            mean_path_mm=Estimate(path[:, 0], path[:, 1]),
+            derivative_mm=Estimate(slope[:, 0], slope[:, 1]),
+            wavelength_nm=[led.wavelength_nm for led in self.scene.leds],
+        )
         if len(self.photodiodes) > 1:
             data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
-        data |= variable("effective_photons", pairs, effective, "effective number of detected photons")
-        limits = np.array([[upper_limit_95(trace.photons)] for trace in self.traces])
-        text = "95 % upper limit of a detected fraction of which none was detected"
-        data |= variable("upper_limit_95", pairs, np.where(fraction == 0, limits, np.nan), text)
-        text = "mean path of the detected light in the absorber"
-        data |= variable("mean_path_mm", paths, path[:, 0], text, units="mm", stderr=path[:, 1])
-        text = "derivative of the detected fraction to the absorber's mu_a"
-        data |= variable("derivative_mm", paths, slope[:, 0], text, units="mm", stderr=slope[:, 1])
-        wavelength = [led.wavelength_nm for led in self.scene.leds]
-        data |= variable("wavelength_nm", "led", wavelength, "peak wavelength", units="nm")
+        names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
         return xr.Dataset(data, names, self.attributes() | {"title": "nailoptics: readings of a trace"})
 
     def moments_at(
@@ -168,10 +163,8 @@ class Transfer(Displayed):
         ]
 
     def covariance(self, blood_fraction: ArrayLike | None = None, so2: ArrayLike | None = None) -> np.ndarray:
-        """Covariance of the readings of each LED at one state, as in `at`, (led, photodiode, photodiode) float.
-
-        Copies of one photon may reach several photodiodes. Readings of different LEDs are independent.
-        """
+        """Covariance of the readings of each LED at one state, as in `at`, (led, photodiode, photodiode) float; copies
+        of one photon may reach several photodiodes. Readings of different LEDs are independent."""
         state, count = (blood_fraction, so2, None), len(self.photodiodes)
         return np.stack([t.covariance(*self._mu_a(i, *state), count=count) for i, t in enumerate(self.traces)])
 
@@ -189,31 +182,14 @@ class Transfer(Displayed):
     def energy_by_led(self) -> xr.Dataset:
         """Where each LED's light went, in all and, of what was absorbed, by region, as fractions of its power."""
         data: Variables = {}
-        for name, axis, text, about in (
-            ("energy", "part", "light by where it went", "where the light went"),
-            ("absorbed", "region", "light absorbed in a region or by its surface", "region that absorbs light"),
-        ):
+        for name, axis in (("energy", "part"), ("absorbed", "region")):
             by_led = [t.fractions(getattr(t, name)) for t in self.traces]
             places = list(dict.fromkeys(place for ends in by_led for place in ends))
             # A region that absorbs nothing at an LED's wavelength has no tally there.
-            value, stderr = np.transpose(
-                [[ends.get(place, (0.0, 0.0)) for place in places] for ends in by_led], (2, 0, 1)
-            )
-            data |= variable(f"{name}_fraction", ("led", axis), value, f"{text}, per emitted power", stderr=stderr)
-            data[axis] = ((axis,), np.array(places), {"long_name": about})
+            rows = [[ends.get(place, (0.0, 0.0)) for place in places] for ends in by_led]
+            fraction = Estimate(*np.transpose(rows, (2, 0, 1)))
+            data |= described(optics.__package__, **{f"{name}_fraction": fraction, axis: places})
         return xr.Dataset(data, {"led": list(self.leds)})
-
-    def merge(self, other: "Transfer") -> "Transfer":
-        """This trace and another of the same light as one; raises InputError if they differ or share a seed."""
-        # What reads the light is one scene's, too.
-        ours, theirs = ((light_digest(t.scene), t.scene.leds, t.scene.photodiodes, t.engine) for t in (self, other))
-        if ours != theirs:
-            raise InputError("these traces are of different scenes or engines; merge traces of one scene.")
-        return replace(
-            self,
-            traces=tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True)),
-            **{name: getattr(self, name) + getattr(other, name) for name in (*EFFORT, "reused_photons")},
-        )
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
@@ -282,9 +258,8 @@ class Transfer(Displayed):
         return [moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
 
     def warn_of_low_effective_sample_size(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
-        """Warn where the effective sample size of a reweighted reading, or of its error, is small.
+        """Warn where the effective sample size of reweighted readings, (led, photodiode) float, or of errors is small.
 
-        effective : (led, photodiode) float. Effective photons of each reading.
         least_absorbing : sums of each LED in the state of least absorption. Where few long paths outweigh all others
             there, both the reading and its error come out too small.
         """

@@ -43,10 +43,7 @@ class FingerTracer:
     """The photons engine for a finger scene: walks the photons of its LEDs until each has ended."""
 
     def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, with_faces: Collection[str] = ()) -> None:
-        """spacing_mm : Cells of the distances; wider ones are made sooner and let light skip less. [mm]
-
-        with_faces : Parts whose faces are there even where the scene leaves them out; light passes these as it came.
-        """
+        """spacing_mm, with_faces : As for `trace`."""
         self.scene = scene
         self.geometry, distances = _built(finger_geometry.shaping(scene, with_faces=with_faces), spacing_mm)
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
@@ -156,10 +153,8 @@ class FingerWalk:
 
     @dr.syntax
     def run(self, rng: Any, count: Any, first: Any) -> Any:
-        """Walk all photons to their ends, in each lane one after the other; returns scatterings per lane.
-
-        rng, count, first : Of each lane: its generator, how many photons it walks, and the first one's index.
-        """
+        """Walk all photons to their ends, in each lane one after the other; returns scatterings per lane. rng, count,
+        first : Of each lane: its generator, how many photons it walks, and the first one's index."""
         width, lane = dr.width(count), mi.UInt64(rng.state)
         lanes_in_all = dr.opaque(mi.UInt32, width)
         photon = self.launch(rng, lane, first)
@@ -220,10 +215,7 @@ class FingerWalk:
 
     @dr.syntax
     def scatter_freely(self, photon: FingerPhoton, medium: Medium, active: Any) -> _Segment:
-        """Scatter while no interface can be on the next step, without asking where the interfaces are.
-
-        What is free around its two ends is all of it, if together that is longer.
-        """
+        """Scatter while no interface can be on the next step: what is free around its two ends is longer together."""
         step = medium.free_path(photon.rng)
         segment = _Segment(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
         free = self.interfaces.free(photon.p, active)
@@ -250,11 +242,10 @@ class FingerWalk:
         photon.p = mi.Point3f(photon.p + photon.w * step)
 
     def step_to_interface(self, photon: FingerPhoton, segment: _Segment, medium: Medium, casts: Any) -> tuple[Any, Any]:
-        """Take the next step of photons that cast a ray, up to the first interface on it, and close the segment.
-
-        Returns: whether there was one, and which triangle.
-        """
-        intersection = self.interfaces.first_hit(photon.p, photon.w, segment.step, casts)
+        """Take the next step of photons that cast a ray, up to the first interface on it, and close the segment;
+        returns whether there was one, and which triangle."""
+        ray: Any = mi.Ray3f(photon.p, photon.w, segment.step, 0, [])  # type: ignore[call-overload]
+        intersection = self.interfaces.scene.ray_intersect_preliminary(ray, coherent=False, active=casts)
         hit = casts & intersection.is_valid()
         gone = casts & ~hit & ~medium.scatters
         segment.step = dr.select(casts & ~gone, dr.select(hit, intersection.t, segment.step), 0)

@@ -14,8 +14,8 @@ from ...geometry import DistanceGrid, Face, Geometry
 from ...geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
 from ...tissue import BloodZones
 from .. import optics
-from .arithmetic import clip, maximum, minimum, safe_sqrt
-from .sampling import BOTTOM, FAR, OPAQUE, Photon, emission_cosine, rotate_direction, starts
+from . import sampling
+from .sampling import Photon, clip, maximum, minimum, rotate_direction, safe_sqrt, starts
 
 # Through these light comes back from the bed to the photodiodes.
 OVER_BED = ("plate", "epoxy")
@@ -24,7 +24,7 @@ REGION_BITS = 11
 # Distances take a signed byte: so many steps are the largest distance.
 MOST_STEPS = 127
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
-DETECTED = OPAQUE + (1 << REGION_BITS)
+DETECTED = sampling.OPAQUE + (1 << REGION_BITS)
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
 SURFACE_OFFSET = 2e-6
 
@@ -83,7 +83,7 @@ class Medium(NamedTuple):
 
     def free_path(self, rng: Any) -> Any:
         """A random path to the next scattering. [mm]"""
-        return dr.select(self.scatters, -self.mean_path_mm * dr.log(1 - rng.next_float32()), FAR)
+        return dr.select(self.scatters, -self.mean_path_mm * dr.log(1 - rng.next_float32()), sampling.FAR)
 
 
 class Regions:
@@ -94,7 +94,8 @@ class Regions:
         self.mu_a, self.mu_s, self.g, self.n = (mi.Float(a) for a in (media.mu_a, media.mu_s, media.g, media.n))
         self.opaque, self.reflectance = mi.Bool(media.opaque), mi.Float(media.reflectance)
         detectors = {face.region: DETECTED + i for i, face in enumerate(geometry.photodiodes)}
-        ends = [BOTTOM if name == "cut" else detectors.get(i, OPAQUE + i) for i, name in enumerate(names)]
+        ends = [detectors.get(i, sampling.OPAQUE + i) for i in range(len(names))]
+        ends[names.index("cut")] = sampling.BOTTOM
         self.end = mi.UInt32(ends)
         dies, there = {face.region for face in geometry.leds}, {*geometry.below.tolist(), *geometry.above.tolist()}
         # What absorbs light as it passes, of which a tally is kept, and what swallows it, by outcome;
@@ -105,7 +106,7 @@ class Regions:
         self.swallows = {
             end: "photodiodes" if i in detectors else "leds" if i in dies else names[i]
             for i, end in enumerate(ends)
-            if media.opaque[i] and i in there and end != BOTTOM
+            if media.opaque[i] and i in there and end != sampling.BOTTOM
         }
         parts = {face.region for face in (*geometry.leds, *geometry.photodiodes)}
         self.on_board = mi.Bool([name in ("kapton", "silicon") or i in parts for i, name in enumerate(names)])
@@ -130,9 +131,24 @@ class Interfaces:
     """All faces between regions: which one a ray meets, what lies on its sides, and how far the nearest one is."""
 
     def __init__(self, geometry: Geometry, distances: DistanceGrid) -> None:
-        self.scene = _mesh_scene(geometry)
-        self.triangles = _triangle_table(geometry)
-        self.cells = mi.UInt32(_packed(distances))
+        mesh = mi.Mesh("interfaces", len(geometry.vertices), len(geometry.triangles))
+        params = mi.traverse(mesh)
+        params["vertex_positions"] = mi.Float(geometry.vertices.astype(np.float32).ravel())
+        params["faces"] = mi.UInt32(geometry.triangles.astype(np.uint32).ravel())
+        params.update()
+        self.scene = mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
+        # Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above.
+        a, b, c = (geometry.vertices[geometry.triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        pair = geometry.below + (geometry.above << REGION_BITS)
+        self.triangles = table_of_rows(np.column_stack([normal, pair]).astype(np.float32))
+        # Per cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0.
+        steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
+        steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
+        columns = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
+        packed = np.stack([column.astype(np.uint8).T.ravel() for column in columns], -1).view("<u4").ravel()
+        self.cells = mi.UInt32(packed.astype(np.uint32))
         self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
         self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
         self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
@@ -157,11 +173,6 @@ class Interfaces:
         plane = dr.abs(dr.fma(PLANE_STEP_MM, steps, dr.dot(normal, from_center))) - slack * PLANE_STEP_MM
         center = steps * PLANE_STEP_MM - dr.norm(from_center)
         return maximum(dr.select(slack > 0, minimum(plane, PLANE_REACH_MM), center), 0)
-
-    def first_hit(self, p: Any, w: Any, step: Any, active: Any) -> Any:
-        """The first triangle within a step from p along w, if any."""
-        ray: Any = mi.Ray3f(p, w, step, 0, [])  # type: ignore[call-overload]
-        return self.scene.ray_intersect_preliminary(ray, coherent=False, active=active)
 
     def sides(self, triangle: Any) -> tuple[Any, Any, Any]:
         """A triangle's normal, the region below it, and the one above, to which the normal points."""
@@ -191,7 +202,7 @@ class Emitter:
         u, v = rng.next_float32(), rng.next_float32()
         normal = dr.gather(mi.Vector3f, self.normal, facet)
         p = dr.lerp(dr.lerp(a, b, u), dr.lerp(d, c, u), v)
-        cos = emission_cosine(self.emission, rng.next_float32())
+        cos = sampling.emission_cosine(self.emission, rng.next_float32())
         w = rotate_direction(normal, cos, 2 * dr.pi * rng.next_float32())
         return mi.Point3f(off_surface(p, normal)), mi.Vector3f(w), cos
 
@@ -217,34 +228,6 @@ def off_surface(p: Any, normal: Any) -> Any:
 def table_of_rows(table: np.ndarray) -> Any:
     """A table (n, 4) of floats whose rows kernels read with `dr.gather(mi.Vector4f, ...)`.
 
-    A list is copied. NumPy's memory would be used where it lies, and only if chance has aligned it, a row is read at
-    once: each array would bring one of two kernels with it.
+    A list is copied. NumPy's memory would be used where it lies, and by its alignment bring one of two kernels.
     """
     return mi.Float(table.ravel().tolist())
-
-
-def _packed(distances: DistanceGrid) -> np.ndarray:
-    """The data of each cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0."""
-    steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
-    steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
-    columns = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
-    return np.stack([column.astype(np.uint8).T.ravel() for column in columns], -1).view("<u4").ravel().astype(np.uint32)
-
-
-def _mesh_scene(geometry: Geometry) -> Any:
-    mesh = mi.Mesh("interfaces", len(geometry.vertices), len(geometry.triangles))
-    params = mi.traverse(mesh)
-    params["vertex_positions"] = mi.Float(geometry.vertices.astype(np.float32).ravel())
-    params["faces"] = mi.UInt32(geometry.triangles.astype(np.uint32).ravel())
-    params.update()
-    return mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
-
-
-def _triangle_table(geometry: Geometry) -> Any:
-    """Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above."""
-    a, b, c = (geometry.vertices[geometry.triangles[:, i]] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    table = np.empty((len(normal), 4), np.float32)
-    table[:, :3] = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    table[:, 3] = geometry.below + (geometry.above << REGION_BITS)
-    return table_of_rows(table)

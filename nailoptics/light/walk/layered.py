@@ -11,8 +11,7 @@ from ...scene import Led, Phantom, Scene
 from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
-from .arithmetic import maximum, minimum, safe_sqrt
-from .sampling import Photon, PhotonEnds, WalkedPhotons, remaining, starts
+from .sampling import Photon, PhotonEnds, WalkedPhotons, maximum, minimum, remaining, safe_sqrt, starts
 
 # Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
 TINY = 1e-12
@@ -169,10 +168,8 @@ def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
 
 @dr.syntax
 def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
-    """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane.
-
-    rng, count : Per lane: its generator, and how many photons it walks.
-    """
+    """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane. rng,
+    count : Per lane: its generator, and how many photons it walks."""
     width = dr.width(count)
     # Opaque, or each number of lanes would have a kernel of its own.
     lanes_in_all = dr.opaque(mi.UInt32, width)
@@ -234,9 +231,7 @@ def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: 
         moves = ~reflected & ~leaves
         ends.absorb(photon, photon.layer, photon.weight * remaining(photon.tau), moves)
         photon.w = dr.select(
-            reflected,
-            mi.Vector3f(w.x, w.y, -w.z),
-            mi.Vector3f(eta * w.x, eta * w.y, dr.copysign(cos_out, w.z)),
+            reflected, mi.Vector3f(w.x, w.y, -w.z), mi.Vector3f(eta * w.x, eta * w.y, dr.copysign(cos_out, w.z))
         )
         photon.layer = dr.select(moves, dr.select(up, photon.layer - 1, photon.layer + 1), photon.layer)
         thickness = dr.gather(mi.Float, layers.thickness, photon.layer)

@@ -121,8 +121,12 @@ class NailReflectance:
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
             cycle = len(table) * groups
-            regions = self._regions(wavelength_nm, least_mu_a_per_mm)
-            beam = _Beam(patches, table, self.finger[0].bounds_mm[:, 2] + [-ABOVE_MM, ABOVE_MM], regions.air)
+            geometry, absorbers = self.finger[0], [absorber.region for absorber in optics.absorbing(self.scene)]
+            least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
+            mu_a = np.array([least.get(name, 0.0) for name in geometry.regions])
+            media = replace(optics.finger_media(self.scene, geometry.regions, wavelength_nm), mu_a=mu_a)
+            regions = Regions(geometry, media)
+            beam = _Beam(patches, table, geometry.bounds_mm[:, 2] + [-ABOVE_MM, ABOVE_MM], regions.air)
             batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
             for number in range(-(-photons // batch)):
                 count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
@@ -141,14 +145,6 @@ class NailReflectance:
             }
 
         return stored_or_made(lights, f"{groups}-{photons}", make, lambda _, arrays: ReflectedLight(**arrays))[0]
-
-    def _regions(self, wavelength_nm: float, least_mu_a_per_mm: np.ndarray) -> Regions:
-        geometry, _ = self.finger
-        media = optics.finger_media(self.scene, geometry.regions, wavelength_nm)
-        absorbers = [absorber.region for absorber in optics.absorbing(self.scene)]
-        least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
-        mu_a = np.array([least.get(name, 0.0) for name in geometry.regions])
-        return Regions(geometry, replace(media, mu_a=mu_a))
 
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
         """Index, weight, paths and cosine of the rays that came back."""

@@ -1,4 +1,9 @@
-"""What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, roulette, records."""
+"""What both photon walks are made of, as Dr.Jit arithmetic: scattering, refraction, emission, roulette, records.
+
+Kernels call the functions `maximum` to `atan2` here instead of Dr.Jit's own of these names, which for floats become
+the instructions fmaximum and fminimum: libLLVM 15 and 16 know no machine code for those and abort the process. Made of
+comparisons, the walks take the same ways, bit for bit, in the same time.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +15,6 @@ import mitsuba as mi
 import numpy as np
 
 from ...scene import Led, Photodiode
-from .arithmetic import clip, minimum, safe_sqrt
 
 # Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
 # rare that a reading with less absorption needs, not at all wastes scatterings on photons that no longer count.
@@ -33,6 +37,36 @@ STEPS = 1024
 # Sums of weights and of their squares, by name.
 Sums = dict[str, tuple[float, float]]
 FAR = 1e9  # mm; stands for infinity where infinity would make NaN of zero
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """The larger of two numbers; a NaN in the first stays."""
+    return dr.select(a < b, b, a)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """The smaller of two numbers; a NaN in the first stays."""
+    return dr.select(a > b, b, a)
+
+
+def clip(x: Any, low: Any, high: Any) -> Any:
+    """A number, or the end of the range beyond which it lies."""
+    return minimum(maximum(x, low), high)
+
+
+def safe_sqrt(x: Any) -> Any:
+    """The square root of a number, and 0 for one that rounding left below 0."""
+    return dr.sqrt(maximum(x, 0))
+
+
+def atan2(y: Any, x: Any) -> Any:
+    """The angle of a point (x, y) from the x axis, in -pi to pi, to a few parts in ten million; 0 at the origin."""
+    across, along = dr.abs(y), dr.abs(x)
+    radius = dr.sqrt(x * x + y * y)
+    # The arc sine of the smaller side, because that of the larger one loses digits near 1.
+    angle = dr.asin(dr.select(radius > 0, minimum(across, along) / radius, 0))
+    angle = dr.select(across > along, dr.pi / 2 - angle, angle)
+    return dr.copysign(dr.select(x < 0, dr.pi - angle, angle), y)
 
 
 def starts(value: float) -> Any:
@@ -127,10 +161,8 @@ class PhotonEnds:
         dr.scatter(self.weight, weight, photon.index)
 
     def absorb(self, photon: Photon, medium: Any, left: Any, leaves: Any, tallied: Any = True) -> None:
-        """Tally what absorption in a medium took of a photon that leaves it with what is left, or ends there.
-
-        One that is found absorbed leaves no medium.
-        """
+        """Tally what absorption in a medium took of a photon that leaves it with what is left, or ends there; one that
+        is found absorbed leaves no medium."""
         leaves = leaves & ((photon.outcome > 0) | (photon.tau <= photon.absorption_optical_depth))
         # In float64, so that the parts of a photon add up to all of it.
         taken, slot = mi.Float64(photon.entered) - mi.Float64(left), medium * self.photons + photon.index
@@ -158,10 +190,9 @@ class PhotonEnds:
 
 
 def lanes(photons: int, seed: int) -> tuple[Any, Any]:
-    """A random generator and a number of photons for each lane.
+    """A random generator and a number of photons for each lane, which walks them one after the other.
 
-    A lane walks one photon after the other, so that none waits for one long walk. Photon i is the work of lane
-    i modulo the lanes, whatever the machine: same seed, same bits.
+    Photon i is the work of lane i modulo the lanes, whatever the machine: same seed, same bits.
     """
     width = min(photons, CPU_LANES if dr.backend_v(mi.Float) == dr.JitBackend.LLVM else GPU_LANES)
     # Opaque, or each number of photons would have a kernel of its own.
@@ -172,10 +203,8 @@ def lanes(photons: int, seed: int) -> tuple[Any, Any]:
 
 
 def loop_state(first: Any, photon: Any) -> Any:
-    """The state of a lane's generator when one of its photons starts, whatever those before it drew.
-
-    So two walks of one seed, in scenes that differ in one part, have all photons in common that never meet it.
-    """
+    """The state of a lane's generator when one of its photons starts, whatever those before it drew: two walks of one
+    seed, in scenes that differ in one part, have all photons in common that never meet it."""
     return first + mi.sample_tea_64(mi.UInt32(first), photon)  # type: ignore[call-overload]
 
 
@@ -191,10 +220,8 @@ def remaining(tau: Any) -> Any:
 
 @dr.syntax
 def roulette(photon: Photon, steps: Any, copies: Any) -> None:
-    """Add to a photon's steps; where that doubles a long walk, end half of the photons, and let the others count twice.
-
-    copies : How many photons of its weight go on as one: 0 for one that will be walked once more.
-    """
+    """Add to a photon's steps; where that doubles a long walk, end half of the photons, and let the others count twice;
+    copies : how many photons of its weight go on as one, 0 for one that will be walked once more."""
     before = mi.UInt32(photon.steps)
     photon.steps = before + steps
     # Their highest bits differ.
@@ -253,11 +280,8 @@ def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
 
 
 def emission_table(led: Led) -> np.ndarray:
-    """The squared cosines of an LED's emission at equal steps of probability, (257,) float.
-
-    Squares, because those of a Lambertian emitter are linear, so that interpolation is exact. A measured
-    radiant intensity I(theta) emits I sin(theta) per angle.
-    """
+    """The squared cosines of an LED's emission at equal steps of probability, (257,) float; those of a Lambertian
+    emitter are linear. A measured radiant intensity I(theta) emits I sin(theta) per angle."""
     if led.pattern == "pencil":
         return np.ones_like(LAMBERTIAN)
     if led.pattern == "lambertian":

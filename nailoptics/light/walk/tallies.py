@@ -1,8 +1,6 @@
 """Tallies of a walk: what it keeps of photons on their way, and where they arrive on the board."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -11,9 +9,8 @@ import numpy as np
 
 from ...geometry import Geometry
 from ...scene import Scene
-from .arithmetic import atan2
 from .interfaces import FingerPhoton
-from .sampling import remaining
+from .sampling import atan2, remaining
 
 
 class CellGrid:
@@ -103,55 +100,28 @@ ACROSS_MM, ALONG_MM = 0.3, 0.2
 BED_CELLS, DEEPER_CELLS = 16, 8
 
 
-@dataclass(frozen=True)
-class VoxelGrid:
-    """Cells under the nail, in its own coordinates: u across (as on the board), v along, depth below the plate's face.
+class FluenceTally(PathTally):
+    """Sums of paths on cells from the plate through the bed into what lies below, over the whole nail, in its own
+    coordinates: u across (as on the board), v along, depth below the plate's face.
 
-    u_mm, v_mm, depth_mm : edges, evenly spaced; the bed's faces are among those of the depth. [mm]
+    edges_mm : u, v and depth, evenly spaced; the bed's faces are among those of the depth. [mm]
+    volume_mm3 : of the cells, which narrow with the depth, (depth,) float. [mm^3]
     """
 
-    u_mm: np.ndarray
-    v_mm: np.ndarray
-    depth_mm: np.ndarray
-    nail_radius_mm: float
-    board_radius_mm: float
-
-    @staticmethod
-    def under_nail(scene: Scene, geometry: Geometry) -> "VoxelGrid":
-        """Cells from the plate through the bed into what lies below, over the whole nail."""
-        finger = scene.fingertip
-        half_u = finger.nail_width_mm / 2 * geometry.board_radius_mm / geometry.nail_radius_mm
+    def __init__(self, scene: Scene, geometry: Geometry) -> None:
+        finger, nail_mm, board_mm = scene.fingertip, geometry.nail_radius_mm, geometry.board_radius_mm
+        half_u = finger.nail_width_mm / 2 * board_mm / nail_mm
         half_v, step = finger.nail_length_mm / 2, finger.bed_thickness_mm / BED_CELLS
         above = int(finger.nail_thickness_mm / step)
-        return VoxelGrid(
-            np.linspace(-half_u, half_u, max(2, round(2 * half_u / ACROSS_MM) + 1)),
-            np.linspace(-half_v, half_v, max(2, round(2 * half_v / ALONG_MM) + 1)),
-            finger.nail_thickness_mm + step * np.arange(-above, BED_CELLS + DEEPER_CELLS + 1),
-            geometry.nail_radius_mm,
-            geometry.board_radius_mm,
-        )
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """How many cells in u, v and depth."""
-        return len(self.u_mm) - 1, len(self.v_mm) - 1, len(self.depth_mm) - 1
-
-    @cached_property
-    def volume_mm3(self) -> np.ndarray:
-        """Volume of the cells, which narrow with the depth, (1, 1, depth) float. [mm^3]"""
-        radius = self.nail_radius_mm - (self.depth_mm[1:] + self.depth_mm[:-1]) / 2
-        area = (self.u_mm[1] - self.u_mm[0]) * (self.v_mm[1] - self.v_mm[0])
-        return (area * (self.depth_mm[1] - self.depth_mm[0]) * radius / self.board_radius_mm)[None, None]
-
-
-class FluenceTally(PathTally):
-    """Sums of paths on the cells under a nail."""
-
-    def __init__(self, cells: VoxelGrid) -> None:
-        nail, board = (dr.opaque(mi.Float, r) for r in (cells.nail_radius_mm, cells.board_radius_mm))
+        u = np.linspace(-half_u, half_u, max(2, round(2 * half_u / ACROSS_MM) + 1))
+        v = np.linspace(-half_v, half_v, max(2, round(2 * half_v / ALONG_MM) + 1))
+        depth = finger.nail_thickness_mm + step * np.arange(-above, BED_CELLS + DEEPER_CELLS + 1)
+        self.edges_mm, radius_mm = (u, v, depth), nail_mm - (depth[1:] + depth[:-1]) / 2
+        self.volume_mm3 = (u[1] - u[0]) * (v[1] - v[0]) * (depth[1] - depth[0]) * radius_mm / board_mm
+        nail, board = (dr.opaque(mi.Float, r) for r in (nail_mm, board_mm))
 
         def place(p: Any) -> tuple[Any, Any, Any]:
             height = p.z + nail
             return board * atan2(p.x, height), p.y, nail - dr.sqrt(p.x * p.x + height * height)
 
-        super().__init__((cells.u_mm, cells.v_mm, cells.depth_mm), place)
+        super().__init__(self.edges_mm, place)

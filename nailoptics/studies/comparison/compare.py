@@ -158,7 +158,7 @@ def _led_errors(
     wavelength, share = optics.spectrum(scene.leds[led])
     wavelength_nm, share = scene.leds[led].wavelength_nm, share * wavelength / np.sum(share * wavelength)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
-    read = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
+    reading, path_mm = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
     over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
     contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.fingertip.bed_scattering)
@@ -167,8 +167,8 @@ def _led_errors(
     # Where a photodiode saw nothing, or nothing changes, there is no answer: NaN.
     with np.errstate(invalid="ignore", divide="ignore"):
         for j, bed in enumerate(zone):
-            path = read.mean_path_mm[:, j]
-            traced, *alone = np.split(read.reading[:, j], 1 + len(optics.bed_columns(scene)), axis=1)
+            path = path_mm[:, j]
+            traced, *alone = np.split(reading[:, j], 1 + len(optics.bed_columns(scene)), axis=1)
             # The slope is known for the whole bed; each zone gets the part of it that the light's path has there.
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]

@@ -18,7 +18,7 @@ from ...scene import Scene, parse_scene
 from ...scene.importers.sensor_recordings import MOST_VOLTS, SITES, Recording
 from ...sensor import electronics
 from ...sensor.ambient import scene_ambient_a
-from ...sensor.worn_light import with_fitted_resistors
+from ...sensor.volts import with_fitted_resistors
 from ...statistics import seed_of
 from .person import MOST_GAIN, TABLE, Array, Numbers, within
 

@@ -284,10 +284,10 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
-        read = read_replicates(base.transfer, i, mu_a, blood)
+        reading, path_mm = read_replicates(base.transfer, i, mu_a, blood)
         mean = float(np.average(blood, weights=share * wavelength))
-        depths.append(read.mean_path_mm @ ((ends[1] - ends[0]) * mean))
-        traced.append(read.reading[..., 1] / read.reading[..., 0] - 1)
+        depths.append(path_mm @ ((ends[1] - ends[0]) * mean))
+        traced.append(reading[..., 1] / reading[..., 0] - 1)
     unit, stderr = base.largest_modulation
     for name, change in FORMULAS.items():
         off = (change(np.stack(depths, 1)) - np.stack(traced, 1)) / unit

@@ -123,7 +123,7 @@ def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, A
     """
     wavelength, _ = optics.spectrum(transfer.scene.leds[led])
     mu_a = np.concatenate([absorption(transfer.scene, wavelength, *state) for state in states])
-    return read_replicates(transfer, led, mu_a).reading
+    return read_replicates(transfer, led, mu_a)[0]
 
 
 def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]]) -> Pulsation:
@@ -163,8 +163,7 @@ def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBea
     for led in leds:
         wavelength, _ = optics.spectrum(scene.leds[led])
         mu_a = absorption(scene, wavelength, scene.blood.so2, beat.resting, np.zeros((1, len(swing))))
-        read = read_replicates(transfer, led, mu_a)
-        paths.append(read.mean_path_mm @ swing / swing.sum())
+        paths.append(read_replicates(transfer, led, mu_a)[1] @ swing / swing.sum())
     return _quotient(*paths)
 
 

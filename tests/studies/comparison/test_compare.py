@@ -219,9 +219,9 @@ def test_replicates_know_the_noise_of_the_count():
     """The number of detected photons is random: its error belongs to a reading, not only that of the weights."""
     transfer = made_up(np.full(10_000, 1.0), np.zeros(10_000))
     mu_a = optics.absorption(transfer.scene, [800.0])[None]
-    read = read_replicates(transfer, 0, mu_a, np.array([0.4]))
-    assert read.reading.shape == (1 + GROUPS, 8, 1) and np.allclose(read.reading[0], 0.1)
-    assert np.allclose(jackknife(read.reading) / 0.1, 0.01, rtol=0.5)
+    reading, _ = read_replicates(transfer, 0, mu_a, np.array([0.4]))
+    assert reading.shape == (1 + GROUPS, 8, 1) and np.allclose(reading[0], 0.1)
+    assert np.allclose(jackknife(reading) / 0.1, 0.01, rtol=0.5)
 
 
 def test_limits_and_their_intervals():

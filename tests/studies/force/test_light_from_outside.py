@@ -13,7 +13,7 @@ from nailoptics.report.pages.force import prediction_summary
 from nailoptics.scene import Ambient, Scene, Touch, to_toml
 from nailoptics.scene.importers.sensor_recordings import Recording
 from nailoptics.sensor.ambient import scene_ambient_a
-from nailoptics.sensor.worn_light import WornLight
+from nailoptics.sensor.volts import WornLight
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable, reading_table, record

@@ -10,7 +10,7 @@ from small_scenes import TWO_LAYOUTS
 import nailoptics as nail
 from nailoptics.cli import run
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.light.reference import rendering
+from nailoptics.light.reference import readings as stock
 from nailoptics.light.reference.readings import StateReadings
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.placement import PLACEMENT
@@ -44,8 +44,8 @@ def test_stock_mitsuba_agrees_and_sees_a_wrong_layout_and_medium(jit_backend, st
     scene, blood = boards.worn_on(layout, condition.case), condition.point.blood_fraction
     led = scene.leds[0].model_copy(update={"position_mm": (-3.5, 0.0)})
     options, traced = TraceOptions(seed=2), []
-    batch = rendering.Paths.batch
-    monkeypatch.setattr(rendering.Paths, "batch", lambda *at, **how: traced.append(1) or batch(*at, **how))
+    batch = stock.Paths.batch
+    monkeypatch.setattr(stock.Paths, "batch", lambda *at, **how: traced.append(1) or batch(*at, **how))
 
     def compared(verified):
         return verification.verify_by_mitsuba(layout, condition, verified, options, None)

@@ -15,7 +15,7 @@ from nailoptics.report.pages import placement
 from nailoptics.report.pages.placement import page
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import electronics, information
-from nailoptics.sensor.information import PhysiologicalNoise, physiological_noise
+from nailoptics.sensor.information import PhysiologicalNoise, operating_point
 from nailoptics.statistics import covariance_root, left_out
 from nailoptics.studies.force.touch_error import TouchError
 from nailoptics.studies.placement import place, result
@@ -184,7 +184,7 @@ def test_readings_of_two_leds_drift_apart_and_lift_together():
     text = text.replace(
         "[body.heartbeat]", "[body.drift]\nled_per_rt_min = 0.004\n[body.motion]\nlift_um = 1.5\n[body.heartbeat]"
     )
-    body = physiological_noise(parse_scene(text), 0.5, since_rest_s=15.0)
+    body = operating_point(parse_scene(text), 0.5, since_rest_s=15.0).body
     gain = body.led_gain @ body.led_gain.T
     # A quarter of a minute, of which a random walk makes half.
     assert gain[0, 0] == pytest.approx(gain[1, 1]) == pytest.approx(0.002**2 + 0.0015**2)
@@ -260,9 +260,9 @@ def test_waves_faster_than_the_stage_are_left_out():
     usual = parse_scene(_with_body(heart + "[body.breathing]\n[body.vasomotion]"))
     slow = usual.model_copy(update={"electronics": usual.electronics.model_copy(update={"bandwidth_hz": 0.2})})
     without_beat = parse_scene(_with_body("[body.vasomotion]"))
-    found, expected = (physiological_noise(one, 0.5, since_rest_s=60.0) for one in (slow, without_beat))
+    found, expected = (operating_point(one, 0.5).body for one in (slow, without_beat))
     assert np.allclose(found.blood @ found.blood.T, expected.blood @ expected.blood.T)
-    assert physiological_noise(parse_scene(_with_body("[body]")), 0.5, since_rest_s=60.0) is None
+    assert operating_point(parse_scene(_with_body("[body]")), 0.5).body is None
 
 
 def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
