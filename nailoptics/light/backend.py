@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import InputError, WriteError
-from ..io import cache_folder, make_folder, write_bytes
+from ..io import cache_folder, write_bytes
 
 log = logging.getLogger(__name__)
 
@@ -273,7 +273,6 @@ def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
             if lasting:
                 # Without a cache the next process probes again.
                 with suppress(RuntimeError, WriteError):
-                    make_folder(cache_folder())
                     answers = _read_cache() | {key: {"engines": engines, "why": why}}
                     write_bytes(cache_folder() / CACHE, json.dumps(answers, indent=1).encode())
     return _answers[key]

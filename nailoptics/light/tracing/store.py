@@ -114,7 +114,6 @@ class LightStore:
         if self.closed or os.path.isdir(path):
             return
         try:
-            io.make_folder(path.parent)
             io.write_bytes(path, data)
         except WriteError as error:
             if not self.optional:

@@ -200,9 +200,7 @@ class Transfer(Displayed):
         # Photons of all LEDs lie one after the other.
         arrays = {name: np.concatenate([getattr(t, name) for t in self.traces]) for name in COLUMNS}
         arrays["mu_a_per_mm"] = np.array([t.mu_a for t in self.traces])
-        path = Path(path)
-        io.make_folder(path.parent)
-        io.write_bytes(path, io.pack(header, arrays))
+        io.write_bytes(Path(path), io.pack(header, arrays))
 
     @staticmethod
     def load(path: str | Path) -> "Transfer":
