@@ -210,7 +210,7 @@ def _touch_panels() -> "tuple[style.Figure, Any]":
     figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
     for (side, over_time), axis in np.ndenumerate(axes):
         axis.axvline(ON_S if over_time else 1.0, **_VEINS_SHUT)
-        touch = f"1 N until {ON_S:g} s" if over_time else "mean of three cycles"
+        touch = f"1 N until {ON_S:g} s" if over_time else "mean of 3 cycles"
         axis.set_title(f"Fig. {15 + 2 * side + over_time}: force on the {_SIDES[side]} pulp, {touch}")
         axis.set_xlabel("time [s]" if over_time else "force [N]")
     return figure, axes
@@ -238,7 +238,7 @@ def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scen
         axis.plot(x, mean, color=colour, lw=2.4, label="mean")
         axis.plot(x, fit, color=style.INK, lw=1.2, ls="--", label="Taylor (9), fitted to each, mean")
         axis.set_ylabel(f"change of the {_SIDES[side]} reading [%]")
-    axes[0, 0].legend()
+    axes[0, 0].legend(loc="upper right")
     figure.colorbar(ScalarMappable(norm, skins), ax=axes, pad=0.02, label="melanin of the epidermis [1]")
     return _written(figure, directory / "people_fig15_to_18.png")
 
