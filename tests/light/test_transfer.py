@@ -132,17 +132,38 @@ def test_a_small_change_is_sharper_than_either_reading(traced):
 
 
 @pytest.mark.jit
-def test_batches_are_one_trace_of_all_their_photons(jit_backend, traced):
+def test_merged_traces_are_one_trace_of_all_their_photons(jit_backend, traced):
     other = nail.trace(two_layers(), photons=1 << 17, seed=2)
-    merged = replace(traced, traces=(joined([traced.traces[0], other.traces[0]]),))
+    merged = traced.merge(other)
     a, b, both = traced.at(), other.at(), merged.at()
-    assert merged.photons == traced.photons + other.photons and merged.traces[0].seeds != traced.traces[0].seeds
+    assert merged.photons == traced.photons + other.photons and merged.events == traced.events + other.events
+    assert merged.cpu_seconds == traced.cpu_seconds + other.cpu_seconds
     mean = (2 * a.detected_fraction + b.detected_fraction) / 3
     assert both.detected_fraction.values == pytest.approx(mean.values, rel=1e-12)
     spread = np.hypot(2 * a.detected_fraction_stderr, b.detected_fraction_stderr) / 3
     assert both.detected_fraction_stderr.values == pytest.approx(spread.values, rel=1e-3)
     expected = (2 * traced.energy()["reflected"]["value"] + other.energy()["reflected"]["value"]) / 3
     assert merged.energy()["reflected"]["value"] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.jit
+def test_traces_that_share_a_seed_are_not_merged(jit_backend, traced):
+    with pytest.raises(InputError, match="share seeds"):
+        traced.merge(nail.trace(two_layers(), photons=1 << 10, seed=1))
+    with pytest.raises(InputError, match="share"):
+        traced.merge(traced)
+    more = nail.trace(two_layers(), photons=1 << 10, seed=2)
+    with pytest.raises(InputError, match="share"):
+        traced.merge(more).merge(more)
+
+
+@pytest.mark.jit
+def test_traces_of_different_light_are_not_merged(jit_backend, traced):
+    for other in (two_layers(upper=0.06), two_layers(photodiodes=1)):
+        with pytest.raises(InputError, match="different scenes or engines"):
+            traced.merge(nail.trace(other, photons=1 << 10, seed=9))
+    with pytest.raises(InputError, match="engines"):
+        traced.merge(replace(traced, engine="other"))
 
 
 @pytest.mark.jit

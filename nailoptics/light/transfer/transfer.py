@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from ...statistics import MIN_EFFECTIVE_TERMS, upper_limit_95
 from ...variables import Estimate, Variables, described
 from ...version import code_attributes, code_versions
 from .. import optics
-from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, moments_of
+from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, joined, moments_of
 
 # A reading that rests on fewer effective photons than this has no trustworthy standard error.
 MIN_EFFECTIVE_PHOTONS = 400.0
@@ -29,7 +29,7 @@ SHARED_ERROR = (
     "photodiodes share photons, and so their errors, wholly where a phantom's lie at one distance from the LED; the "
     "error of a difference, ratio or mean of readings follows from Transfer.covariance"
 )
-# What a trace took.
+# What a trace took, which adds up where traces are merged.
 EFFORT = ("cpu_seconds", "wall_seconds", "events", "setup_seconds")
 
 
@@ -190,6 +190,15 @@ class Transfer(Displayed):
             fraction = Estimate(*np.transpose(rows, (2, 0, 1)))
             data |= described(optics.__package__, **{f"{name}_fraction": fraction, axis: places})
         return xr.Dataset(data, {"led": list(self.leds)})
+
+    def merge(self, other: "Transfer") -> "Transfer":
+        """This trace and another of the same scene and engine as one; InputError if they differ or share a seed."""
+        ours, theirs = ({seed for trace in light.traces for seed in trace.seeds} for light in (self, other))
+        if (self.scene, self.engine) != (other.scene, other.engine) or ours & theirs:
+            raise InputError("these traces are of different scenes or engines, or share seeds; merge others.")
+        traces = tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True))
+        effort = {name: getattr(self, name) + getattr(other, name) for name in (*EFFORT, "reused_photons")}
+        return replace(self, traces=traces, **effort)
 
     def save(self, path: str | Path) -> None:
         """Write the transfer to a NumPy archive (.npz), whole or not at all."""
