@@ -109,9 +109,7 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
         over = f", or less for {100 * rules.quantile:g} % of {rules.people} people"
     noise = f", with {body_words(best)}" if "electronics_resolution_n" in result else ""
     others = sum(row["rank"] == 1 for row in ranking) - 1
-    tied = (
-        f"{others} of the others tied with it, of which it is the simplest" if others else "none of them tied with it"
-    )
+    tied = f"{others} others tie with it; it is the simplest of those within 2 %" if others else "none ties with it"
     return (
         f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), for any split "
         f"between the proximal and the distal side{noise}. {_ranked_by(rules, first)}{result.sizes['layout']} of "

@@ -38,9 +38,10 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     axes.plot(1e3 * on_finger.values, rows, "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
     axes.hlines(rows, low, high, colors=colours, lw=2.2)
     axes.scatter(best, rows, 36, np.where(tied, colours, "none"), edgecolors=colours, zorder=3)
-    finest = best.min()
-    if force == "force_error":
-        axes.axvline(1e3 * float(shown.force_error_floor_n.max()), color=style.MUTED, ls=":", label="no layout changes")
+    finest, left = best.min(), 0.0
+    if force == "force_error" and "people_off" not in shown:
+        left = 1e3 * float(shown.force_error_floor_n.max())
+        axes.axvline(left, color=style.MUTED, ls=":", label="no layout changes")
         style.legend_above(figure, axes, ncols=1)
     elif "electronics_resolution_n" in shown:
         alone = 1e3 * shown.electronics_resolution_n.values
@@ -53,7 +54,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
         axes.set_xscale("log")
         style.plain_log(axes.xaxis)
     else:
-        axes.set_xlim(left=0)
+        axes.set_xlim(left=0.95 * left)
     return figure
 
 
