@@ -197,7 +197,8 @@ class RowDesign:
             return []
         axis = SIDES[self.row.side or "left"][0]
         middle_mm, step_mm = float(np.mean(leds, axis=0)[1 - axis]), self.sites.rules.photodiode_step_mm
-        every = self.places.in_rows(self.count, axis, middle_mm, step_mm, self._allowed(leds))
+        if not (every := self.places.in_rows(self.count, axis, middle_mm, step_mm, self._allowed(leds))):
+            return []
         information = self.information(leds)
         totals = information[:, every].sum(2) + information[:, self.places.free :].sum(1)[:, None]
         scores, best = self.objective.score(totals), []

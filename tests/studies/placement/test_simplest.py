@@ -69,6 +69,12 @@ def test_places_in_rows_are_symmetric_and_evenly_spaced(axis, middle_mm):
         assert apart.min() >= 0.3 - 1e-9
 
 
+def test_an_led_beside_the_grid_has_no_regular_photodiodes():
+    text = SEARCHED.replace("position_mm = [-3.0, 0.0]", "position_mm = [-3.0, 0.07]")
+    layouts = layouts_of(parse_scene(text.replace("led_step_mm = 3.0", 'fixed = ["ir"]')), 0)
+    assert layouts and not any(layout.name.endswith(("row", "rows")) for layout in layouts)
+
+
 def test_the_simplest_has_fewest_parts_then_rows_then_a_mirror_image_then_a_grid():
     base = boards.base_board(parse_scene(TWO_LAYOUTS))
 
