@@ -73,10 +73,8 @@ def underside(geometry: Geometry) -> Face:
 
 
 def shaping(scene: Scene, *, with_faces: Collection[str] = ()) -> Scene:
-    """A scene with everything at its default that its geometry is not built from; equal for all of one geometry.
-
-    with_faces : Parts that the geometry has even where the scene leaves them out.
-    """
+    """A scene with everything at its default that its geometry is not built from; equal for all of one geometry, which
+    has parts with_faces even where the scene leaves them out."""
     others = {name: field for name, field in Scene.model_fields.items() if name not in BUILT_FROM}
     usual: dict[str, object] = {name: f.default for name, f in others.items() if not f.is_required()}
     if scene.finger is not None:

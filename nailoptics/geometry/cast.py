@@ -63,11 +63,8 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
 
 
 def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[Indices, Integers]:
-    """All pairs of a triangle and of a ray in one of its bins; triangles rise.
-
-    first, last : (n, 2) int. The first and the last bin along x and y that each triangle reaches into.
-    at : (k, 2) int. The bin of each ray.
-    """
+    """All pairs of a triangle and of a ray in one of its bins; triangles rise. first, last : (n, 2) int. The bins along
+    x and y that each triangle reaches into. at : (k, 2) int. The bin of each ray."""
     box = at[:, 0] * bins + at[:, 1]
     order = np.argsort(box, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=bins**2))])

@@ -35,10 +35,7 @@ class Grid:
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) / 6
 
     def tetrahedra(self) -> tuple[Array, Indices]:
-        """Corners (m, 4, 3) of all cells but air, and region (m,) of each.
-
-        Their volume is positive where the grid does not fold.
-        """
+        """Corners (m, 4, 3) of all cells but air, and region (m,) of each; volumes are positive where nothing folds."""
         cells = np.nonzero(self.labels != AIR)
         a, n, k = cells
         around = self.nodes.shape[0]
@@ -87,10 +84,8 @@ class Grid:
 
 
 def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple[Indices, Indices, NDArray[np.bool_]]:
-    """Each stack of triangles on the same three vertices as one: what lies between them has no volume.
-
-    Returns: the regions (m,) below and above each triangle, and which triangles stay, (m,) bool.
-    """
+    """Each stack of triangles on the same three vertices as one: what lies between them has no volume. Returns the
+    regions (m,) below and above each triangle, and which triangles stay, (m,) bool."""
     _, first, stack = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
     turned = (triangles[:, [1, 2, 0]] - triangles[:, [0, 1, 2]] > 0).sum(axis=1) == 1
     # How often the way through a stack enters each region more than it leaves it.

@@ -76,12 +76,7 @@ class Geometry:
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     def region_at(self, points: Array) -> Indices:
-        """Region at each point, from the triangles below it.
-
-        points : (k, 3) float. [mm]
-
-        Returns: (k,) int; a point on an interface gets either side.
-        """
+        """Region at each point (k, 3) [mm], from the triangles below it, (k,) int; on an interface either side."""
         points = np.asarray(points, float).reshape(-1, 3)
         crossings, step = self._crossings(points[:, :2])
         below = crossings.z < points[crossings.ray, 2]
@@ -105,10 +100,8 @@ class Geometry:
         return crossings, np.where(crossings.forward, above - below, below - above)
 
     def interfaces(self) -> dict[tuple[int, int], Indices]:
-        """Triangles (k, 3) of each interface by its regions (below, above), the lower index below.
-
-        Triangles are turned round where that is needed, so that each pair of regions comes once.
-        """
+        """Triangles (k, 3) of each interface by its regions (below, above), the lower index below, turned round where
+        that is needed: each pair of regions comes once."""
         swap = self.below > self.above
         triangles = np.where(swap[:, None], self.triangles[:, ::-1], self.triangles)
         low, high = np.minimum(self.below, self.above), np.maximum(self.below, self.above)

@@ -151,10 +151,8 @@ class Nodes:
         return np.where(beyond < surfaces.tip - depth - 1e-6, size, 0.0)
 
     def _bone(self, bed: Array) -> Array:
-        """The bone's surface in each column, (a, n + 1, 2), at most out to the deepest layer.
-
-        bed : (a, n + 1, 2) float. The deepest layer, from the central line. [mm]
-        """
+        """The bone's surface in each column, at most out to the bed, the deepest layer, (a, n + 1, 2) float both, that
+        from the central line. [mm]"""
         surfaces, length = self.surfaces, np.linalg.norm(bed, axis=-1)
         rows = np.broadcast_to(self.y, length.shape)
         bone = np.minimum(surfaces.bone(np.arctan2(bed[..., 0], bed[..., 1]), rows), length)

@@ -75,10 +75,8 @@ ROS2 = Method(
 
 
 def solver(jacobian: Jacobian, shift: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """What solves (shift - J) x = r for x of r, by the formula of Sherman and Morrison.
-
-    jacobian : d, p, q of J = diag(d) + outer(p, q).
-    """
+    """What solves (shift - J) x = r for x of r, by the formula of Sherman and Morrison; jacobian : d, p, q of J =
+    diag(d) + outer(p, q)."""
     diagonal, left, right = jacobian
     inverse = 1.0 / (shift - diagonal)
     spread, pull = left * inverse, right * inverse

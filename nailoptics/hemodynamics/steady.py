@@ -199,10 +199,8 @@ def _openings(tension: Array, barrier: Array, push: Array, head: Array, *, toler
 def _newton_root(
     function: Callable[[Array], tuple[Array, Array]], low: Array, high: Array, *, tolerance: Array
 ) -> Array:
-    """A root of each component of a smooth function, <= 0 at low and >= 0 at high, by Newton's method kept inside.
-
-    Where it is positive at low already, that end is returned. function : gives its values and its slopes.
-    """
+    """A root of each component of a smooth function, which gives values and slopes, <= 0 at low and >= 0 at high, by
+    Newton's method kept inside; where it is positive at low already, that end."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         first, x, at_low = low, high, function(low)[0] >= 0.0
         for _ in range(_MOST_ITERATIONS):

@@ -148,11 +148,8 @@ class MasslessNetwork:
 
 
 def inertial_pressures(walls: Walls, width: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
-    """The pressures in the network at given wall speeds, as of walls with mass, (N+1, ...) float. [Pa]
-
-    width : (N+1, ...) float. D + x. [m] speed : the same shape. [m/s]
-    high, low : P_H and P_L. [Pa]
-    """
+    """The pressures in the network at given widths [m] and wall speeds [m/s], as of walls with mass, (N+1, ...) float
+    each; high, low : P_H and P_L. [Pa]"""
     walls = walls.with_axes(width.ndim)
     conductance, displaced = walls.flow_factor * (width * width * (width * width)), walls.area * speed
     total = conductance[:-1] + walls.venule

@@ -88,10 +88,8 @@ class _Course:
         self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
     def sums(self, states: np.ndarray, line: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
-        """The four arrays in other states, from the photons.
-
-        line : two states on the line through which absorption lies, for states beyond what blood can be.
-        """
+        """The four arrays in other states, from the photons; line : two states on the line through which absorption
+        lies, for states beyond what blood can be."""
         count = len(self.transfer.photodiodes)
         out = np.zeros((4, len(self.transfer.traces), count, len(states)))
         for i, (trace, led) in enumerate(zip(self.transfer.traces, self.transfer.scene.leds, strict=True)):
@@ -194,10 +192,8 @@ def _angles(n: int) -> Array:
 
 
 def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float) -> int:
-    """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans.
-
-    direction : (K,) float. Change of each zone's blood in one step; `span` is their number.
-    """
+    """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans, (K,)
+    float, the change of each zone's blood in one step; `span` is their number."""
     depth, columns = 0.0, list(optics.bed_columns(transfer.scene))
     no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):

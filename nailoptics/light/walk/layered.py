@@ -75,11 +75,8 @@ def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple
 
 
 class _Layers:
-    """What the walk reads of a phantom and its LED.
-
-    n counts what lies above and below, too. The tables' values are no part of the kernel: a table of one would be, and
-    be compiled for every scene.
-    """
+    """What the walk reads of a phantom and its LED; n counts what lies above and below, too. The tables' values are no
+    part of the kernel, which would be compiled for every scene."""
 
     def __init__(self, phantom: Phantom, led: Led) -> None:
         layers = phantom.layers
