@@ -35,6 +35,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 TESTS, QUICK = Path(__file__).parent, ("hemodynamics", "scene", "tissue")
 # Of 10 MB or so each.
 SHAPES_KEPT = 24
+COARSE_MM = 0.4
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 
@@ -116,6 +117,15 @@ def keep_shapes() -> None:
     for module in (nail_reflectance, finger_walk):
         if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:
             module._built = lru_cache(SHAPES_KEPT)(module._built.__wrapped__)
+
+
+@pytest.fixture
+def coarse_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cells of the distances to interfaces that are soon made: for few photons in many shapes. Light does not depend on
+    them but by chance."""
+    finger, nail = (import_module(f"nailoptics.light.walk.{name}") for name in ("finger", "nail_reflectance"))
+    monkeypatch.setitem(finger.FingerTracer.__init__.__kwdefaults__, "spacing_mm", COARSE_MM)
+    monkeypatch.setattr(nail, "SPACING_MM", COARSE_MM)
 
 
 @pytest.fixture

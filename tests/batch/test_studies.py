@@ -5,6 +5,7 @@ import signal
 
 import numpy as np
 import pytest
+from shown import all_shown
 from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
@@ -74,6 +75,7 @@ def test_a_killed_sweep_of_photographs_is_resumed(jit_backend, tmp_path, monkeyp
     assert abs(results.lab.sel(illuminant="A") - results.lab.sel(illuminant="D65")).max() > 1
     alone = nail.colour(sweep.scenes[3])
     assert results.lab.values[1, 1] == pytest.approx(alone.lab.values, abs=1e-6)
+    all_shown(alone)
     paths = write_sweep(results, tmp_path / "b", failures={})
     assert paths["contact_sheet"].stat().st_size > 10_000
     table = paths["table"].read_text().splitlines()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from shown import all_shown
 from small_scenes import phantom
 
 from nailoptics import variables
@@ -73,6 +74,12 @@ def largest_change(result: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     change, stderr = (result[name].values[0] for name in ("volts_change", "volts_change_stderr"))
     at = np.abs(change).argmax(-1)[:, None]
     return np.take_along_axis(change, at, -1)[:, 0], np.take_along_axis(stderr, at, -1)[:, 0]
+
+
+@pytest.mark.long
+@pytest.mark.jit
+def test_a_traced_touch_shows_itself(pressed):
+    assert "section" in all_shown(pressed["as shipped"], page=False)
 
 
 @pytest.mark.jit

@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from listed_variables import assert_listed
 from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.io import write_dataset
 from nailoptics.light import optics
 from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
@@ -144,7 +146,7 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
 
 
 @pytest.mark.long
-def test_priors_span_peoples_nails_and_skin(jit_backend):
+def test_priors_span_peoples_nails_and_skin(jit_backend, coarse_cells, tmp_path):
     """Rationale: nails of 160 people have L* 62.4 (5.9) and a* 10.8 (3.6), of which 5-95 % lie at 4.4-16.4."""
     found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
     spread = found.lab_spread.sel(site="nail").values
@@ -162,6 +164,8 @@ def test_priors_span_peoples_nails_and_skin(jit_backend):
     high = np.max([YUN_LAB[0] + 2 * YUN_LAB[1], *IADR_LAB], axis=0)
     reach = 1.96 * found.lab_spread.sel(site="skin").values
     assert (skin + reach > low).all() and (skin - reach < high).all() and (low[:2] < skin[:2]).all()
+    write_dataset(found, tmp_path / "colour.nc")
+    assert_listed(tmp_path, "colour.nc")
 
 
 @pytest.mark.long

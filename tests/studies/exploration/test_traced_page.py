@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shown import all_shown
 
 import nailoptics as nail
 from nailoptics.assets import data_dir
@@ -61,3 +62,4 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     assert np.mean(np.abs(pulls) < 2) > 0.85
     assert np.sqrt(np.mean(np.square(pulls))) < 1.5
     shown.close()
+    all_shown(explored)

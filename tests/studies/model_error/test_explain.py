@@ -369,7 +369,9 @@ def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_time_that_is_over_leaves_what_was_measured_and_says_so(jit_backend, monkeypatch, tmp_path, capsys):
+def test_time_that_is_over_leaves_what_was_measured_and_says_so(
+    jit_backend, coarse_cells, monkeypatch, tmp_path, capsys
+):
     """Whatever the clock says: after three traces nothing is left of the time."""
     monkeypatch.setattr(PairedTracer, "seconds_left", property(lambda tracer: 1.0 if tracer._done < 3 else -1.0))
     written = tmp_path / "required.toml"
@@ -407,7 +409,7 @@ def test_readings_that_no_touch_changes_have_effects_but_no_signal(jit_backend, 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_undetected_light_has_no_estimate(jit_backend):
+def test_undetected_light_has_no_estimate(jit_backend, coarse_cells):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
     found = explain(prototype(), photons=100)
     retraced = [e for e in found.effects if e.how == "retraced"]

@@ -57,10 +57,10 @@ def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneles
 
 @pytest.mark.long
 def test_errors_of_a_mean_over_photodiodes_are_true(chosen_jit):
-    """Rationale: copies of one photon that reach several photodiodes err alike. Expected: over 40 seeds the mean change
+    """Rationale: copies of one photon that reach several photodiodes err alike. Expected: over 24 seeds the mean change
     by the bone scatters as its error says, which a sum of squares over the photodiodes would not be."""
     means, errors, sums = [], [], []
-    for seed in range(40):
+    for seed in range(24):
         base, other = (
             paired_readings(nail.trace(prototype(*parts), with_faces=AROUND, photons=1 << 14, seed=seed))
             for parts in ((), ("bone",))
@@ -70,7 +70,7 @@ def test_errors_of_a_mean_over_photodiodes_are_true(chosen_jit):
         means.append(change.value.mean())
         errors.append(np.sqrt(change.covariance.mean()))
         sums.append(np.linalg.norm(weight * change.stderr))
-    # Of 40 values the scatter is known to a ninth.
+    # Of 24 values the scatter is known to a seventh.
     assert 0.7 < np.std(means, ddof=1) / np.sqrt(np.mean(np.square(errors))) < 1.4
     assert np.mean(errors) > 1.1 * np.mean(sums)
 

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from listed_variables import assert_listed
+from shown import all_shown
 
 from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
@@ -15,7 +17,7 @@ from nailoptics.hemodynamics.for_scene import BloodBeat, beat_at
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.report.pages.oximeter import OXIMETER, oximeter_page
+from nailoptics.report.pages.oximeter import OXIMETER
 from nailoptics.report.pages.oximeter import oximeter_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
@@ -70,7 +72,8 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
         assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
     assert printed.pop("cut_off") is None and "null" not in to_json(printed)
     write_dataset(found, tmp_path / "oximeter.nc")
-    page = oximeter_page(found)
+    all_shown(found)
+    page = found.nail.report()
     assert page.count("<figure") == 2 and "textbook" in page and "Effect of a touch" in page and "red<br>[V]" in page
 
 
@@ -81,6 +84,8 @@ def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_pa
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["best"] == found.attrs["best"]
     assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
+    assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--readings", str(worn)]) == 0
+    assert_listed(tmp_path, "oximeter.nc", "oxygen.nc")
 
 
 @pytest.mark.long

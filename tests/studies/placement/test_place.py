@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from listed_variables import assert_listed
+from shown import all_shown
 from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.cli import run
@@ -17,7 +19,7 @@ from nailoptics.light.board_map import Arrivals, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.placement import PLACEMENT, page
+from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -435,8 +437,8 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 
 @pytest.mark.long
 def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
-    (tmp_path / "place.html").write_text(page(found), encoding="utf-8")
-    text = (tmp_path / "place.html").read_text(encoding="utf-8")
+    all_shown(found)
+    text = found.nail.report()
     assert text.count("<svg") == 4 and "http:" not in text and "https:" not in text and "paper" in text
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
         assert title in text
@@ -444,6 +446,7 @@ def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
     write_dataset(found, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
         assert result.rows(kept) == result.rows(found)
+    assert_listed(tmp_path, "place.nc")
 
 
 @pytest.mark.long
