@@ -62,7 +62,7 @@ def shared_light(shared_store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[None]]:
     """Lets a placement look at its best layout, and at what is unknown of the finger, with a quarter of the photons,
-    and at the board glued elsewhere with an eighth.
+    and so at the board glued elsewhere.
 
     Each number's error grows with that, and tests that compare two of them bound those errors, too.
     """
@@ -77,7 +77,7 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
             patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
-            patch.setattr(tolerances, "JUDGE_PHOTONS", tolerances.JUDGE_PHOTONS // 8)
+            patch.setattr(tolerances, "PHOTONS", tolerances.PHOTONS // 4)
             yield
 
     return fewer
