@@ -568,13 +568,14 @@ def calibrate(
         recordings: Recordings of a known force (CSV), one or more.
         output: Subject file to write.
     """
-    from .report.pages.force import CALIBRATION, write_calibration
+    from .report.pages.force import CALIBRATION
     from .studies.force.calibrate import calibrate as study
 
     _check_file(output, ".toml", "a subject file")
     loaded, _ = _load(scene, options)
     result, unmet = _traced(study, loaded, recordings, options=options)
-    _show(CALIBRATION, result, write_calibration(result, output), options.json, unmet, output)
+    paths = CALIBRATION.write(result, output.parent, stem=output.stem)
+    _show(CALIBRATION, result, {"subject": output, "report": paths["report"]}, options.json, unmet, output)
 
 
 @app.command

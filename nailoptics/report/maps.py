@@ -49,13 +49,6 @@ def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
     return float(x[0] - dx), float(x[-1] + dx), float(y[0] - dy), float(y[-1] + dy)
 
 
-def level_holding(part: float, density: np.ndarray) -> float | None:
-    """The density above which the densest places hold a part of the whole; None where no contour shows it."""
-    densest = np.sort(density.ravel())[::-1]
-    level = densest[np.searchsorted(np.cumsum(densest), part * densest.sum())]
-    return float(level) if density.min() < level < density.max() else None
-
-
 def draw_rectangle(axes: "style.Axes", r: Rectangle, **look: Any) -> None:
     """Draw a rectangle of the board with the tip upwards."""
     from matplotlib.patches import Polygon
@@ -227,9 +220,10 @@ def _paths(axes: "style.Axes", cut: xr.DataArray, density: np.ndarray) -> None:
     bar.minorticks_off()
     bar.set_label("light paths [of largest]", fontsize=8)
     bar.outline.set_visible(False)
+    densest = np.sort(smooth.ravel())[::-1]
     for part, dashes in ((0.5, "-"), (0.9, "--")):
-        level = level_holding(part, smooth)
-        if level is not None:
+        level = densest[np.searchsorted(np.cumsum(densest), part * densest.sum())]
+        if densest[-1] < level < densest[0]:
             look: dict[str, Any] = {"colors": ["#38d6c4"], "linewidths": 1.3, "linestyles": dashes}
             axes.contour(cut.y, cut.z, smooth.T, levels=[level], zorder=5, **look)
 

@@ -83,21 +83,11 @@ def panels(
     return figure, figure.subplots(rows, columns, **how)
 
 
-def estimate(
-    axes: "Axes",
-    x: Any,
-    value: Any,
-    stderr: Any,
-    *,
-    color: Any,
-    label: str | None = None,
-    alpha: float = 0.2,
-    **look: Any,
-) -> None:
+def estimate(axes: "Axes", x: Any, value: Any, stderr: Any, *, color: Any, alpha: float = 0.2, **look: Any) -> None:
     """A line with the band of its 95 % interval."""
     value, half = np.asarray(value), Z95 * np.asarray(stderr)
     axes.fill_between(x, value - half, value + half, color=color, alpha=alpha, linewidth=0)
-    axes.plot(x, value, color=color, label=label, **look)
+    axes.plot(x, value, color=color, **look)
 
 
 def tiles(

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ...scene import Scene, parse_scene
+from ...scene import parse_scene
 from ...statistics import Z95
 from .. import style
 from ..files import Report, run_summary
@@ -73,13 +72,8 @@ def _unknowns(result: xr.Dataset) -> str:
     return section("Uncertainty over the priors", table(rows), small(TEXTS["priors"]))
 
 
-# Rays for Fig. 2 of `nailoptics figures`: enough for the eye.
-FIG2_PHOTONS = 480_000
-
-
-def _nail(result: xr.Dataset) -> slice:
-    """The places on the nail: all but the first and the last, which are skin."""
-    return slice(1, result.sizes["place"] - 1)
+# The places on the nail: all but the first and the last, which are skin.
+NAIL = slice(1, -1)
 
 
 def _nail_shape(panel: Any, colours: np.ndarray, v_mm: np.ndarray, *, width_mm: float, skin: np.ndarray) -> None:
@@ -115,14 +109,12 @@ def seen_by(result: xr.Dataset) -> str:
 
 def draw_strip(panels: Any, result: xr.Dataset) -> None:
     """Draw the nail under each force into as many panels, all to one scale."""
-    forces, nail = result.force_n.values, _nail(result)
     width_mm = parse_scene(result.attrs["scene"], name="the stored scene").fingertip.nail_width_mm
     for s, panel in enumerate(panels):
-        colours, skin = result.srgb.values[nail, s], result.srgb.values[[0, -1], s]
-        _nail_shape(panel, colours, result.v_mm.values[nail], width_mm=width_mm, skin=skin)
-        band = float(result.white_band_mm[s])
-        panel.set_title(f"{forces[s]:g} N", loc="center", fontsize=8.5)
-        if band > 0:
+        colours, skin = result.srgb.values[NAIL, s], result.srgb.values[[0, -1], s]
+        _nail_shape(panel, colours, result.v_mm.values[NAIL], width_mm=width_mm, skin=skin)
+        panel.set_title(f"{float(result.force_n[s]):g} N", loc="center", fontsize=8.5)
+        if (band := float(result.white_band_mm[s])) > 0:
             panel.text(0.5, 1.0, f"band {band:.1f} mm", transform=panel.transAxes, ha="center", va="top", fontsize=7)
     first = panels[0]
     bottom = first.get_ylim()[0] + 0.6
@@ -138,19 +130,6 @@ def strip_figure(result: xr.Dataset) -> "style.Figure":
     draw_strip(axes[0], result)
     figure.supxlabel(f"Traced; {seen_by(result)}", fontsize=7, color=style.MUTED)
     return figure
-
-
-def draw_fig2(scene: Scene, directory: Path, *, name: str) -> Path:
-    """Trace a nail roughly and draw the paper's Fig. 2 into a folder: hemodynamics_NAME_fig2.png; returns its path.
-
-    name : the set of vessels that the scene's nail gets, untuned. All sets share their rays.
-    """
-    from ...studies.colour.nail_colour import colour
-
-    quick = scene.with_({"blood.parameters": name, "blood.tuning": None, "priors.spread": False})
-    path = directory / f"hemodynamics_{name}_fig2.png"
-    style.write_figure(strip_figure(colour(quick, photons=FIG2_PHOTONS)), path)
-    return path
 
 
 @style.drawing()
@@ -175,10 +154,10 @@ def _along_figure(result: xr.Dataset) -> "style.Figure":
 def _over_force_figure(result: xr.Dataset) -> "style.Figure":
     """Difference to rest and the white band, over force."""
     figure, (change, band) = style.panels(7.2, 2.8, 1, 2)
-    nail = range(*_nail(result).indices(result.sizes["place"]))
-    for p, colour in zip(nail, style.place_colours(len(nail)), strict=True):
-        error = Z95 * result.delta_e_2000_stderr[p]
-        change.errorbar(result.force_n, result.delta_e_2000[p], error, color=colour, linewidth=1.0)
+    nail = result.isel(place=NAIL)
+    for p, colour in enumerate(style.place_colours(nail.sizes["place"])):
+        error = Z95 * nail.delta_e_2000_stderr[p]
+        change.errorbar(nail.force_n, nail.delta_e_2000[p], error, color=colour, linewidth=1.0)
     error = Z95 * result.white_band_mm_stderr
     band.errorbar(result.force_n, result.white_band_mm, error, color=style.INK, marker="o", markersize=3)
     change.set(title="Difference to rest, CIEDE2000", xlabel="force [N]; warm: proximal, cool: distal")
@@ -217,7 +196,7 @@ def lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def png(picture: np.ndarray) -> bytes:
+def _png(picture: np.ndarray) -> bytes:
     """A picture (height, width, 3) uint8 as a PNG file."""
     from PIL import Image
 
@@ -228,7 +207,7 @@ def png(picture: np.ndarray) -> bytes:
 
 def _files(result: xr.Dataset, *, photographs: Sequence[np.ndarray] = ()) -> dict[str, Any]:
     """Contents of the files; photographs : at rest and pressed, (height, width, 3) uint8 each."""
-    pictures = [png(photograph) for photograph in photographs]
+    pictures = [_png(photograph) for photograph in photographs]
     named = dict(zip(("rest.png", "pressed.png"), [*pictures, None, None], strict=False))
     return named | {"colour.html": lambda _: page(result, pictures)}
 

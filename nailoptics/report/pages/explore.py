@@ -11,7 +11,6 @@ import numpy as np
 from ...io import FORMULA
 from ...scene import Led, Photodiode, Scene
 from ...scene.base import MOST_PHOTODIODES
-from ...scene.rectangles import Rectangle
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, SOURCES
 from ...statistics import MIN_EFFECTIVE_TERMS
@@ -80,7 +79,9 @@ def _half(values: np.ndarray) -> str:
 
 def _tables(exploration: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
-    leds, diodes = _led_kinds(exploration), _photodiode_kinds(scene)
+    leds, fields = _led_kinds(exploration), [_fields(photodiode) for photodiode in scene.photodiodes]
+    # Without those that differ in their places alone.
+    diodes = [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
     (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.colours[0].fluence
     ambient = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
     radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
@@ -164,12 +165,6 @@ def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
     return kinds
 
 
-def _photodiode_kinds(scene: Scene) -> list[Photodiode]:
-    """The scene's photodiodes without those that differ in their places alone."""
-    fields = [_fields(photodiode) for photodiode in scene.photodiodes]
-    return [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
-
-
 def _stage(scene: Scene) -> dict[str, Any]:
     """Gain and converter; photodiodes that move need other resistors than those that fit them where they lay."""
     stage, fixed = scene.electronics, all(p.feedback_ohm is None for p in scene.photodiodes)
@@ -210,10 +205,13 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
 
 def _board(scene: Scene) -> dict[str, Any]:
     finger, layout, board = scene.fingertip, scene.layout, scene.board
-    walls = [{"side": wall.name, **_edges(wall)} for wall in layout.barriers]
+    r, wall = layout.outline, None
+    if layout.barriers:
+        w = layout.barriers[0]
+        wall = {"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max}
     return {
-        "outline": list(_edges(layout.outline).values()),
-        "wall": walls[0] if walls else None,
+        "outline": [r.u_min, r.u_max, r.v_min, r.v_max],
+        "wall": wall,
         "center": list(board.center_mm),
         "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
         "zoneEdgeMm": scene.zone_edges_mm[0],
@@ -222,10 +220,6 @@ def _board(scene: Scene) -> dict[str, Any]:
         "bedMm": finger.bed_thickness_mm,
         "covered": board.cover_um > 0,
     }
-
-
-def _edges(r: Rectangle) -> dict[str, float]:
-    return {"uMin": r.u_min, "uMax": r.u_max, "vMin": r.v_min, "vMax": r.v_max}
 
 
 def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) -> dict[str, Any]:

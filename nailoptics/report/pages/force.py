@@ -1,7 +1,6 @@
 """Pages of a calibration and of a prediction, and their figures: volts beside their fit, force over time."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ...studies.force.subject import Subject, parse_subject, subject_toml
 from .. import style
 from ..files import Report
 from ..html import Html, details, document, figure, section, small, table, texts
-from ..numbers import cells, estimated, significant, with_error
+from ..numbers import cells, estimated, plain, significant, with_error
 
 TEXTS = texts("force")
 
@@ -105,10 +104,7 @@ def prediction_page(result: xr.Dataset) -> str:
     summary = prediction_summary(result)
     warnings = list(summary["warnings"])
     if not summary["consistent"]:
-        warnings.append(
-            f"These readings do not fit the subject: {summary['misfit']}. The force may be wrong; calibrate again."
-        )
-    is_open = float(np.isinf(result.force_high_n.values).mean())
+        warnings.append(TEXTS["misfit"].format(summary["misfit"]))
     cards = [(f"{significant(summary['open_above_n'], 2)} N", "force above which intervals have no upper bound")]
     methods: list[dict[str, str]] = []
     if np.isfinite(summary["rms_n"]):
@@ -123,7 +119,7 @@ def prediction_page(result: xr.Dataset) -> str:
     switch = details(f"{len(summary['events'])} events", events) if summary["events"] else ""
     return document(
         **TEXTS["prediction"],
-        lead=f"{result.sizes['time']} samples; the interval has no upper bound in {100 * is_open:.0f} % of them.",
+        lead=TEXTS["lead"].format(result.sizes["time"], 100 * np.isinf(result.force_high_n.values).mean()),
         warnings=warnings,
         cards=cards,
         body=[
@@ -189,13 +185,13 @@ def _factor_figure(factors: dict[str, dict[str, Any]]) -> "style.Figure":
 def force_figure(result: xr.Dataset) -> "style.Figure":
     """Force over time with its interval, beside the known force and the regressions' where they are known."""
     part = _thinned(result, "time")
-    known = part.known_force_n.values
+    known, unbounded = part.known_force_n.values, np.isinf(part.force_high_n.values)
     top = np.nanmax([*np.where(np.isfinite(known), known, 0.0), *part.force_n.values]) * ROOM_ABOVE + 0.05
     figure, axes = style.panels(7.2, 3.4)
     high = np.minimum(part.force_high_n.values, top)
     axes.fill_between(part.time, part.force_low_n, high, color=style.ZONES[1], alpha=0.18, linewidth=0, label="95 %")
-    if np.isinf(part.force_high_n.values).any():
-        open_above = np.where(np.isinf(part.force_high_n.values), top, np.nan)
+    if unbounded.any():
+        open_above = np.where(unbounded, top, np.nan)
         axes.plot(part.time, open_above, color=style.ZONES[1], linewidth=2.5, label="no upper bound")
     axes.plot(part.time, part.force_n, color=style.ZONES[1], label="estimated")
     if np.isfinite(known).any():
@@ -231,12 +227,6 @@ def _share_figure(result: xr.Dataset) -> "style.Figure":
     return figure
 
 
-def write_calibration(result: xr.Dataset, subject: Path) -> dict[str, Path]:
-    """Write a subject file and, beside it, its page; returns their paths. Raises WriteError."""
-    paths = CALIBRATION.write(result, subject.parent, stem=subject.stem)
-    return {"subject": paths["scene"], "report": paths["report"]}
-
-
 def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
     """Readings, factors, fit and warnings of a calibration."""
     return _subject_summary(parse_subject(result.attrs["subject"])) | {"warnings": list(result.attrs["warnings"])}
@@ -259,10 +249,8 @@ def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """Errors, coverage, consistency and events of a prediction."""
     names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
     names += ["half_width_n", "touch_open_above"]
-    touches = {
-        kind: {name: float(result[f"touch_{name}"].sel(kind=kind)) for name in TOUCH_SCORES}
-        for kind in result.kind.values.tolist()
-    }
+    scores = {name: f"touch_{name}" for name in TOUCH_SCORES}
+    touches = {kind: plain(result.sel(kind=kind), **scores) for kind in result.kind.values.tolist()}
     events = (result[f"event_{name}"].values.tolist() for name in EVENT)
     return {name: result.attrs[name] for name in names} | {
         "touch_rms_n": touches["all"]["rms_n"],
@@ -294,10 +282,8 @@ def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
     if math.isfinite(summary["touch_rms_n"]):
-        lines.append(
-            f"touches of {TOUCH_N:g} N or more: rms {1e3 * summary['touch_rms_n']:.0f} mN, "
-            f"{summary['touch_coverage_95']:.0%} inside; interval {_half_width(summary['half_width_n'])}"
-        )
+        rms = f"rms {1e3 * summary['touch_rms_n']:.0f} mN, {summary['touch_coverage_95']:.0%} inside"
+        lines.append(f"touches of {TOUCH_N:g} N or more: {rms}; interval {_half_width(summary['half_width_n'])}")
     if not summary["consistent"]:
         lines.append(f"the readings are inconsistent with this subject: {summary['misfit']}.")
     return lines

@@ -28,15 +28,18 @@ from ...paper.responses import (
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
+from ...studies.colour import nail_colour
 from .. import style
 from ..files import Report
 from ..html import document, image, preformatted, section
 from ..numbers import aligned
-from .colour import draw_fig2
+from .colour import strip_figure
 
 log = logging.getLogger(__name__)
 
 _WIDTH_IN = 9.5
+# Rays of Fig. 2: enough for the eye.
+FIG2_PHOTONS = 480_000
 # The line at 1 N or 1 N/cm^2, where the paper's veins are shut.
 _VEINS_SHUT: Any = {"color": style.MUTED, "lw": 0.9, "ls": (0, (4, 3))}
 _READING = "change, Taylor (9) [rest blood]"
@@ -74,8 +77,12 @@ def figures(folder: str | Path, sets: Sequence[str] = (), *, colour: bool = True
         pictures.append(draw_people(folder, readings, scenes))
         claims_by_set["people"] = evaluate_people(readings)
     if colour and backends.choose("auto").jit:
-        nail = load_scene("nail_colour")
-        pictures += [draw_fig2(nail, folder, name=name) for name in named if is_shown_by(name, "2")]
+        # All sets share their rays.
+        nail = load_scene("nail_colour").with_({"blood.tuning": None, "priors.spread": False})
+        for name in named:
+            if is_shown_by(name, "2"):
+                traced = nail_colour.colour(nail.with_({"blood.parameters": name}), photons=FIG2_PHOTONS)
+                pictures.append(_written(strip_figure(traced), folder / f"hemodynamics_{name}_fig2.png"))
     elif colour:
         log.warning("Fig. 2 is left out: it needs a backend that compiles kernels (nailoptics doctor).")
     return PaperFigures(claims_by_set, pictures)
