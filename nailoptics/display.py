@@ -19,7 +19,7 @@ class Displayed:
         return Displayed.accessor(self)
 
     def _repr_html_(self) -> str:
-        return str(self.nail.html())
+        return str(self.nail._repr_html_())
 
 
 class _XarrayFinder(MetaPathFinder):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from .assets import read_toml
 from .statistics import jackknife
 
 if TYPE_CHECKING:
@@ -19,12 +20,7 @@ Variables = dict[str, Variable]
 # the error of a trace and the step of a converter.
 MANY_SAMPLES = 200_000
 # By the ends of names.
-UNITS = {
-    **{name: name for name in ("nm", "mm", "m", "s", "kg", "lux")},
-    **{"um": "µm", "mm2": "mm²", "m2": "m²", "m3": "m³", "ms": "ms", "deg": "°", "percent": "%", "px": "pixels"},
-    **{"n": "N", "pa": "Pa", "pa_s": "Pa s", "n_s": "N s", "hz": "Hz", "rt_hz": "√Hz", "rt_min": "√min", "min": "min"},
-    **{"v": "V", "nv": "nV", "na": "nA", "ohm": "Ω", "mohm": "MΩ", "pf": "pF", "mw": "mW", "w": "W", "k": "K"},
-}
+UNITS = read_toml("units.toml")
 
 
 def precision(samples: int) -> type[np.floating[Any]]:

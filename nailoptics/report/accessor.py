@@ -44,9 +44,6 @@ class Nail:
     def __repr__(self) -> str:
         return f"<{self._kind}: plot() of {', '.join(self.figures)}; report(), summary(), scene>"
 
-    def _repr_html_(self) -> str:
-        return str(self.html())
-
     @property
     def figures(self) -> tuple[str, ...]:
         """Names of the figures of this kind of result, the most telling first; `plot` says what one of them lacks."""
@@ -105,7 +102,7 @@ class Nail:
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"{what} needs what this does not hold; show the whole result, as returned.") from error
 
-    def html(self) -> Html:
+    def _repr_html_(self) -> Html:
         """What a notebook shows: the lines of the terminal, and the first figure."""
         lines = preformatted("\n".join(map(str, self._report.lines(self._result, self.summary()))))
         try:

@@ -189,7 +189,12 @@ def draw_section(axes: "style.Axes", scene: Scene, result: xr.Dataset, *, led: i
         _paths(axes, cut, result.path_density.isel(led=led).transpose("section_y", "section_z").to_numpy())
         axes.set_title(style.plain(f"Paths of the light of {led_name(result, led)}"))
     _layers(axes, cut, low_y, low_z)
-    _parts_above(axes, scene, led, high_z)
+    # Above the board, where photodiodes and the LED lie along it; they need not lie in the section.
+    for colour, j in coloured_along_nail(scene):
+        area = scene.layout.photodiode_areas[j]
+        axes.plot([area.v_min, area.v_max], [high_z - 0.2] * 2, color=colour, lw=5, solid_capstyle="butt", zorder=6)
+    v = scene.layout.leds[led].center_mm[1]
+    axes.plot([v], [high_z - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
     axes.set(xlim=(low_y, high_y), ylim=(low_z, high_z))
 
 
@@ -251,15 +256,6 @@ def _layers(axes: "style.Axes", cut: xr.DataArray, left: float, bottom: float) -
         heights = cut.z.values[here[column] & (cut.z.values > bottom)]
         if heights.size:
             axes.text(left + 0.12, heights.mean(), name, fontsize=8, color=style.DARK_INK, va="center", zorder=6)
-
-
-def _parts_above(axes: "style.Axes", scene: Scene, led: int, top: float) -> None:
-    """Mark above the board where photodiodes and the LED lie along it; they need not lie in the section."""
-    for colour, j in coloured_along_nail(scene):
-        area = scene.layout.photodiode_areas[j]
-        axes.plot([area.v_min, area.v_max], [top - 0.2] * 2, color=colour, lw=5, solid_capstyle="butt", zorder=6)
-    v = scene.layout.leds[led].center_mm[1]
-    axes.plot([v], [top - 0.55], marker="v", color=LED, mec=style.DARK_INK, mew=0.7, ms=8, zorder=7)
 
 
 def _close_view(scene: Scene, cut: xr.DataArray) -> tuple[float, float, float, float]:

@@ -10,27 +10,18 @@ from .numbers import aligned
 
 TEXTS = texts("scene")
 CAUSES = TEXTS["causes"]
-_PULP = {1.0: "on the proximal pulp", 0.0: "on the distal pulp", 0.5: "even"}
 
 
 def touch_words(scene: Scene) -> str:
     """The touch of a scene."""
     touch = scene.touch
     steps = [step.force_n for step in touch.steps or ()]
-    words = {
-        "step": f"step of {touch.force_n:g} N",
-        "ramp": f"ramp to {touch.force_n:g} N",
-        "hold": f"hold of {touch.force_n:g} N",
-        "cycle": f"{touch.cycles} cycles ({touch.waveform}) of {touch.force_n:g} N and {touch.period_s or 0:g} s",
-        "steps": f"{len(steps)} steps of force, up to {max(steps, default=0):g} N",
-        "protocol": "protocol of touches of both sides",
-        "recorded": f"recorded in {touch.file}",
-    }[touch.profile]
+    words = TEXTS["touch"][touch.profile].format(touch=touch, steps=len(steps), most_n=max(steps, default=0))
     if touch.profile == "protocol":
         return words
     if touch.recorded_proximal_pressure_pa is None:
-        share = f"{100 * touch.proximal_share:g} % of it on the proximal pulp"
-        words += f", {_PULP.get(touch.proximal_share, share)}"
+        share = f"{100 * touch.proximal_share:g}"
+        words += f", {TEXTS['share'].get(share, f'{share} % of it on the proximal pulp')}"
     else:
         words += ", as pressures on both sides"
     if touch.recorded_shear_n is not None or touch.shear_n:

@@ -16,6 +16,8 @@ from ..numbers import estimated, plain, significant, with_stderr
 
 TEXTS = texts("compare")
 X_LABELS, WAYS, FORMULAS = (TEXTS[name] for name in ("axes", "ways", "formulas"))
+# What a sweep's settings are multiplied by to be shown.
+SHOWN_BY = {"force": 1.0, "blood": 100.0, "saturation": 100.0}
 # Label, colour and marker of each part of the error of Taylor (9).
 PARTS = TEXTS["parts"]
 
@@ -71,7 +73,7 @@ def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[st
         row["Mean path [mm]"] = estimated(pair, "path_mm")
         for model, within in product(FORMULAS, pair.within.values):
             at = pair.sel(way="fitted", model=model, within=within)
-            row[f"{FORMULAS[model]} to {100 * within:g} %"] = _interval(at, "limit", _display_scale(sweep))
+            row[f"{FORMULAS[model]} to {100 * within:g} %"] = _interval(at, "limit", SHOWN_BY[sweep])
         row["αD² [1]"] = " – ".join(significant(float(f(pair.bed_alpha_d2)), 2) for f in (np.min, np.max))
         for within in pair.within.values:
             at = pair.sel(way="fitted", model="taylor", within=within)
@@ -94,11 +96,6 @@ def _interval(limits: xr.Dataset, name: str, by: float) -> str:
 SHOWN, MARKED = (0.01, 500.0), (1, 5)
 
 
-def _display_scale(sweep: str) -> float:
-    """What a sweep's settings are multiplied by to be shown."""
-    return 1.0 if sweep == "force" else 100.0
-
-
 def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
     """Colour and index of each photodiode: proximal ones first, in the scene's order."""
     zones = result.zone_of_photodiode.values
@@ -119,7 +116,7 @@ def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "style.Figure":
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
             axes.set(yscale="log", ylim=SHOWN)
             fitted = result.sel(sweep=sweep, way="fitted", model=model).isel(led=led)
-            x = fitted.setting.values * _display_scale(sweep)
+            x = fitted.setting.values * SHOWN_BY[sweep]
             for colour, j in photodiodes:
                 # Of as many settings as constants there is no error.
                 error = 100 * fitted.range_error[j].where(fitted.range_error[j] > 0)
@@ -172,7 +169,7 @@ def _changes_figure(result: xr.Dataset, *, led: int = 0, sweep: str = "blood") -
     for (way, shown), ink in zip(TEXTS["shown"].items(), (style.MUTED, style.VEIN, style.INK), strict=True):
         change = changes.model_reading.sel(way=way, model=shown["model"]) / start - 1
         models[shown["label"]] = 100 * change.values, {"color": ink, "ls": (0, shown["dashes"])}
-    x, traced = changes.setting.values * _display_scale(sweep), 100 * (changes.reading / start - 1).values
+    x, traced = changes.setting.values * SHOWN_BY[sweep], 100 * (changes.reading / start - 1).values
     named = dict(zip(changes.photodiode.values, colours, strict=True))
     labels = {"xlabel": X_LABELS[sweep], "ylabel": "change [%]"}
     return style.beside_models(x, traced, np.zeros_like(traced), models, named=named, **labels)

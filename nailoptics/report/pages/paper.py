@@ -98,14 +98,13 @@ def lines(claims_by_set: Mapping[str, list[Claim]]) -> list[str]:
     cells = [*map(_cells, rows, repeat([*claims_by_set])), {"measure": "  rules met", "rule": ""} | met]
     head, *shown, last = aligned(cells)
     text = [head]
-    for sentence, group in groupby(zip(rows, shown, strict=True), key=lambda both: _sentence(both[0])):
-        text += [*textwrap.wrap(sentence, 118), *(line for _, line in group)]
+    for (figure, sentence), group in groupby(
+        zip(rows, shown, strict=True), lambda r: (r[0]["figure"], r[0]["sentence"])
+    ):
+        where = f"{'Sec.' if figure == 'II' else 'Fig.'} {figure}"
+        text += [*textwrap.wrap(f"{where}: {sentence}", 118), *(line for _, line in group)]
     star = "* the bound is our choice; of the others the sentence gives the number, and the tolerance is our choice"
     return [*text, last, star]
-
-
-def _sentence(row: Mapping[str, Any]) -> str:
-    return f"{'Sec.' if row['figure'] == 'II' else 'Fig.'} {row['figure']}: {row['sentence']}"
 
 
 def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """The page of a sweep: what is done, plots over its axes, its failures, and photographs on a contact sheet."""
 
 import textwrap
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -38,18 +39,16 @@ def page(results: xr.Dataset, *, failures: Mapping[str, str] = MappingProxyType(
 
     failures : why scenes failed, by digest.
     """
-    states, counts = np.unique(results.state.values, return_counts=True)
+    count, states = results.state.size, _states(results).items()
     rows, sheet = [{"Scene": digest[:12], "Why": why} for digest, why in failures.items()], ""
     if "photograph" in results:
-        caption = (
-            f"The first {min(counts.sum(), MOST_SCENES)} of {counts.sum()} scenes. {texts('colour')['photograph']}"
-        )
+        caption = f"The first {min(count, MOST_SCENES)} of {count} scenes. {texts('colour')['photograph']}"
         sheet = section("Photographs", figure(contact_sheet(results), caption))
     failed = section(f"{len(failures)} failed", table(rows)) if rows else ""
     return document(
         kicker="sweep",
         title=str(results.attrs["title"]).removeprefix("nailoptics: "),
-        lead=f"{counts.sum()} scenes: {', '.join(f'{n} {s}' for s, n in zip(states, counts, strict=True))}.",
+        lead=f"{count} scenes: {', '.join(f'{number} {state}' for state, number in states)}.",
         body=[section("The axes", table(_axes(results))), sheet, _figures(results), failed],
         attributes=results.attrs,
     )
@@ -173,15 +172,15 @@ def _words(scene: xr.Dataset, results: xr.Dataset) -> str:
     return "\n".join(words + ([] if scene.state.item() == "done" else [scene.state.item()]))
 
 
-def _summary(results: xr.Dataset) -> dict[str, Any]:
-    states, counts = np.unique(results.state.values, return_counts=True)
-    return {"scenes": dict(zip(states.tolist(), counts.tolist(), strict=True))} | run_summary(results.attrs)
+def _states(results: xr.Dataset) -> dict[str, int]:
+    """How many scenes are in each state."""
+    return dict(sorted(Counter(results.state.values.ravel().tolist()).items()))
 
 
 SWEEP = Report(
     ("sweep.nc", "sweep.html"),
     page,
-    _summary,
+    lambda results: {"scenes": _states(results)} | run_summary(results.attrs),
     lambda results, _: aligned(_axes(results)),
     {"along": _along, "photographs": contact_sheet},
 )

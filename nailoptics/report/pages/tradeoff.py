@@ -145,7 +145,10 @@ def summary(result: Tradeoff) -> dict[str, Any]:
     made = {name: getattr(result, name) for name in ("tolerance", "wall_seconds", "lines")}
     made |= {name: result.attributes.get(name) for name in ("digest", "photons", "cut_off")}
     made |= {"chosen": result.chosen.name, "answer": _answer(result.chosen, result.tolerance)}
-    made |= {"sentence": sentence(result), "levels": [_level(result, level) for level in result.levels]}
+    made |= {"sentence": sentence(result), "levels": []}
+    for level in result.levels:
+        row = asdict(level) | {"lines": level.lines, "within_tolerance": _answer(level, result.tolerance)}
+        made["levels"].append(row | {"first": {"fixed": row.pop("setup_seconds"), "per_second": 1.0}})
     return made | {"fastest_within": {str(error): _answer(fastest(result.levels, error), error) for error in ERRORS}}
 
 
@@ -155,11 +158,6 @@ def _answer(level: Level | None, error: float) -> dict[str, Any] | None:
         return None
     times = {"photon_seconds": level.photon_seconds(error), "first_seconds": level.seconds(error)}
     return {"level": level.name, "error": error, "relative_error": level.relative_error(error)} | times
-
-
-def _level(result: Tradeoff, level: Level) -> dict[str, Any]:
-    row = asdict(level) | {"lines": level.lines, "within_tolerance": _answer(level, result.tolerance)}
-    return row | {"first": {"fixed": row.pop("setup_seconds"), "per_second": 1.0}}
 
 
 def lines(result: Tradeoff) -> list[str]:
