@@ -3,7 +3,7 @@
 import difflib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
@@ -42,24 +42,22 @@ def number(name: str, value: ArrayLike) -> float:
 
 def not_negative(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one is negative or not finite."""
-    array = np.asarray(value, dtype=float)
-    return _where(np.isfinite(array) & (array >= 0), name, array, "must be finite and not negative; correct it")
+    return _where(lambda x: np.isfinite(x) & (x >= 0), name, value, "must be finite and not negative; correct it")
 
 
 def positive(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one is not positive or not finite."""
-    array = np.asarray(value, dtype=float)
-    return _where(np.isfinite(array) & (array > 0), name, array, "must be finite and greater than 0; correct it")
+    return _where(lambda x: np.isfinite(x) & (x > 0), name, value, "must be finite and greater than 0; correct it")
 
 
 def fraction(name: str, value: ArrayLike) -> Array:
     """The value as an array of floats; InputError where one lies outside 0 to 1."""
+    return _where(lambda x: (x >= 0) & (x <= 1), name, value, "is not a fraction; choose from 0 to 1")
+
+
+def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: ArrayLike, rule: str) -> Array:
     array = np.asarray(value, dtype=float)
-    return _where((array >= 0) & (array <= 1), name, array, "is not a fraction; choose from 0 to 1")
-
-
-def _where(valid: NDArray[np.bool_], name: str, array: Array, rule: str) -> Array:
-    if not valid.all():
+    if not (valid := is_valid(array)).all():
         raise InputError(f"{name} = {array[~valid].flat[0]:g} {rule}")
     return array
 

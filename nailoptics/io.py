@@ -14,6 +14,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from .assets import read_toml
 from .errors import WriteError
 
@@ -23,7 +25,6 @@ except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    import numpy as np
     import xarray as xr
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -42,14 +43,12 @@ class CorruptError(Exception):
     """A file is not what was written."""
 
 
-def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
     Its folder is made unless it is there. The data go to a new file of a random name in it, which then takes the place
     of the old one. A symbolic link at path is replaced, and what it points to stays as it was. The new file has the old
     one's mode.
-
-    flush : whether it must be on disk before this returns, so that a power cut cannot undo it.
 
     Raises: WriteError where the file cannot be written.
     """
@@ -68,19 +67,10 @@ def write_bytes(path: Path, data: bytes | memoryview, *, flush: bool = False) ->
                     with contextlib.suppress(OSError):  # a file system without modes
                         os.chmod(aside, mode)
                 file.write(data)
-                if flush:
-                    file.flush()
-                    os.fsync(file.fileno())
             os.replace(aside, path)
         except BaseException:
             aside.unlink(missing_ok=True)
             raise
-        if flush and hasattr(os, "O_DIRECTORY"):
-            handle = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
     except OSError as error:
         raise _refused(path, error, size=len(data)) from None
 
@@ -200,10 +190,8 @@ def to_json(value: Any, *, indent: int = 2) -> str:
     return json.dumps(plain, indent=indent, allow_nan=False)
 
 
-def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memoryview:
+def pack(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> memoryview:
     """A header for JSON and arrays of numbers as a NumPy archive (.npz), which ends with the checksum of its bytes."""
-    import numpy as np
-
     for name, array in arrays.items():
         if np.asarray(array).dtype.kind not in _NUMBERS:
             raise TypeError(f"{name} holds {np.asarray(array).dtype}, which is no number")
@@ -219,10 +207,8 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, "np.ndarray"]) -> memor
     return data.getbuffer()
 
 
-def unpack(data: bytes | memoryview) -> tuple[dict[str, Any], dict[str, "np.ndarray"]]:
+def unpack(data: bytes | memoryview) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays; raises CorruptError unless every byte is as it was written."""
-    import numpy as np
-
     data = memoryview(data)
     if f"{zlib.crc32(data[:-_CHECKSUM]):0{_CHECKSUM}x}".encode() != data[-_CHECKSUM:]:
         raise CorruptError("its checksum does not hold")
@@ -232,8 +218,6 @@ def unpack(data: bytes | memoryview) -> tuple[dict[str, Any], dict[str, "np.ndar
             read = {name: file[name] for name in file.files if name != "header"}
     except Exception as error:  # what is no archive of ours fails in many ways
         raise CorruptError(f"it is no archive of numbers ({error})") from None
-    if not isinstance(header, dict):
-        raise CorruptError("its header is no table")
     if others := [name for name, array in read.items() if array.dtype.kind not in _NUMBERS]:
         raise CorruptError(f"it is no archive of numbers ({others[0]} holds {read[others[0]].dtype})")
     return header, read

@@ -198,25 +198,19 @@ def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
 @contextmanager
 def _display() -> Iterator[_Show]:
     """Shows progress: bars on a terminal, a line every ten seconds and one at the end elsewhere."""
-    if sys.stderr and sys.stderr.isatty():
-        with _bars() as draw:
-            yield draw
+    if not (sys.stderr and sys.stderr.isatty()):
+        logged: dict[str, float] = {}
+
+        def log_line(name: str, text: str, fraction: float, seconds: float, left_s: float | None, news: str) -> None:
+            if news:
+                say(news)
+            done, last = fraction >= 1, logged.get(name, 0.0)
+            if not math.isinf(last) and (done or seconds - last >= LOG_EVERY_S):
+                logged[name] = math.inf if done else seconds
+                say(f"{name}, {text}{_left(fraction, left_s)}" + (f", {seconds:.0f} s" if done else ""))
+
+        yield log_line
         return
-    logged: dict[str, float] = {}
-
-    def log_line(name: str, text: str, fraction: float, seconds: float, left_s: float | None, news: str) -> None:
-        if news:
-            say(news)
-        done, last = fraction >= 1, logged.get(name, 0.0)
-        if not math.isinf(last) and (done or seconds - last >= LOG_EVERY_S):
-            logged[name] = math.inf if done else seconds
-            say(f"{name}, {text}{_left(fraction, left_s)}" + (f", {seconds:.0f} s" if done else ""))
-
-    yield log_line
-
-
-@contextmanager
-def _bars() -> Iterator[_Show]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -83,7 +83,7 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, mon
 
     monkeypatch.setattr(io.os, "fsync", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        io.write_bytes(path, b"new", flush=True)
+        io.write_bytes(path, b"new")
     assert path.read_text() == "old" and names(tmp_path) == ["file"]
 
 

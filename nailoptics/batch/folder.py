@@ -132,7 +132,7 @@ class Folder:
 
     def write_plan(self, plan: Plan) -> None:
         """Write the plan, whole or not at all."""
-        write_bytes(self.root / "plan.json", plan.model_dump_json(exclude_none=False).encode(), flush=True)
+        write_bytes(self.root / "plan.json", plan.model_dump_json(exclude_none=False).encode())
 
     def read(self, digest: str, made: Made) -> tuple[str, dict[str, Any], xr.Dataset]:
         """State of a scene, and header and dataset of its result, which are empty unless that is done.
@@ -173,7 +173,7 @@ class Folder:
     def write_failure(self, digest: str, why: str, details: Sequence[str] = ()) -> None:
         """Record why a scene failed, and the lines of its traceback."""
         record = {"error": why, "traceback": details, "time": time.time()}
-        write_bytes(self.failure(digest), json.dumps(record).encode(), flush=True)
+        write_bytes(self.failure(digest), json.dumps(record).encode())
 
 
 def meets(header: dict[str, Any], required: Accuracy) -> bool:

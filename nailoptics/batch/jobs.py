@@ -213,7 +213,7 @@ def _study(job: Job, settings: Settings) -> str:
     path = folder.result(job.digest)
     if path.is_dir():
         raise InputError(f"{path}: is a folder where a result is to be written; remove it")
-    write_bytes(path, pack({"digest": job.digest, "made": made.model_dump()} | header, arrays), flush=True)
+    write_bytes(path, pack({"digest": job.digest, "made": made.model_dump()} | header, arrays))
     folder.failure(job.digest).unlink(missing_ok=True)
     return "done" if header["reached"] else "unmet"
 

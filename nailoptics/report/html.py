@@ -27,13 +27,14 @@ class Script(str):
 
 def texts(page: str) -> dict[str, Any]:
     """The longer texts and the tables of words of a page, by their names in texts.toml."""
-    found = _texts()[page].items()
+    found = tomllib.loads(file_text("pages/texts.toml"))[page].items()
     return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in found}
 
 
 @cache
-def _texts() -> dict[str, dict[str, Any]]:
-    return tomllib.loads(resources.files(__package__).joinpath("pages", "texts.toml").read_text(encoding="utf-8"))
+def file_text(name: str) -> str:
+    """The text of a file of the report, by its path from here."""
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 # What makes a result again, by its attributes.
@@ -57,7 +58,7 @@ def document(
     cards : figures in large type, each with what it is.
     is_served : whether its scripts may read from the server that it comes from.
     """
-    css = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
+    template, css = (file_text(f"page.{kind}") for kind in ("html", "css"))
     body = list(body)
     scripts = [part for part in body if isinstance(part, Script)]
     # A file keeps a list of one text as that text.
@@ -74,15 +75,8 @@ def document(
         _provenance(attributes),
         *(f"<script>{script}</script>" for script in scripts),
     ]
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_policy(scripts, is_served)}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<title>{escaped(title)} – nailoptics</title><style>{css}</style></head>\n<body><main>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</main></body></html>\n"
-    )
+    main = "\n".join(part for part in parts if part)
+    return template.format(policy=_policy(scripts, is_served), title=escaped(title), css=css, main=main)
 
 
 def _policy(scripts: Iterable[str], is_served: bool) -> str:

@@ -64,8 +64,7 @@ def _cards(result: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _limits(result: xr.Dataset, led: int) -> tuple[list[dict[str, str]], list[str]]:
-    """Up to what force, blood or saturation, and what alpha D^2, each fitted model stays within 1 % and 5 %; and the
-    sweep that each row is of."""
+    """Up to what setting, and what alpha D^2, each fitted model stays within 1 % and 5 %; and the sweep of each row."""
     rows, groups = [], []
     for sweep, (_, j) in product(map(str, result.sweep.values), _photodiodes(result)):
         pair = result.sel(sweep=sweep).isel(led=led, photodiode=j)
@@ -105,9 +104,7 @@ def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
 
 @style.drawing()
 def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "style.Figure":
-    """The error of Taylor (9) and Beer-Lambert (8), fitted over each range from the sweep's start, with 95 % intervals
-    and lines at 1 and 5 %.
-    """
+    """The error of both models, fitted over each range from the sweep's start, with 95 % intervals."""
     photodiodes, sweeps = _photodiodes(result), [str(s) for s in result.sweep.values]
     height_in = 0.9 + 3.0 * len(sweeps)
     room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}

@@ -52,19 +52,14 @@ def _change(effect: Effect) -> str:
     return with_error(100 * effect.change, 100 * effect.stderr, sign=True)
 
 
-def _kind(effect: Effect) -> str:
-    """What an effect is: unknown, modelled, or left out."""
-    unknown, modelled, left_out = KINDS
-    return unknown if effect.unknown else modelled if effect.modelled else left_out
-
-
 @style.drawing()
 def draw(result: Explanation) -> "style.Figure":
     """Every effect's change of a reading on a logarithmic axis, the largest first."""
     shown = [effect for effect in result.effects if math.isfinite(effect.change) and effect.bound > 0]
     drawing, axes = style.panels(9.0, 1.0 + ROW_IN * len(shown))
-    for kind, colour in KINDS.items():
-        rows = [row for row, effect in enumerate(shown) if _kind(effect) == kind]
+    kinds = [0 if effect.unknown else 1 if effect.modelled else 2 for effect in shown]
+    for number, (kind, colour) in enumerate(KINDS.items()):
+        rows = [row for row, own in enumerate(kinds) if own == number]
         effects = [(abs(shown[row].change), shown[row].stderr, shown[row].bound) for row in rows]
         change, stderr, bound = 100 * np.array(effects).reshape(-1, 3).T
         low, high = np.maximum(change - Z95 * stderr, LEAST), change + Z95 * stderr

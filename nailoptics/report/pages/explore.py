@@ -3,7 +3,6 @@
 import base64
 import json
 import math
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from ...studies.exploration.explore import (
 from ...studies.exploration.pair_table import NEAREST_MM
 from .. import maps
 from ..files import Report, run_summary
-from ..html import Html, Script, details, document, preformatted, section, small, subheading, texts
+from ..html import Html, Script, details, document, file_text, preformatted, section, small, subheading, texts
 
 # What of a part is its place in a layout, and not the part.
 PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
@@ -43,33 +42,17 @@ def page(exploration: Exploration) -> str:
     """The page as text."""
     text = json.dumps(_tables(exploration), separators=(",", ":"), allow_nan=False, default=np.ndarray.tolist)
     tables = text.replace("<", "\\u003c")
-    style = f"<style>{_text('vendor', 'uPlot.min.css')}{_text('explore.css')}</style>"
+    style = f"<style>{file_text('pages/explore/vendor/uPlot.min.css')}{file_text('pages/explore/explore.css')}</style>"
     data = f'<script type="application/json" id="tables">{tables}</script>'
-    code = "\n".join(_text(f"{name}.js") for name in ("explore", "rules", "workbench"))
-    scripts = [Script(text) for text in (*(_library(one["file"]) for one in TEXTS["libraries"]), code)]
-    body = [Html(style + _text("workbench.html")), _licences(), Html(data), *scripts]
+    code = "\n".join(file_text(f"pages/explore/{name}.js") for name in ("explore", "rules", "workbench"))
+    scripts, licences = [], list[Html]()
+    for one in TEXTS["libraries"]:
+        scripts.append(Script(one.get("opening", "") + file_text(one["file"]) + one.get("closing", "")))
+        licences += [subheading(one["name"]), small(one["address"]), preformatted(file_text(one["licence"]))]
+    made_with = details("Licences of the libraries in this page", *licences)
+    made_with = section("Made with", TEXTS["made_with"], made_with)
+    body = [Html(style + file_text("pages/explore/workbench.html")), made_with, Html(data), *scripts, Script(code)]
     return document(**TEXTS["page"], body=body, attributes=exploration.attributes)
-
-
-def _text(*name: str) -> str:
-    return resources.files(__package__).joinpath("explore", *name).read_text(encoding="utf-8")
-
-
-def _library(file: str) -> str:
-    """A library as a script; one that is a CommonJS module becomes a global of its file's name."""
-    code = _text("vendor", file)
-    if not file.endswith(".cjs"):
-        return code
-    opening, closing = "const smolToml = (() => { const module = { exports: {} }, exports = module.exports;", "})();"
-    return f"{opening}\n{code}\nreturn module.exports; {closing}"
-
-
-def _licences() -> Html:
-    parts: list[Html] = []
-    for library in TEXTS["libraries"]:
-        licence = preformatted(_text("vendor", library["licence"]))
-        parts += [subheading(library["name"]), small(library["address"]), licence]
-    return section("Made with", TEXTS["made_with"], details("Licences of the libraries in this page", *parts))
 
 
 def _half(values: np.ndarray) -> str:

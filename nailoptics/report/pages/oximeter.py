@@ -22,6 +22,7 @@ def oximeter_page(result: xr.Dataset) -> str:
     best = result.sel(photodiode=result.attrs["best"])
     a, b = best.linear.values.tolist()
     red, infrared = (f"{significant(1e2 * index, 2)} %" for index in best.perfusion_index.values.tolist())
+    overview, curves = figure(overview_figure(result), TEXTS["overview"]), table(_calibrations(result))
     disturbed = figure(_disturbances_figure(result), TEXTS["disturbance_curves"])
     return document(
         **TEXTS["page"],
@@ -33,12 +34,7 @@ def oximeter_page(result: xr.Dataset) -> str:
             (f"{red} and {infrared}", "perfusion index, red and infrared"),
         ],
         body=[
-            section(
-                "Calibration: from R to saturation",
-                figure(overview_figure(result), TEXTS["overview"]),
-                table(_calibrations(result)),
-                small(TEXTS["calibration"]),
-            ),
+            section("Calibration: from R to saturation", overview, curves, small(TEXTS["calibration"])),
             section("Uncertainty of SpO2", table(_errors(result)), small(TEXTS["errors"])),
             section("Sensitivity to disturbances", disturbed, small(TEXTS["disturbances"])),
         ],
@@ -79,17 +75,10 @@ def recording_page(result: xr.Dataset) -> str:
     if best["spo2"] is not None:
         spo2, low, high = (significant(best[f"spo2{end}"], 3) for end in ("", "_low", "_high"))
         known = f"{spo2} % (95 % interval {low} to {high} %), the middle of all still windows"
-    caption = f"Photodiode {result.attrs['best']}. Windows with motion for more than half of the time are left out."
-    return document(
-        **TEXTS["recording"],
-        lead=f"SpO2 {known}; {result.sizes['time']} windows of {result.attrs['window_s']:g} s, motion in "
-        f"{100 * best['motion']:.0f} % of the time.",
-        body=[
-            section("Over time", figure(_over_time_figure(result), caption)),
-            section("Photodiodes", table(_recorded(summary))),
-        ],
-        attributes=result.attrs,
-    )
+    lead = TEXTS["windows"].format(known, result.sizes["time"], result.attrs["window_s"], 100 * best["motion"])
+    drawn = figure(_over_time_figure(result), TEXTS["over_time"].format(result.attrs["best"]))
+    body = [section("Over time", drawn), section("Photodiodes", table(_recorded(summary)))]
+    return document(**TEXTS["recording"], lead=lead, body=body, attributes=result.attrs)
 
 
 def _recorded(summary: dict[str, Any]) -> list[dict[str, str]]:
@@ -108,8 +97,7 @@ def _known(value: float | None, by: float = 1.0) -> str:
     return "–" if value is None else significant(by * value)
 
 
-RED, INFRARED = "#c0303b", "#6b4fa0"
-COLUMNS = 3
+RED, INFRARED, COLUMNS = "#c0303b", "#6b4fa0", 3
 
 
 @style.drawing()

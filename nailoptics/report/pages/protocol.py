@@ -4,20 +4,18 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
 from threading import Thread
 
 from ...errors import InputError
 from ...scene.protocol import Protocol
-from ..html import Html, Script, document, section, small, texts
+from ..html import Html, Script, document, file_text, section, small, texts
 
 
 def page(drawn: Protocol, *, is_served: bool = False) -> str:
     """The page as text; one that is served shows the force at its server's address `force`, too."""
     columns = {name: column.tolist() for name, column in drawn._asdict().items()}
     data, words = json.dumps(columns | {"is_served": is_served}), texts("protocol")
-    beside = resources.files(__package__)
-    player, script = (beside.joinpath(f"protocol.{kind}").read_text(encoding="utf-8") for kind in ("html", "js"))
+    player, script = (file_text(f"pages/protocol.{kind}") for kind in ("html", "js"))
     player += f'<script type="application/json" id="protocol">{data}</script>'
     body = [section("The line", Html(player), small(words["live"])), Script(script)]
     return document(**words["page"], lead=words["lead"], body=body, attributes={}, is_served=is_served)

@@ -43,10 +43,8 @@ LINES = {"force_n": style.INK, "proximal_pressure_pa": style.ZONES[0], "distal_p
 LINES |= {"arterial_pressure_pa": style.ZONES[0]}
 # Without blood, at rest and beyond: a nail's colours.
 BLOOD = ("#fbf6f2", "#e6a5a0", "#8e1022")
-MODELS: dict[str, tuple[str, dict[str, Any]]] = {
-    "beer_lambert": ("Beer–Lambert (8)", {"color": style.INK, "ls": (0, (5, 2.5))}),
-    "taylor": ("Taylor (9)", {"color": style.INK, "ls": (0, (1, 1.6))}),
-}
+# Dashes of the reduced models.
+MODELS = {"beer_lambert": ("Beer–Lambert (8)", (5, 2.5)), "taylor": ("Taylor (9)", (1, 1.6))}
 
 
 def page(result: xr.Dataset) -> str:
@@ -56,6 +54,8 @@ def page(result: xr.Dataset) -> str:
     # More zones than a figure over time can show.
     if "white_band_mm" in result and result.sizes["time"] > 1:
         along = figure(bed(result, scene), TEXTS["bed"])
+    drawn, notes = figure(overview(result, scene), TEXTS["overview"]), (TEXTS["readings"], *disturbance_lines(result))
+    shown = _pair_table(reading_rows(readings), readings, scene, kind="readings dense")
     return document(
         kicker="touch to volts",
         title=_title(scene),
@@ -63,13 +63,7 @@ def page(result: xr.Dataset) -> str:
         warnings=_warnings(readings),
         cards=_cards(readings, result, scene),
         body=[
-            section(
-                "Readings of the photodiodes",
-                figure(overview(result, scene), TEXTS["overview"]),
-                _pair_table(reading_rows(readings), readings, scene, kind="readings dense"),
-                small(TEXTS["readings"]),
-                *map(small, disturbance_lines(result)),
-            ),
+            section("Readings of the photodiodes", drawn, shown, *map(small, notes)),
             section("The touch and the blood", figure(courses(result), TEXTS["courses"]), along),
             _space_section(result, scene),
             _models_section(result, scene, readings),
@@ -346,7 +340,9 @@ def volts(result: xr.Dataset, scene: Scene, *, led: int) -> "style.Figure":
     thin = _thin(result).isel(led=led, photodiode=list(places)).transpose("photodiode", "time", ...)
     rest = result.volts.isel(led=led, photodiode=list(places), time=0).where(thin.detected_fraction.any("time"))
     scale, letter = prefix(_largest(thin.volts_change))
-    models = {label: ((thin[f"volts_{name}"] - rest).values / scale, look) for name, (label, look) in MODELS.items()}
+    models = {}
+    for name, (label, dashes) in MODELS.items():
+        models[label] = (thin[f"volts_{name}"] - rest).values / scale, {"color": style.INK, "ls": (0, dashes)}
     traced, stderr = (thin[name].values / scale for name in ("volts_change", "volts_change_stderr"))
     named = dict(zip(thin.photodiode.values, colours, strict=True))
     labels = {"xlabel": "time [s]", "ylabel": f"change [{letter}V]"}
