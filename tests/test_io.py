@@ -78,10 +78,10 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, mon
     path = tmp_path / "file"
     io.write_text(path, "old")
 
-    def interrupt(handle):
+    def interrupt(source, target):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(io.os, "fsync", interrupt)
+    monkeypatch.setattr(io.os, "replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
         io.write_bytes(path, b"new")
     assert path.read_text() == "old" and names(tmp_path) == ["file"]
