@@ -13,7 +13,7 @@ def all_shown(result: Any, *, page: bool = True) -> dict[str, Figure]:
     """
     shown, again = result.nail, json.dumps(result.nail.summary(), default=str)
     assert not page or shown.report().startswith("<!doctype html>")
-    assert shown.html().startswith("<pre>") and len(again) > 2
+    assert shown._repr_html_().startswith("<pre>") and len(again) > 2
     drawn = {name: shown.plot(name) for name in shown.figures}
     assert all(isinstance(one, Figure) and one.axes for one in drawn.values())
     return drawn
