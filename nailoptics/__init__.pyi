@@ -20,7 +20,7 @@ from .scene import parse_scene as parse_scene
 from .scene import to_toml as to_toml
 from .scene.protocol import protocol as protocol
 from .studies.colour.nail_colour import colour as colour
-from .studies.comparison.compare import compare as compare
+from .studies.compare import compare as compare
 from .studies.exploration.explore import explore as explore
 from .studies.force.calibrate import calibrate as calibrate
 from .studies.force.predict import predict as predict

@@ -241,8 +241,8 @@ def compare(
         model: The model that --require tests: Taylor (9) or Beer-Lambert (8).
     """
     from .report.pages.compare import COMPARISON, verdict_line
-    from .studies.comparison.compare import compare as study
-    from .studies.comparison.compare import verdict
+    from .studies.compare import compare as study
+    from .studies.compare import verdict
 
     loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:

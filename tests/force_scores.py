@@ -23,11 +23,10 @@ from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_
 from nailoptics.studies import force
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.kalman import KalmanFilter, stacked
-from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.predict import ForceEstimator, predict
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.scores import TOUCH_N
 from nailoptics.studies.force.subject import Subject
-from nailoptics.studies.force.uncertainty import ForceEstimator
 
 KINDS = ("slow", "steps")
 # What people are calibrated on: the protocol, or slow cycles and quick steps.

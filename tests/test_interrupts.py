@@ -12,8 +12,8 @@ from interrupted import ENVIRONMENT, Interrupting, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
-from nailoptics.studies.colour import adaptive_sampling
-from nailoptics.studies.colour.reflectance import NODES
+from nailoptics.studies.colour import nail_colour
+from nailoptics.studies.colour.nail_colour import NODES
 from nailoptics.studies.exploration import explore
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
@@ -106,7 +106,7 @@ def test_the_colour_of_a_nail_is_kept_without_its_photographs(folder, interrupti
     Path("finger.toml").write_text(FINGER + "[colour]\nphotograph_px = [40, 30]\n")
     command = ("colour", "finger.toml", "--photons", "8000", "--force", "0", "--force", "1", "-o", "out")
     for place in (
-        "nailoptics.studies.colour.adaptive_sampling:walk_colour",
+        "nailoptics.studies.colour.nail_colour:walk_colour",
         "nailoptics.studies.colour.nail_colour:photograph",
     ):
         ended = interrupting.at(place, *command)
@@ -122,7 +122,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, mon
     command = ("colour", "finger.toml", "--no-photograph", "--tolerance", "0.01", "-o", "out")
     place = "nailoptics.light.walk.nail_reflectance:NailReflectance.reflect"
     for name, value in SMALL_ROUNDS.items():
-        monkeypatch.setattr(adaptive_sampling, name, value)
+        monkeypatch.setattr(nail_colour, name, value)
     ended = interrupting.at(place, *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
     assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT

@@ -22,8 +22,7 @@ from nailoptics.light import backend
 from nailoptics.light.walk.nail_reflectance import NailReflectance
 from nailoptics.scene import Finger, load_scene
 from nailoptics.scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
-from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM
-from nailoptics.studies.colour.reflectance import walk_colour
+from nailoptics.studies.colour.nail_colour import WAVELENGTHS_NM, walk_colour
 from nailoptics.studies.validation.appearance import PAD
 from nailoptics.tissue import properties
 from nailoptics.tissue.properties import PULP_ABSORPTION, PULP_SCATTERING, PULP_SCATTERING_POWER

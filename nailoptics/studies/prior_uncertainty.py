@@ -17,7 +17,7 @@ from ..light.transfer.series import read_by_groups
 from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..scene.priors import size_priors
-from ..statistics import Z95, jackknife
+from ..statistics import Z95, covariance_root, jackknife
 from ..variables import Variables, described, variable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -60,15 +60,10 @@ def prior_of(prior: Prior) -> tuple[float, float]:
     return float(low + high) / 2, float(high - low) / (2 * Z95)
 
 
-def nodes_of(prior: Prior) -> tuple[float, ...]:
-    """The field's values at the nodes of the quadrature."""
-    return tuple(map(float, _values_at(prior, NODES)))
-
-
-def _values_at(prior: Prior, z: np.ndarray) -> np.ndarray:
-    """Values so many standard deviations from a prior's mean."""
+def nodes_of(prior: Prior, z: np.ndarray = NODES) -> list[float]:
+    """The field's values so many standard deviations from the prior's mean: those of the quadrature if not given."""
     mean, sd = prior_of(prior)
-    return np.asarray(np.exp(mean + z * sd) if prior.scale == "log" else mean + z * sd)
+    return np.asarray(np.exp(mean + z * sd) if prior.scale == "log" else mean + z * sd).tolist()
 
 
 def over_priors(
@@ -115,23 +110,15 @@ def offset_of(scene: Scene, prior: Prior) -> float:
 
 def standard_draws(correlation: np.ndarray) -> np.ndarray:
     """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors) float.
-
-    Always the same ones: a Sobol' sequence.
-    """
+    Always the same ones: a Sobol' sequence."""
     # Half a second, paid only where draws are made.
     from scipy.stats import norm, qmc
 
     count = len(correlation)
     draws = norm.ppf(qmc.Sobol(count, seed=1).random(DRAWS)) if count else np.zeros((DRAWS, 0))
     draws -= draws.mean(0)
-    return _correlated(draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T, correlation)
-
-
-def _correlated(draws: np.ndarray, correlation: np.ndarray) -> np.ndarray:
-    """Independent draws of normal numbers with correlations, (n, priors) float."""
-    # Correlations are rounded: an eigenvalue may be a little below 0.
-    value, vector = np.linalg.eigh(correlation)
-    return np.asarray(draws @ (vector * np.sqrt(np.maximum(value, 0.0))).T)
+    independent = draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T
+    return np.asarray(independent @ covariance_root(correlation).T)
 
 
 def known_priors(scene: Scene) -> tuple[Prior, ...]:
@@ -140,20 +127,20 @@ def known_priors(scene: Scene) -> tuple[Prior, ...]:
 
 
 def draw_people(scene: Scene, count: int) -> list[dict[str, float]]:
-    """Values of the fields of people drawn from the priors of a scene, its body and its finger's sizes.
-
-    Always the same ones: a Latin hypercube, in which every field has one value in each of `count` equally probable
-    parts of its prior, as far as correlations leave them there, and none beyond the prior's ends.
-    """
+    """Values of the fields of people drawn from the priors of a scene, its body and its finger's sizes. Always the same
+    ones: a Latin hypercube, in which every field has one value in each of `count` equally probable parts of its prior,
+    as far as correlations leave them there, and none beyond the prior's ends."""
     from scipy.stats import norm, qmc
 
     priors = (*known_priors(scene), *size_priors(scene.fingertip))
     parts = norm.ppf(qmc.LatinHypercube(len(priors), seed=1).random(count))
-    z = np.clip(_correlated(parts, scene.priors.correlation(priors)), -Z95, Z95)
-    values = {prior.field: _values_at(prior, at) for prior, at in zip(priors, z.T, strict=True)}
+    z = np.clip(parts @ covariance_root(scene.priors.correlation(priors)).T, -Z95, Z95)
+    fields, columns = [prior.field for prior in priors], map(nodes_of, priors, z.T)
+    people = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)]
     behind_mm = scene.fingertip.length_mm - scene.fingertip.nail_length_mm
-    values["finger.length_mm"] = values["finger.nail_length_mm"] + behind_mm
-    return [{field: float(column[i]) for field, column in values.items()} for i in range(count)]
+    for person in people:
+        person["finger.length_mm"] = person["finger.nail_length_mm"] + behind_mm
+    return people
 
 
 @dataclass(frozen=True)
@@ -198,19 +185,15 @@ class PriorSensitivity:
 
     @property
     def shift(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean over the priors less the scene's own answer, and its standard error, (...) float each.
-
-        Not 0 where values of the scene are not the means of their priors, or the answer bends.
-        """
+        """Mean over the priors less the scene's own answer, and its standard error, (...) float each. Not 0 where
+        values of the scene are not the means of their priors, or the answer bends."""
         shift = self._moments[0] - self.base_answer
         return shift[0], jackknife(shift)
 
     @property
     def keeps_sign(self) -> np.ndarray:
         """Whether an answer has the scene's sign in 97.5 % of the draws, and beyond the photons' noise, (...) bool.
-
-        Quadratic responses that are added up cross 0 in tails where the answer does not: what is False may hold.
-        """
+        Quadratic responses that are added up cross 0 in tails where the answer does not: what is False may hold."""
         draws, noise = self.draws(0), np.nan_to_num(jackknife(self.base_answer), nan=np.inf)
         same = (np.sign(draws) == np.sign(self.base_answer[0])).mean(0)
         return np.asarray((same >= SURELY) & (np.abs(self.base_answer[0]) > np.maximum(Z95 * noise, ROUNDING)))
@@ -240,21 +223,19 @@ class PriorSensitivity:
     def variables(self, name: str, dims: tuple[str, ...], text: str, untraced: int = 0) -> Variables:
         """Standard deviations, over all priors and by each, and the shift of an answer; NaN of the untraced priors."""
         (total, error), (shift, shift_error) = self.total, self.shift
-        over = "over the priors of the finger's parameters"
-        data = variable(f"{name}_spread", dims, total, f"standard deviation of {text} {over}", stderr=error)
+        over, spread = "over the priors of the finger's parameters", f"standard deviation of {text}"
+        data = variable(f"{name}_spread", dims, total, f"{spread} {over}", stderr=error)
         words = f"mean of {text} {over}, less that of the scene"
         data |= variable(f"{name}_shift", dims, shift, words, stderr=shift_error)
         gap = np.full((untraced, *total.shape), np.nan)
         stds, errors = (np.concatenate([values, gap]) for values in self.by_prior)
-        words = f"standard deviation of {text} over one prior alone"
+        words = f"{spread} over one prior alone"
         return data | variable(f"prior_{name}_spread", ("prior", *dims), stds, words, stderr=errors)
 
 
 def _root(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations and their standard errors from variances by all groups and without each, (1 + n, ...).
-
-    Noise of the nodes adds to a variance; the jackknife takes that away.
-    """
+    """Standard deviations and their standard errors from variances by all groups and without each, (1 + n, ...). Noise
+    of the nodes adds to a variance; the jackknife takes that away."""
     groups = len(variance) - 1
     unbiased = groups * variance[0] - (groups - 1) * variance[1:].mean(0)
     value = np.sqrt(np.maximum(unbiased, 0.0))
@@ -323,21 +304,18 @@ def readings_over_priors(
     scene = transfer.scene
     needing_traces = [prior for prior in scene.finger_priors if not only_absorbs(scene, prior)]
     evaluated = [prior for prior in scene.finger_priors if prior not in needing_traces]
-    if own_traces:
-        evaluated += needing_traces
     limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(needing_traces), 1)
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
-    def retraced(varied: Scene) -> np.ndarray:
-        plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
-        light, _ = as_far_as_reached(trace, plain, progress=progress, spacing_mm=OWN_SPACING_MM, **how)
+    def reread(varied: Scene, light: Transfer = transfer) -> np.ndarray:
         return _quantities(read_by_groups(light, varied, states(varied)))
 
-    def reread(varied: Scene) -> np.ndarray:
-        return _quantities(read_by_groups(transfer, varied, states(varied)))
+    def retraced(varied: Scene) -> np.ndarray:
+        plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
+        return reread(varied, as_far_as_reached(trace, plain, progress=progress, spacing_mm=OWN_SPACING_MM, **how)[0])
 
-    result = over_priors(scene, evaluated, reread, retraced)
+    result = over_priors(scene, evaluated + (needing_traces if own_traces else []), reread, retraced)
     return ReadingUncertainty(
         level=replace(result, answer=lambda values, _: values[..., 0]),
         change=replace(result, answer=_change),
@@ -354,10 +332,8 @@ def _quantities(read: np.ndarray) -> np.ndarray:
 
 
 def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels.
-
-    NaN where the scene's own is 0.
-    """
+    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels. NaN where
+    the scene's own is 0."""
     change = np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1])
     scene_change = np.abs(np.expm1(base[..., 1]))
     return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))

@@ -1,6 +1,7 @@
 """What a scene asks for, in numbers, and everything in it that a command would refuse, by a short trace."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,9 @@ def check(scene: SceneIn) -> SceneCheck:
     scene = as_scene(scene)
     for led in range(len(scene.leds)):
         optics.check_line(scene, led)
-    report = SceneCheck(scene, {"leds": [_led(led) for led in scene.leds], "warnings": _beyond_current(scene)})
+    shown = {"name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "position_mm", "rotation_deg"}
+    leds = [led.model_dump(mode="json", exclude_none=True, include=shown) for led in scene.leds]
+    report = SceneCheck(scene, {"leds": leds, "warnings": _beyond_current(scene)})
     if scene.finger is None:
         return report
     layout = scene.layout
@@ -83,11 +86,9 @@ def check(scene: SceneIn) -> SceneCheck:
         report["warnings"].append("readings need a backend that compiles kernels (nailoptics doctor), and are left out")
     report |= {"pairs": pairs, "noise": _limits(pairs), "exposure": exposures(scene)}
     report["warnings"] += _saturation(scene, pairs)
-    report["warnings"] += [
-        f"exposure: more than skin's {SKIN_W_PER_M2:.3g} W/m^2 over 10 s below {one['led']}"
-        for one in report["exposure"]
-        if one["nail_w_per_m2"] > SKIN_W_PER_M2
-    ]
+    over = [one["led"] for one in report["exposure"] if one["nail_w_per_m2"] > SKIN_W_PER_M2]
+    text = f"exposure: more than skin's {SKIN_W_PER_M2:.3g} W/m^2 over 10 s below"
+    report["warnings"] += [f"{text} {led}" for led in over]
     two = model.forces_with_two_balances_n()
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:
@@ -104,11 +105,6 @@ def _posture(model: BloodModel) -> list[str]:
     false_n = [model.posture_force_n(force_n) for force_n in POSTURE_FORCES_N]
     shown = " and ".join(f"{n:+.2g} N at {at:g} N" for n, at in zip(false_n, POSTURE_FORCES_N, strict=True))
     return [f"body: hand_height_m and venous_pressure_pa are a false force of {shown}, if rest was read without them"]
-
-
-def _led(led: Any) -> dict[str, Any]:
-    shown = ("name", "part", "wavelength_nm", "fwhm_nm", "flux_mw", "size_mm", "position_mm", "rotation_deg")
-    return {name: value for name, value in led.model_dump(mode="json", exclude_none=True).items() if name in shown}
 
 
 def _beyond_current(scene: Scene) -> list[str]:
@@ -128,16 +124,15 @@ def _beside_the_box(scene: Scene) -> list[str]:
     outline, corners = scene.layout.outline, np.add(scene.board.outline_mm, scene.board.center_mm)
     low, high = (outline.u_min, outline.v_min), (outline.u_max, outline.v_max)
     reach_mm = float(max(*(low - corners.min(axis=0)), *(corners.max(axis=0) - high)))
-    lines = []
-    if reach_mm > 1e-6:
-        lines.append(
-            f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"
-        )
     no_board = 1 - abs(area_mm2(np.clip(corners, low, high).tolist())) / outline.area_mm2
-    if no_board > NO_RECTANGLE:
-        text = "of the box around its outline is no board, where the model of the light has one"
-        lines.append(f"board: {100 * no_board:.0f} % {text}")
-    return lines
+    reach, part = f"{reach_mm:.2g} mm", f"{100 * no_board:.0f} %"
+    lines = {
+        f"board: its outline reaches {reach} beyond the nail, where the model of the light ends it": reach_mm > 1e-6,
+        f"board: {part} of the box around its outline is no board, where the model of the light has one": (
+            no_board > NO_RECTANGLE
+        ),
+    }
+    return [line for line, applies in lines.items() if applies]
 
 
 def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
@@ -161,9 +156,8 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
     photodiodes, fitted = ([e.photodiode for e in one.photodiodes] for one in (layout, fitted_layout))
     ohm, fitted_ohm = (electronics.stage_ohm(one, stage) for one in (photodiodes, fitted))
     for i, (led, die) in enumerate(zip(scene.leds, layout.leds, strict=True)):
-        now, then = (
-            electronics.read(over_touch[i].T, led, one, stage, ambient_a=ambient_a) for one in (photodiodes, fitted)
-        )
+        read_as = partial(electronics.read, over_touch[i].T, led, amplifier=stage, ambient_a=ambient_a)
+        now, then = read_as(photodiodes), read_as(fitted)
         most_v = now.amplified_v.max(0)
         columns = {"volts": now.volts[0], "most_volts": most_v, "feedback_ohm": ohm, "fitted_ohm": fitted_ohm}
         columns["volts_stderr"] = electronics.volts_per_fraction(led, photodiodes, stage) * read.stderr[i, :, 0]
@@ -223,9 +217,8 @@ def _candidates(scene: Scene) -> list[dict[str, Any]]:
     boards.check_search(base, rules)
     for i, candidate in enumerate(rules.candidates):
         try:
-            layout = candidates.candidate(
-                candidate.name, candidates.candidate_scene(base, candidate), "given"
-            ).scene.layout
+            laid_out = candidates.candidate_scene(base, candidate)
+            layout = candidates.candidate(candidate.name, laid_out, "given").scene.layout
         except InputError as error:
             raise InputError(f"placement.candidates[{i}]: {error}") from None
         described.append({"name": candidate.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})

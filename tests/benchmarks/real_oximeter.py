@@ -34,7 +34,7 @@ def main() -> None:
         except InputError as error:
             print(f"{path.name}: {error}")
             continue
-        names = ("ratio", "ratio_stderr", "rate_per_min", "perfusion_red", "perfusion_infrared", "motion")
+        names = ("ratio", "ratio_stderr", "rate_per_min", "perfusion_index_red", "perfusion_index_infrared", "motion")
         ratio, stderr, rate, red, infrared, motion = (float(values[name][0]) for name in names)
         spo2, reference = (float(x) for x in named.groups()) if named else (np.nan, np.nan)
         print(f"{path.name},{spo2:g},{reference:g},{ratio:.3f},{stderr:.3f},{rate:.0f},{100 * red:.3f},"

@@ -193,7 +193,7 @@ def test_a_beam_inside_its_photodiode_and_dies_that_touch_it(jit_backend):
 
 
 def prototype_with(**tables: dict) -> Scene:
-    from nailoptics.studies.model_error.changes import revised
+    from nailoptics.studies.model_error.explain import revised
 
     return revised(load_scene(PROTOTYPE), tables)
 

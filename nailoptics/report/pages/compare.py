@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ...statistics import Z95
-from ...studies.comparison.compare import Verdict, verdict
+from ...studies.compare import Verdict, verdict
 from .. import style
 from ..files import Report, run_summary
 from ..html import Html, document, figure, section, small, subheading, table, texts

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...statistics import Z95
-from ...studies.model_error.changes import lines_of, merged
-from ...studies.model_error.explain import Effect, Explanation
+from ...studies.model_error.explain import Effect, Explanation, lines_of, merged
 from .. import style
 from ..files import Report, scene_text
 from ..html import document, figure, preformatted, section, small, table, texts

@@ -8,9 +8,8 @@ import xarray as xr
 
 from ...scene import parse_scene
 from ...statistics import Z95
-from ...studies.force.baselines import BASELINES
 from ...studies.force.predict import csv_rows
-from ...studies.force.scores import TOUCH_N, TOUCH_SCORES
+from ...studies.force.scores import BASELINES, TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import Subject, parse_subject, subject_toml
 from .. import style
 from ..files import Report

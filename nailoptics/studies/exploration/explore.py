@@ -20,7 +20,6 @@ from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from ...display import Displayed
 from ...errors import InputError, NotReachedError, as_far_as_reached
@@ -37,11 +36,9 @@ from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
-from ...statistics import seed_of
+from ...statistics import Array, seed_of
 from ..placement import boards, candidates
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
-
-Array = NDArray[np.float64]
 
 # Photons of each of the scene's own wavelengths, on a board with a wall, through which little light comes, and without;
 # of each further wavelength half as many.
@@ -220,22 +217,16 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     most = BLOOD_RANGE[1] if base.blood.venous_so2 is None else 1.0
     highest = min(1.0, most * base.blood.rest_blood_fraction * float(np.max(touch["blood"])))
     polynomial = BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
-    light, unmet = as_far_as_reached(_stored_light, base, basis, polynomial, sources, options, report)
+    bare = boards.bare_board(base)
+    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
+    light, unmet = as_far_as_reached(_stored_light, base, sums, sources, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
     attributes |= {"backend": choose_jit(options.backend, "explore").name}
     attributes |= {"scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
-    exploration = Exploration(
-        base,
-        basis,
-        RadialFunction(light["radial"]),
-        polynomial,
-        _tables(sources, light),
-        touch,
-        ambient_nodes=(light["nodes_u"], light["nodes_v"]),
-        ambient_a_per_mm2=light["ambient_a_per_mm2"],
-        attributes=attributes,
-    )
+    radial, tables = RadialFunction(light["radial"]), _tables(sources, light)
+    ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
+    exploration = Exploration(base, basis, radial, polynomial, tables, touch, *ambient, attributes)
     if unmet and unmet.interrupted:
         attributes["cut_off"] = str(unmet)
         raise NotReachedError(str(unmet), result=exploration)
@@ -243,20 +234,11 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
 
 
 def _stored_light(
-    base: Scene,
-    basis: PairBasis,
-    polynomial: BloodPolynomial,
-    sources: list[Led],
-    options: TraceOptions,
-    report: StageProgress,
+    base: Scene, sums: list[ColourSums], sources: list[Led], options: TraceOptions, report: StageProgress
 ) -> dict[str, Array]:
     """All that is traced of a board, as arrays of which the first axis of a wavelength's is the wavelength, from the
-    store if it is there.
-
-    Raises: NotReachedError with the same of fewer photons.
-    """
-    bare = boards.bare_board(base)
-    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
+    store if it is there; raises NotReachedError with the same of fewer photons."""
+    basis = sums[0].basis
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
     scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
     photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_colours else usual // 2) for k in range(len(sums))]
@@ -295,34 +277,22 @@ def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
 def _tables(sources: list[Led], light: dict[str, Array]) -> list[ColourTable]:
     """The tables of the wavelengths from all that was traced."""
     rings = {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
-    return [
-        ColourTable(
-            led,
-            light["coefficients"][k],
-            light["direct"][k],
-            light["blocks"][k],
-            fluence=xr.DataArray(light["fluence"][k], rings),
-            photons=int(light["photons"][k]),
-        )
-        for k, led in enumerate(sources)
-    ]
+    fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
+    columns = light["coefficients"], light["direct"], light["blocks"], fluence, light["photons"].tolist()
+    return list(map(ColourTable, sources, *columns))
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:
     """Trace rounds of a batch for every group of every wavelength, each round twice the last, until there are so many
-    photons or the next would end late. Returns: why it was interrupted, if it was.
-
-    Raises: KeyboardInterrupt where the first round is not complete.
-    """
+    photons or the next would end late. Returns: why it was interrupted, if it was. Raises: KeyboardInterrupt where the
+    first round is not complete."""
 
     def batches() -> Iterator[tuple[ColourSums, int, int]]:
         count, round_s = LEAST_BATCH, 0.0
         while count == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
             begin_s = report.seconds
-            sizes = [
-                min(count, band.tracer.batch_photons, math.ceil(most / BLOCKS - band.photons[0]))
-                for band, most in zip(sums, photons, strict=True)
-            ]
+            left = [math.ceil(most / BLOCKS - band.photons[0]) for band, most in zip(sums, photons, strict=True)]
+            sizes = [min(count, band.tracer.batch_photons, most) for band, most in zip(sums, left, strict=True)]
             if max(sizes) <= 0:
                 return
             for band, size in zip(sums, sizes, strict=True):
@@ -348,15 +318,11 @@ def _check(scene: Scene) -> None:
     boards.check_two_zones(scene, "explore")
     for i, led in enumerate(scene.leds):
         if led.pattern != "lambertian":
-            raise InputError(
-                f'leds[{i}].pattern = "{led.pattern}": explore knows Lambertian LEDs alone, whose light goes both '
-                'ways; give pattern = "lambertian", or use simulate.'
-            )
+            why = "explore knows Lambertian LEDs alone, whose light goes both ways"
+            raise InputError(f'leds[{i}].pattern = "{led.pattern}": {why}; give "lambertian", or use simulate.')
     if len(scene.layout.barriers) > 1:
-        raise InputError(
-            "board.barrier: explore knows one wall, and this board has walls on several sides of its photodiodes; put "
-            "the LEDs on one side, or set barrier = false."
-        )
+        why = "explore knows one wall, and this board has walls on several sides of its photodiodes"
+        raise InputError(f"board.barrier: {why}; put the LEDs on one side, or set barrier = false.")
 
 
 def explored_board(scene: Scene) -> Scene:

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scene.rectangles import Rectangle
-
-Array = NDArray[np.float64]
+from ...statistics import Array
 
 # Nodes beside a wall and beside a rim, and how far apart those between may lie. [mm]
 BESIDE_WALL_MM, BESIDE_RIM_MM, BETWEEN_MM = (0.0, 0.15, 0.35, 0.6, 1.0, 1.5), (0.0, 0.8), 2.0

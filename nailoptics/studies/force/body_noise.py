@@ -55,10 +55,8 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
 
 
 def pressure_to_blood_gain(person: Person, frequency_hz: float) -> float:
-    """Gain from a wave of the arterial pressure to the blood of both zones at rest, over that of a slow one. [1]
-
-    The vessels are sluggish, so that a heartbeat moves them less than a breath.
-    """
+    """Gain from a wave of the arterial pressure to the blood of both zones at rest, over that of a slow one. [1] The
+    vessels are sluggish, so that a heartbeat moves them less than a breath."""
     ends = np.array([person.arterial_pa]), np.array([person.venous_pa])
     gain = linear_response(person.walls, np.array([0.0, frequency_hz]), np.zeros((3, 1)), *ends)
     slow, fast = np.abs((gain[:2] / person.rest_m[:2, None]).sum(0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from .person import LONGEST_GAP_S, MOST_GAIN, TABLE, Array, Numbers, within
+from .person import LONGEST_GAP_S, MOST_GAIN, TABLE, Array, Numbers, require_shapes, within
 
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
@@ -134,14 +134,10 @@ class Ensemble:
             raise ValueError("components and centres must be tables of numbers")
         if "filter" not in self.weights:
             raise ValueError("weights have no filter")
-        features = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES)
-        shapes: dict[str, tuple[int, ...]] = {name: (features,) for name in ("least", "most", "middle", "scale")}
-        shapes |= {"polynomial_n": (len(self.terms.indices),), "kernel_n": (len(self.centres),)}
-        shapes |= {"half_width_n": (2, HALF_WIDTH_TERMS), "open_from_n": (2,)}
-        shapes["centres"] = len(self.centres), features
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+        features, centres = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES), len(self.centres)
+        require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), open_from_n=(2,))
+        require_shapes(self, polynomial_n=(len(self.terms.indices),), half_width_n=(2, HALF_WIDTH_TERMS))
+        require_shapes(self, centres=(centres, features), kernel_n=(centres,))
 
     @cached_property
     def terms(self) -> Terms:
@@ -152,7 +148,8 @@ class Ensemble:
         """Force (T,) of features (D, T) beside the filter's (T,). [N]"""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
         force_n = self.weights["filter"] * filter_n + self.intercept_n + self.polynomial_n @ self.terms.of(inside)
-        force_n = np.maximum(force_n + self.kernel_n @ self.kernel(inside), 0.0)
+        standardised = (inside - self.middle[:, None]) / self.scale[:, None]
+        force_n = np.maximum(force_n + self.kernel_n @ gaussians(standardised, self.centres), 0.0)
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
         return np.asarray(force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0))
@@ -163,10 +160,6 @@ class Ensemble:
         half_n = share * proximal_n + (1.0 - share) * distal_n
         is_open = force_n >= share * self.open_from_n[0] + (1.0 - share) * self.open_from_n[1]
         return np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n)
-
-    def kernel(self, features: Array) -> Array:
-        """The Gaussians (M, T) of features (D, T)."""
-        return gaussians((features - self.middle[:, None]) / self.scale[:, None], self.centres)
 
 
 def gaussians(standardised: Array, centres: Array) -> Array:

@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
@@ -37,6 +38,8 @@ ROUNDS, FIRST_EVALUATIONS, MOST_EVALUATIONS = 2, 6, 10
 FIRST_MISFIT = 0.05
 # Huber's threshold for 95 % efficiency, in standard deviations.
 HUBER = 1.345
+# All recordings of a calibration together have so many touches at the least.
+LEAST_TOUCHES_OF_ALL = 8
 # Blocks of time of the sandwich covariance's scores.
 BLOCKS = 24
 # The arterial pressure is estimated where its effect on readings, squared, is at least this part of the largest.
@@ -96,11 +99,16 @@ class Fit:
         # Residual variance of each reading, weights of samples, and their integrated autocorrelation time in samples.
         self.variance = (FIRST_MISFIT * swing) ** 2 + table.noise_v**2
         self.weight, self.memory = np.ones(self.volts.shape[1]), 1.0
-        self.prior_spread = self._linear_prior_spread()
+        # Prior standard deviations of gain, offset, slopes and drifts, (R, 4 + K).
+        volts, slopes = table.slopes(np.full(2, finger.rest_blood_fraction))
+        slope = np.maximum(np.hypot(table.slope_stderr, OPTICS_PART * slopes / volts[:, None]), LEAST_SLOPE)
+        part_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
+        spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * len(self.averaged)]
+        self.prior_spread = np.column_stack(spreads)
         # A gain of 1; offset, slopes and drifts of 0.
         self.prior = np.eye(self.prior_spread.shape[1])[0]
         # A search ends, is weighted anew and goes on at the same factors, of which the columns know no weights.
-        self._columns_at = lru_cache(2)(self._moved_columns)
+        self._columns = lru_cache(2)(self._moved_columns)
 
     def solve(self, report: Callable[[float], None] = lambda done: None) -> Fitted:
         """Search the factors, from the best of several starts; report : takes the part that is done."""
@@ -125,7 +133,7 @@ class Fit:
 
         free_ln : (P,) float. Logarithms of the free factors.
         """
-        solved, residual = self._linear_fit(self._columns(free_ln))
+        solved, residual = self._linear_fit(self._columns(tuple(free_ln)))
         off_prior = (solved - self.prior) / self.prior_spread[:, None]
         linear = np.moveaxis(off_prior, 1, -1).reshape(-1, solved.shape[1])
         white, spread = np.concatenate([self._whiten(residual), linear]), SPREAD_LN[self.free]
@@ -149,43 +157,24 @@ class Fit:
         """Logarithms of the free factors (P,) at the least sum of squares from a start, and half that sum."""
         # One pass gives residuals and Jacobian, which scipy requests one after the other.
         both = lru_cache(1)(lambda free_ln: self.residuals(np.array(free_ln)))
-        result = least_squares(
-            lambda free_ln: both(tuple(free_ln))[0],
-            start_ln,
-            jac=lambda free_ln: both(tuple(free_ln))[1],
-            bounds=(-self.most_ln, self.most_ln),
-            max_nfev=evaluations,
-            xtol=1e-3,
-            ftol=1e-4,
-        )
+        value, jacobian = (lambda free_ln, k=k: both(tuple(free_ln))[k] for k in (0, 1))
+        how = {"bounds": (-self.most_ln, self.most_ln), "max_nfev": evaluations, "xtol": 1e-3, "ftol": 1e-4}
+        result = least_squares(value, start_ln, jac=jacobian, **how)
         return np.asarray(result.x), float(result.cost)
 
-    def _columns(self, free_ln: Array) -> Array:
-        """`model`, (3, R, 1 + P, T), at the factors (P,) and with each free one a step larger."""
-        return self._columns_at(tuple(free_ln))
-
     def _moved_columns(self, free_ln: tuple[float, ...]) -> Array:
+        """`model`, (3, R, 1 + P, T), at the factors (P,) and with each free one a step larger."""
         moved = np.zeros((len(NAMES), 1 + len(free_ln)))
         moved[self.free] = np.array(free_ln)[:, None] + STEP_LN * np.eye(len(free_ln), 1 + len(free_ln), 1)
         return np.concatenate(self.model(moved, self.averaged), axis=-1)
 
     def _design(self, model: Array) -> Array:
         """Columns of the linear part, (R, S, T, 4 + K): volts, one, both slopes, time in each recording."""
-        samples, lengths = model.shape[-1], [len(recording.time_s) for recording in self.averaged]
-        fixed = np.zeros((samples, 1 + len(lengths)))
-        fixed[:, 0] = 1.0
-        for k, (recording, end) in enumerate(zip(self.averaged, np.cumsum(lengths), strict=True)):
-            fixed[end - lengths[k] : end, 1 + k] = _ramp(recording)
+        ramps = block_diag(*(_ramp(recording)[:, None] for recording in self.averaged))
+        fixed = np.column_stack([np.ones(len(ramps)), ramps])
         fixed = np.broadcast_to(fixed, (*model.shape[1:], fixed.shape[1]))
         volts, *slopes = model[..., None]
         return np.concatenate([volts, fixed[..., :1], *slopes, fixed[..., 1:]], axis=-1)
-
-    def _linear_prior_spread(self) -> Array:
-        """Prior standard deviations of gain, offset, slopes and drifts, (R, 4 + K)."""
-        rest_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
-        volts, slopes = self.table.slopes(np.full(2, self.finger.rest_blood_fraction))
-        slope = np.maximum(np.hypot(self.table.slope_stderr, OPTICS_PART * slopes / volts[:, None]), LEAST_SLOPE)
-        return np.column_stack([np.full(len(rest_v), GAIN_SPREAD), rest_v, slope, *[rest_v] * len(self.averaged)])
 
     def _linear_fit(self, model: Array) -> tuple[Array, Array]:
         """Least squares of gains, offsets, slopes and drifts, (R, S, 4 + K), and residuals (R, S, T), 0 in gaps."""
@@ -200,17 +189,15 @@ class Fit:
         return solved, np.where(self.valid[:, None], self.volts[:, None] - fitted, 0.0)
 
     def _whiten(self, residual: Array) -> Array:
-        """Residuals (R, S, T) over their standard deviations, (R * T, S).
-
-        Correlations between readings are left out: model error is common to all readings, and weights by their
-        covariance would take the effect of the touch for noise.
-        """
+        """Residuals (R, S, T) over their standard deviations, (R * T, S). Correlations between readings are left out:
+        model error is common to all readings, and weights by their covariance would take the effect of the touch for
+        noise."""
         white = residual / np.sqrt(self.variance)[:, None, None] * np.sqrt(self.weight / self.memory)
         return np.asarray(np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1]))
 
     def _reweight(self, free_ln: Array) -> None:
         """Update variance, weights and autocorrelation time from the residuals at some factors."""
-        residual = self._linear_fit(self._columns(free_ln))[1][:, 0]
+        residual = self._linear_fit(self._columns(tuple(free_ln)))[1][:, 0]
         samples = residual.shape[1]
         self.variance = (self.weight * residual**2).sum(1) / samples + self.table.noise_v**2
         white = residual / np.sqrt(self.variance)[:, None]
@@ -227,16 +214,15 @@ class Fit:
         """The fit at the best factors, with its covariance, at the recordings' own samples."""
         factors = np.zeros(len(NAMES))
         factors[self.free] = free_ln
-        model = self._columns(free_ln)
+        model = self._columns(tuple(free_ln))
         all_solved, residual = self._linear_fit(model)
         solved, white, who = all_solved[:, 0], self._whiten(residual)[:, 0], self.finger.person(factors)
         table = self.table.steeper(solved[:, 2:4] / solved[:, :1], float(who.rest_blood))
         response = [arterial_response(who, table, solved[:, 0], recording) for recording in self.averaged]
+        own = zip(self.recordings, self.model(factors, self.recordings), solved[:, LINEAR:].T, strict=True)
         predicted = [
             solved[:, 1:2] + drift[:, None] * _ramp(recording) + np.einsum("rc,crt->rt", solved[:, [0, 2, 3]], parts)
-            for recording, parts, drift in zip(
-                self.recordings, self.model(factors, self.recordings), solved[:, LINEAR:].T, strict=True
-            )
+            for recording, parts, drift in own
         ]
         dof = max(int(self.valid.sum()) - len(self.free) - solved.size, 1)
         return Fitted(
@@ -323,3 +309,10 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
 
     site = None if recording.site is None else recording.site[: count * group : group]
     return replace(recording, time_s=mean(time_s), volts=mean(recording.volts), force_n=mean(force_n), site=site)
+
+
+def joined(recordings: Sequence[Recording]) -> Recording:
+    """All samples of recordings with force and site, one after the other; times begin anew with each."""
+    force_n, site = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in ("force_n", "site"))
+    parts = [recording.time_s for recording in recordings], [recording.volts for recording in recordings], force_n, site
+    return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))

@@ -10,10 +10,11 @@ from types import SimpleNamespace
 from typing import Annotated, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, PlainSerializer, PlainValidator
 from pydantic.dataclasses import dataclass as checked_dataclass
 
+from ...checks import Array, finite
+from ...errors import InputError
 from ...hemodynamics import Contact, creeping_pressure, spreading_pressure
 from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters, vessels
 from ...hemodynamics.rosenbrock import step
@@ -23,8 +24,6 @@ from ...hemodynamics.zones import PAPER_ZONES
 from ...scene import Scene
 from ...scene.base import Fraction
 from ...scene.priors import factor_priors
-
-Array = NDArray[np.float64]
 
 # Samples further apart are walked in as many steps of at most this length; filter and memory restart after gaps longer
 # than the second. [s]
@@ -47,12 +46,9 @@ TABLE = ConfigDict(extra="ignore", allow_inf_nan=False, arbitrary_types_allowed=
 
 def _numbers(values: Any) -> Array:
     try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f"{str(values)[:40]} must be numbers") from None
-    if not np.isfinite(array).all():
-        raise ValueError("holds a number that is not finite")
-    return array
+        return finite("the list", values)
+    except InputError as error:
+        raise ValueError(str(error).rstrip(".")) from None
 
 
 Numbers = Annotated[Array, PlainValidator(_numbers), PlainSerializer(np.ndarray.tolist)]
@@ -69,6 +65,13 @@ def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -
         return values
 
     return AfterValidator(check)
+
+
+def require_shapes(table: Any, **shapes: tuple[int, ...]) -> None:
+    """Raise ValueError where an array of a table has another shape."""
+    for name, shape in shapes.items():
+        if (found := getattr(table, name).shape) != shape:
+            raise ValueError(f"{name} has shape {found}, not {shape}")
 
 
 def _plausible(vessels: Parameters) -> Parameters:
@@ -164,9 +167,8 @@ class Person:
         larger = pressure_n_per_cm2.max(0)
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = np.where(larger > 0, pressure_n_per_cm2.min(0) / larger, 1.0)
-        return self.area_cm2 * larger, np.where(
-            pressure_n_per_cm2[0] >= pressure_n_per_cm2[1], 1.0 - ratio / 2.0, ratio / 2.0
-        )
+        proximal, distal = pressure_n_per_cm2
+        return self.area_cm2 * larger, np.where(proximal >= distal, 1.0 - ratio / 2.0, ratio / 2.0)
 
     def steady_widths(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
         """Diameters over those at rest, (3, n), under held pressures (2, n) [N/cm^2], of one person or of n.
@@ -181,15 +183,12 @@ class Person:
 
     def closure_n_per_cm2(self) -> Array:
         """Proximal and distal pressure (2,) past which one person's readings stay as they are. [N/cm^2]"""
-        ends = []
-        for side in range(2):
-            blood = self.steady_widths(SEARCHED_N_PER_CM2 * np.eye(2)[side][:, None])[side] ** 2
-            change = np.abs(blood - blood[0])
-            left = change < (1 - LEFT_AT_CLOSURE) * change.max()
-            ends.append(
-                SEARCHED_N_PER_CM2[min(int(np.flatnonzero(left).max(initial=0)) + 1, SEARCHED_N_PER_CM2.size - 1)]
-            )
-        return np.array(ends)
+        touches = SEARCHED_N_PER_CM2 * np.eye(2)[..., None]
+        blood = np.stack([self.steady_widths(touch)[side] ** 2 for side, touch in enumerate(touches)])
+        change = np.abs(blood - blood[:, :1])
+        left = change < (1 - LEFT_AT_CLOSURE) * change.max(1, keepdims=True)
+        last = np.where(left, np.arange(SEARCHED_N_PER_CM2.size), 0).max(1)
+        return SEARCHED_N_PER_CM2[np.minimum(last + 1, SEARCHED_N_PER_CM2.size - 1)]
 
     def widths_over(
         self,

@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -20,12 +20,11 @@ from ...sensor import electronics
 from ...sensor.ambient import scene_ambient_a
 from ...sensor.volts import with_fitted_resistors
 from ...statistics import seed_of
-from .person import MOST_GAIN, TABLE, Array, Numbers, within
+from .person import MOST_GAIN, TABLE, Array, Numbers, require_shapes, within
 
 # The logarithm of a reading is nearly linear in blood: polynomials of this degree in both zones' blood together.
 DEGREE = 3
 POWERS = tuple(p for p in itertools.product(range(DEGREE + 1), repeat=2) if sum(p) <= DEGREE)
-TERMS = len(POWERS)
 # Points along each zone's blood at which light is read for the table.
 NODES = 12
 # Which stream of random numbers the noise of a recording takes, beside those of the light and the body.
@@ -54,10 +53,8 @@ class ReadingTable:
 
     def __post_init__(self) -> None:
         count = len(self.ln_volts)
-        shapes = {"dark_v": (count,), "noise_v": (count,), "slope_stderr": (count, 2), "coefficients": (count, TERMS)}
-        for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, not {shape}")
+        require_shapes(self, dark_v=(count,), noise_v=(count,), slope_stderr=(count, 2))
+        require_shapes(self, coefficients=(count, len(POWERS)))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -89,8 +86,7 @@ class ReadingTable:
     def steeper(self, by_blood: Array, rest_blood: float) -> "ReadingTable":
         """The table whose ln volts have an additional slope (R, 2) by each zone's blood, the same at rest."""
         changed = self.coefficients.copy()
-        changed[:, POWERS.index((1, 0))] += by_blood[:, 0] * self.most_blood_fraction
-        changed[:, POWERS.index((0, 1))] += by_blood[:, 1] * self.most_blood_fraction
+        changed[:, [POWERS.index((1, 0)), POWERS.index((0, 1))]] += by_blood * self.most_blood_fraction
         changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
         return replace(self, ln_volts=dict(zip(self.names, changed, strict=True)))
 
@@ -156,13 +152,10 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
     diodes = [element.photodiode for element in scene.layout.photodiodes]
     traced_a = scene_ambient_a(scene, options)
-    ambient_a = np.zeros(len(diodes)) if traced_a is None else traced_a[0]
-    unlit = electronics.read(0.0, scene.leds[0], diodes, stage, ambient_a=ambient_a)
+    read = partial(electronics.read, ambient_a=np.zeros(len(diodes)) if traced_a is None else traced_a[0])
+    unlit = read(0.0, scene.leds[0], diodes, stage)
     names, at_rest = reading_names(scene), near.fraction[..., 0]
-    reads = [
-        electronics.read(part, led, diodes, stage, ambient_a=ambient_a)
-        for part, led in zip(at_rest, scene.leds, strict=True)
-    ]
+    reads = [read(part, led, diodes, stage) for part, led in zip(at_rest, scene.leds, strict=True)]
     is_known = (at_rest > 0) & np.isfinite(near.change_stderr).all(-1)
     faults = {
         "sees too little light for a standard error; trace more photons or leave it out": ~is_known.ravel(),
@@ -176,8 +169,8 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     fraction = light.readings_at(nodes).fraction.reshape(len(names), -1)
     per_fraction_v = np.concatenate([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
     volts = fraction * per_fraction_v[:, None]
-    x = nodes.T / most_blood
-    design = np.stack([x[0] ** i * x[1] ** j for i, j in POWERS], 1)
+    x, y = nodes.T / most_blood
+    design = np.stack([x**i * y**j for i, j in POWERS], 1)
     coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
     removed_v = unlit.amplified_v.max() if stage.ambient_rejection else 0.0
     return ReadingTable(

@@ -15,10 +15,10 @@ from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
 from ...scene.base import Fraction
 from ...scene.importers.sensor_recordings import MOST_VOLTS
 from ...scene.text_files import parse_toml, read_text
-from .baselines import Baseline
 from .ensemble import Ensemble
 from .person import MOST_GAIN, NAMES, PRIORS, SPREAD_LN, TABLE, Array, NominalFinger, Numbers, Person, within
 from .reading_table import POWERS, ReadingTable
+from .scores import Baseline
 
 # No calibration finds more: factors on the scene's constants.
 MOST_FACTOR = 100.0
@@ -171,14 +171,12 @@ class Subject(Displayed):
 
     def __post_init__(self) -> None:
         count = len(self.light.names)
-        shapes = {"covariance": len(self.covariance) - len(NAMES) - (LINEAR - 1) * count}
-        shapes |= {f"readings.{name}": len(var) for name, var in vars(self.readings).items()}
-        shapes |= {f"comparisons.{name}": line.projection.shape[1] for name, line in self.comparisons.items()}
-        if self.ensemble is not None:
-            shapes["ensemble.components"] = self.ensemble.components.shape[1]
-        for name, size in shapes.items():
-            if size != count:
-                raise ValueError(f"{name} is not that of {count} readings")
+        sizes = {"covariance": len(self.covariance) - len(NAMES) - (LINEAR - 1) * count}
+        sizes |= {f"readings.{name}": len(column) for name, column in vars(self.readings).items()}
+        sizes |= {f"comparisons.{name}": line.projection.shape[1] for name, line in self.comparisons.items()}
+        sizes |= {} if self.ensemble is None else {"ensemble.components": self.ensemble.components.shape[1]}
+        if wrong := [name for name, size in sizes.items() if size != count]:
+            raise ValueError(f"{wrong[0]} is not that of {count} readings")
 
     def __repr__(self) -> str:
         """What was calibrated, in a line."""
@@ -204,12 +202,6 @@ class Subject(Displayed):
     def drift_covariance(self) -> Array:
         """Covariance of the readings' drift in a minute, over the readings, (R, R) float."""
         return self.noise.drift_covariance(self.light.same_led())
-
-    @cached_property
-    def rest_covariance(self) -> Array:
-        """Covariance of readings at rest, (R, R) float: white noise and a minute's drift. [V^2]"""
-        drift = np.outer(self.rest_v, self.rest_v) * self.drift_covariance
-        return np.asarray(drift + np.diag(self.readings.noise_v**2))
 
     def measurement_noise(self, blood_v: Array, moved_v: Array, since_s: float | None) -> Array:
         """Diagonal of the filter's measurement noise covariance R, (R,) float: white noise and the model's error. [V^2]

@@ -22,12 +22,12 @@ from ...hemodynamics.waves import WAVES, CardiacOscillator, DampedOscillator, pr
 from ...scene import Body, Scene
 from ...scene.body import Drift
 from ...sensor.information import LIFT_PER_UM, SLIDE_PER_UM
+from . import kalman
 from .body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
-from .kalman import MODE_RATE, TOUCH_RATE_N_PER_CM2_RT_S, ZERO_STDERR_N_PER_CM2_RT_S
+from .kalman import TOUCH, StateSpace
 from .person import NAMES, Array, Person, nominal_finger
 from .reading_table import POWERS, ReadingTable
 from .scores import TOUCH_N
-from .state_space import FIRST_WAVE, TOUCH, WALL_STATES, StateSpace
 from .subject import LINEAR, READING_CORRELATION_S, Noise, Quality, Readings, Subject
 
 # Samples in a second, as in recordings of touches; the longest step of the vessels' network is longer. [Hz]
@@ -91,17 +91,17 @@ class TouchError:
         if self.noise.beat:
             state[model.beat.start + 1 : model.beat.stop : 2] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
         for moved in np.diff(touch, axis=1, prepend=0.0).T:
-            after, transition, noise = model.process(state, np.zeros(WALL_STATES), relaxed, since_s)
+            after, transition, noise = model.process(state, np.zeros(kalman.WALL_STATES), relaxed, since_s)
             relaxed, after[TOUCH] = model.relax(state, relaxed, since_s), state[TOUCH] + moved
             state = after
-            quick = np.abs(moved).max() > QUICK * TOUCH_RATE_N_PER_CM2_RT_S * np.sqrt(since_s)
+            quick = np.abs(moved).max() > QUICK * kalman.TOUCH_RATE_N_PER_CM2_RT_S * np.sqrt(since_s)
             # The meter's readings are exp(blood over that at rest).
             volts, jacobian = model.measurement(state)
             blood, rest = np.log(volts), self.person.rest_blood
             yield _Step(
                 transition=transition[:size, :size],
                 noise=noise[:size, :size],
-                rate=TOUCH_RATE_N_PER_CM2_RT_S * MODE_RATE[int(quick)],
+                rate=kalman.TOUCH_RATE_N_PER_CM2_RT_S * kalman.MODE_RATE[int(quick)],
                 by_state=rest * jacobian[:, :size] / volts[:, None],
                 blood=rest * (blood - 1.0),
                 moved=moved,
@@ -114,7 +114,7 @@ class TouchError:
         noise : (..., R) float. Their white noise, rms, over themselves.
         led : (R, L) float. Which LED each reading is of, 1 or 0.
         """
-        shape, count = noise.shape[:-1], noise.shape[-1]
+        *shape, count = noise.shape
         slopes, noise = slopes.reshape(-1, count, 2), noise.reshape(-1, count)
         side = np.where(self._proximal, 0, 1)
         touched = self._force_n >= min(TOUCH_N, 0.5 * self._force_n.max())
@@ -141,8 +141,8 @@ class TouchError:
         # Of the readings, and of the touch, which is read as 0 at rest.
         jacobian, claimed2, true2 = np.zeros((batch, count + 2, size + count)), *np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
-        claimed2[:, count:], true2[:, :count] = ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
-        waves, at = slice(FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
+        claimed2[:, count:], true2[:, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
+        waves, at = slice(kalman.FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
         for step, force_n in zip(self._steps, self._force_n, strict=True):
             claimed[:, at, at] += since_s * step.rate**2
             everything[:, :, :size] = step.transition @ everything[:, :, :size]

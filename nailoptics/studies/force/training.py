@@ -18,17 +18,14 @@ from scipy.optimize import nnls
 from ...scene.importers.sensor_recordings import Recording
 from ...scene.protocol import LEVEL_N
 from ...statistics import covariance_root
-from .baselines import Baseline, train_baselines
 from .body_noise import REST_FORCE_N
 from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, terms_of
-from .fit import averaged
+from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
 from .kalman import estimate_pressures
 from .person import LONGEST_GAP_S, Array
-from .recording_checks import LEAST_TOUCHES_OF_ALL as LEAST_TOUCHES
-from .recording_checks import joined
-from .scores import TOUCH_N, is_still, rms, runs, touches_by_kind
+from .predict import ForceEstimate, ForceEstimator
+from .scores import TOUCH_N, Baseline, is_still, rms, runs, touches_by_kind, train_baselines
 from .subject import Subject
-from .uncertainty import ForceEstimate, ForceEstimator
 
 # Samples a second that the filter reads. [Hz]
 RATE_HZ = 25.0
@@ -100,7 +97,7 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
     # A touch that closes the vessels is left out from there on with its recovery, unless others are too few: its slow
     # rise is the only one of the protocol.
-    for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES else ():
+    for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES_OF_ALL else ():
         is_varied[start + np.argmax(force_n[start:stop] > TOP_N) : stop + round(AFTER_S * RATE_HZ)] = False
     return CalibrationSeries(
         by_filter=by_filter,
@@ -124,7 +121,7 @@ def compared(subject: Subject, series: CalibrationSeries) -> dict[str, Baseline]
 def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[str, dict[str, float]]] | None:
     """The ensemble, and how well it estimates held-out touches; None of too few touches."""
     touched = series.is_varied & (series.force_n >= REST_FORCE_N)
-    if len(np.unique(series.block[touched])) < LEAST_TOUCHES:
+    if len(np.unique(series.block[touched])) < LEAST_TOUCHES_OF_ALL:
         return None
     vectors, sizes, _ = np.linalg.svd(series.over_rest[:, touched], full_matrices=False)
     count = min(COMPONENTS, len(sizes))
@@ -136,28 +133,27 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     trained_on = np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1)
     ensemble, held_out_n = _trained(trained_on, samples, components)
     terms = half_width_terms(trained_on, held_out_n, count)
-    ensemble = replace(
-        ensemble,
-        half_width_n=_conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool)),
-        open_from_n=_open_from(series, ensemble.force_n(features[:, 0], series.by_filter.force_n)),
-    )
+    half_width_n = _conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool))
+    # From these estimates a touch may be harder than any that members were trained on.
+    estimated_n = ensemble.force_n(features[:, 0], series.by_filter.force_n)
+    hard, proximal = series.force_n > TOP_N, series.by_filter.proximal_share > 0.5
+    sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
+    open_from_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
+    ensemble = replace(ensemble, half_width_n=half_width_n, open_from_n=open_from_n)
     return ensemble, _held_out_quality(terms, samples, held_out_n)
 
 
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
-    """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0.
-
-    Of a drift is left what readings at rest, which follow it, leave of it.
-    """
+    """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0. Of a drift is
+    left what readings at rest, which follow it, leave of it."""
     root, shape = covariance_root(subject.drift_covariance), (-1, COPIES, len(series.since_s))
     draws = np.random.default_rng(0).normal(size=(len(root), *shape[1:]))
     walk = np.einsum("rs,sct->rct", root, np.cumsum(draws * np.sqrt(series.since_s / 60.0), axis=-1))
     walk[:, 0], is_resting = 0.0, series.by_filter.force_n < REST_FORCE_N
     followed = Features(components).over_rest(walk.reshape(-1, shape[-1]), is_resting, series.since_s)
     readings = series.over_rest[:, None] + followed.reshape(shape)
-    pressure_n = np.repeat(
-        (series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None])[:, None], COPIES, axis=1
-    )
+    pressure_n = series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None]
+    pressure_n = np.repeat(pressure_n[:, None], COPIES, axis=1)
     return Features(components).with_memory(readings, pressure_n, series.since_s)
 
 
@@ -180,12 +176,13 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         held_out[name] = predictions[best]
         coefficients, intercepts = _ridge(design, force_n)
         solved[name] = coefficients[best], float(intercepts[best])
-    weights = _weights(np.stack(list(held_out.values())), samples)
+    by_member = np.stack(list(held_out.values()))
+    weights = _weights(by_member, samples)
     share = dict(zip(held_out, weights.tolist(), strict=True))
     polynomial_n = np.zeros(len(terms.indices))
     for name, members in terms.members.items():
         polynomial_n[members] += share[name] * solved[name][0][: members.sum()]
-    weighted_n = np.maximum(weights @ np.stack(list(held_out.values())), 0.0)
+    weighted_n = np.maximum(weights @ by_member, 0.0)
     errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
@@ -236,18 +233,9 @@ def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: 
     return np.array(by_side)
 
 
-def _open_from(series: CalibrationSeries, estimated_n: Array) -> Array:
-    """Proximal and distal estimates (2,) from which a touch may be harder than any that members were trained on. [N]"""
-    hard, proximal = series.force_n > TOP_N, series.by_filter.proximal_share > 0.5
-    sides = (estimated_n[hard & proximal], estimated_n[hard & ~proximal])
-    return np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
-
-
 def _held_out_quality(terms: Array, samples: CalibrationSeries, held_out_n: Array) -> dict[str, dict[str, float]]:
     """rms error, coverage and median half width of the 95 % interval over held-out touches, all and by kind. [N, 1, N]
-
-    The interval of a group of touches is that which the others give.
-    """
+    The interval of a group of touches is that which the others give."""
     half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
     for k in range(FOLDS):
         at = samples.fold == k

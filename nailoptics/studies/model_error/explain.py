@@ -2,36 +2,176 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias, Unpack
 
 import numpy as np
 
-from ... import tissue
+from ... import geometry, tissue
 from ...display import Displayed
-from ...errors import NotReachedError
+from ...errors import InputError, NotReachedError, unless_cut_off
 from ...light import ProgressCallback, optics
 from ...light.identity import light_digest
 from ...options import Requested, TraceOptions
-from ...scene import Scene, SceneIn, as_scene
+from ...scene import Led, Prior, Scene, SceneIn, as_scene
+from ...scene.catalogue import LedPart, load_part
+from ...scene.files import scene_of
+from ...scene.layout import LEAST_EPOXY_UM
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, trace_ambient
 from ...statistics import Z95
-from .changes import Change, changes_of, merged, revised
-from .paired import (
-    Difference,
-    Estimates,
-    PairedReadings,
-    PairedTracer,
-    check_study,
-    difference,
-    end_states,
-    reweighted,
-    shape_of,
-    weighted_mean,
-)
+from ..prior_uncertainty import value_of
+from . import paired
+from .paired import Difference, Estimates, PairedReadings, PairedTracer
+
+AIR_UM = 25.0  # of a board that is lifted, or not bonded; what light meets there hardly depends on it
+DIE_UM = 150.0  # dies of LEDs and photodiodes are 100 to 250 um thick
+# Fields by table of the scene; those of "leds" and "photodiodes" are every one's, None stands for what its part says.
+Changes = dict[str, dict[str, Any]]
+EACH = ("leds", "photodiodes")
+ONE_WAVELENGTH: Changes = {"leds": {"fwhm_nm": 0.0}}
+PART_WIDTH: Changes = {"leds": {"fwhm_nm": None}}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One part or effect of a scene, whether the scene models it, and what the scene would have in its place.
+
+    changes : what of the scene makes it so; nothing where no line can.
+    unknown : whether it is no part but something unknown of the finger, at an end of its range, or of the sensor.
+    """
+
+    name: str
+    modelled: bool
+    changed_to: str
+    changes: Changes = field(default_factory=dict)
+    unknown: bool = False
+
+
+def part_width_nm(led: Led) -> float:
+    """Line width that an LED's part has; its own if it has no part that can be found."""
+    try:
+        part = load_part(led.part, expect=LedPart) if led.part else led
+        return float(part.fwhm_nm) if isinstance(part, LedPart) else led.fwhm_nm
+    except InputError:
+        return led.fwhm_nm
+
+
+def revised(scene: Scene, changes: Changes) -> Scene:
+    """The scene with some fields of some of its tables changed; raises InputError where that makes no scene."""
+    tables = scene.model_dump()
+    for table, fields in changes.items():
+        if table not in EACH:
+            tables[table] |= {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
+            continue
+        new = {name: value for name, value in fields.items() if value is not None}
+        tables[table] = tuple(row | new for row in tables[table])
+        if PART_WIDTH["leds"].items() <= fields.items():
+            for row, led in zip(tables[table], scene.leds, strict=True):
+                row["fwhm_nm"] = part_width_nm(led)
+    return scene_of(tables)
+
+
+def changes_between(scene: Scene, other: Scene) -> Changes:
+    """What of its light, and of its LEDs' line widths, makes one scene the other."""
+    before, after = scene.light.model_dump(mode="json"), other.light.model_dump(mode="json")
+    light = {name: value for name, value in after.items() if value != before[name]}
+    changes: Changes = {"light": light} if light else {}
+    if [led.fwhm_nm for led in scene.leds] != [led.fwhm_nm for led in other.leds]:
+        changes |= PART_WIDTH if any(led.fwhm_nm for led in other.leds) else ONE_WAVELENGTH
+    return changes
+
+
+def lines_of(changes: Changes) -> list[str]:
+    """The lines of a scene file that make these changes, each with the table that it belongs in before it."""
+    import tomli_w
+
+    lines = []
+    for table, fields in changes.items():
+        for name, value in fields.items():
+            place = f"[[{table}]]" if table in EACH else f"[{table}]"
+            text = f"without {name}" if value is None else " ".join(tomli_w.dumps({name: value}).split())
+            lines.append(f"{place} {text}".replace("[ ", "[").replace(", ]", "]"))
+    return lines
+
+
+def merged(changed: Iterable[Change]) -> Changes:
+    """All their changes at once; a part is left out, or put in, beside what others do to the same list."""
+    out: Changes = {}
+    for effect in changed:
+        for table, fields in effect.changes.items():
+            for name, value in fields.items():
+                before = out.setdefault(table, {}).get(name)
+                if name == "left_out" and before is not None:
+                    value = sorted(set(value) | set(before)) if effect.modelled else sorted(set(value) & set(before))
+                out[table][name] = value
+    if "epidermis" in out.get("light", {}).get("left_out", ()):
+        # Its melanin goes with it.
+        out.get("finger", {}).pop("melanin_fraction", None)
+    return {table: fields for table, fields in out.items() if fields}
+
+
+def changes_of(scene: Scene) -> Iterator[Change]:
+    """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
+    yield from _parts(scene)
+    if scene.priors.spread:
+        yield from (_unknown(scene, prior) for prior in scene.finger_priors)
+
+
+def _unknown(scene: Scene, prior: Prior) -> Change:
+    """A prior at that end of its range which is farther from the scene's value, on the prior's scale."""
+    ends = (prior.low, value_of(scene, prior.field), prior.high)
+    low, middle, high = np.log(ends) if prior.scale == "log" else ends
+    # A nudge, so that rounding does not decide between ends that are as far.
+    end = prior.low if middle - low > high - middle + 1e-3 else prior.high
+    table, name = prior.field.split(".")
+    text = f"{name} = {end:g}, of {prior.low:g} to {prior.high:g}"
+    return Change(prior.name, True, text, {table: {name: end}}, unknown=True)
+
+
+def _parts(scene: Scene) -> Iterator[Change]:
+    """The scene's parts and effects, each with what leaves it out, or puts it in."""
+    light, board, finger = scene.light, scene.board, scene.fingertip
+    steps, similar, melanin = light.index_steps, light.similarity, finger.melanin_fraction
+    text = "one index everywhere" if steps else "refraction where the index changes"
+    yield Change("index steps", steps, text, {"light": {"index_steps": not steps}})
+    text = "Henyey-Greenstein" if similar else "isotropic with the same mu_s'"
+    yield Change("forward scattering", not similar, text, {"light": {"similarity": not similar}})
+    for part in ("bone", "epidermis", "kapton"):
+        gone = part in light.left_out
+        left = [p for p in light.left_out if p != part] if gone else [*light.left_out, part]
+        its_own = "optics of its own" + (", melanin" if part == "epidermis" else "")
+        text = its_own if gone else "optics of what surrounds it"
+        yield Change(part, not gone, text, {"light": {"left_out": left}})
+    if any(led.fwhm_nm for led in scene.leds):
+        yield Change("LED line width", True, "peak wavelength alone", ONE_WAVELENGTH)
+    elif any(part_width_nm(led) for led in scene.leds):
+        yield Change("LED line width", False, "as its part has", PART_WIDTH)
+    if "epidermis" not in light.left_out:
+        usual = type(finger).model_fields["melanin_fraction"].default
+        text = "none" if melanin else f"{usual:.1%} of the epidermis"
+        yield Change("melanin", melanin > 0, text, {"finger": {"melanin_fraction": 0.0 if melanin else usual}})
+    if board.opaque_reflectance:
+        yield Change("opaque epoxy's reflection", True, "black", {"board": {"opaque_reflectance": 0.0}})
+    if board.barrier:
+        yield Change("barrier", True, "clear epoxy in its place", {"board": {"barrier": False}})
+    stand_out = any(led.height_um for led in scene.leds) or any(p.height_um for p in scene.photodiodes)
+    height_um = 0.0 if stand_out else min(DIE_UM, board.clear_epoxy_um - LEAST_EPOXY_UM)
+    text = "flush with the board's underside" if stand_out else f"standing {height_um:g} um out of the board"
+    if stand_out or height_um:
+        # A scene that says nothing of it leaves it unknown: what it requires is not to be guessed.
+        heights: Changes = {table: {"height_um": height_um} for table in EACH}
+        yield Change("height of dies", True, text, heights, unknown=not stand_out)
+    bonded = board.air_gap_um is None
+    text = f"{AIR_UM:g} um of air on the nail" if bonded else "adhesive on the nail"
+    air: Changes = {"board": {"air_gap_um": AIR_UM if bonded else None}}
+    yield Change("air under the board", True, text, air, unknown=bonded)
+    if not board.cover_um:
+        cover = type(board).model_fields["cover_um"].default
+        yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
+
 
 # What makes an effect of a scene's readings and those of other scenes, and these, which are traced for it.
 Measurement: TypeAlias = tuple[Callable[..., "Effect"], *tuple[Scene, ...]]
@@ -136,7 +276,7 @@ def explain(
     """
     scene = as_scene(scene)
     limit = tolerance or scene.accuracy.relative_error or DEFAULT_TOLERANCE
-    check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
+    paired.check_study(scene, limit if tolerance is None else tolerance, "explain", "is modelled as it is written")
     options, start = TraceOptions(**requested), time.perf_counter()
     planned = measurements(scene, limit, options)
     # The scene itself, and what is not needed left out of it.
@@ -163,10 +303,8 @@ def explain(
         wall_seconds=time.perf_counter() - start,
         attributes=base.transfer.attributes() | ({"cut_off": unmet} if unmet else {}),
     )
-    result = replace(result, required=revised(scene, merged([*result.needless, *result.missing])))
-    if unmet:
-        raise NotReachedError(unmet, result=result)
-    return result
+    required = revised(scene, merged([*result.needless, *result.missing]))
+    return unless_cut_off(replace(result, required=required), unmet)
 
 
 def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[Measurement]:
@@ -174,10 +312,12 @@ def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[
     out: list[Measurement] = []
     for change in changes_of(scene):
         changed = revised(scene, change.changes)
-        same_light = light_digest(changed) == light_digest(scene)
-        out.append((partial(by_change, change, tolerance), *([] if same_light else [changed])))
+        retraced = [changed] if light_digest(changed) != light_digest(scene) else []
+        out.append((partial(by_change, change, tolerance), *retraced))
     denser = revised(scene, {"finger": {"bed_scattering": SCATTERING_FACTOR * scene.fingertip.bed_scattering}})
     out.append((partial(blood_scattering, tolerance), denser))
+    # What the geometry is built from, with all parts, so that paths are shared.
+    shape_of = partial(geometry.shaping, with_faces=geometry.AROUND)
     shape = shape_of(scene)
     planned = sorted(out, key=lambda group: (len(group) > 1, any(shape_of(other) != shape for other in group[1:])))
     # Of light from outside the trace is its own, after all others.
@@ -186,7 +326,7 @@ def measurements(scene: Scene, tolerance: float, options: TraceOptions) -> list[
 
 def effect_of(
     change: Change,
-    paired: Difference,
+    measured: Difference,
     base: PairedReadings,
     *,
     tolerance: float,
@@ -199,10 +339,9 @@ def effect_of(
     from scipy.special import ndtri
 
     of: Literal["reading", "signal"] = "reading"
-    differences = paired.reading
-    moves_blood = base.largest_modulation[0] > 0
-    if moves_blood and paired.signal is not None and (paired.reading.bound <= tolerance).all():
-        of, differences = "signal", paired.signal
+    differences = measured.reading
+    if base.largest_modulation[0] > 0 and measured.signal is not None and (measured.reading.bound <= tolerance).all():
+        of, differences = "signal", measured.signal
     known = np.isfinite(differences.value) & np.isfinite(differences.stderr)
     # Where nothing was detected, anything may be.
     ratio, error = np.where(known, differences.value, np.nan), np.where(known, differences.stderr, np.nan)
@@ -210,8 +349,8 @@ def effect_of(
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
-    mean, mean_stderr = weighted_mean(differences._replace(value=ratio, stderr=error), base)
-    of_signal = math.nan if paired.signal is None else float(paired.signal.bound.max())
+    mean, mean_stderr = paired.weighted_mean(differences._replace(value=ratio, stderr=error), base)
+    of_signal = math.nan if measured.signal is None else float(measured.signal.bound.max())
     return Effect(
         **vars(change),
         how=how,
@@ -229,9 +368,9 @@ def effect_of(
 
 def by_change(change: Change, tolerance: float, base: PairedReadings, *retraced: PairedReadings) -> Effect:
     """What a change does: by a trace with it, or, of what only dims light, by the same photons with other weights."""
-    other = retraced[0] if retraced else reweighted(base, revised(base.transfer.scene, change.changes))
+    other = retraced[0] if retraced else paired.reweighted(base, revised(base.transfer.scene, change.changes))
     how: Literal["reweighted", "retraced"] = "retraced" if retraced else "reweighted"
-    return effect_of(change, difference(base, other), base, tolerance=tolerance, how=how)
+    return effect_of(change, paired.difference(base, other), base, tolerance=tolerance, how=how)
 
 
 def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadings) -> Effect:
@@ -241,16 +380,13 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
     the part of it that the light's path has there.
     """
     scene = base.transfer.scene
-    reading, factor = difference(base, denser).reading, scene.fingertip.bed_scattering
-    moved = np.diff(end_states(scene), axis=0)[0]
+    reading, factor = paired.difference(base, denser).reading, scene.fingertip.bed_scattering
+    moved = np.diff(paired.end_states(scene), axis=0)[0]
     contrast = [tissue.blood_scattering_contrast(led.wavelength_nm, bed_scattering=factor) for led in scene.leds]
-    paths = np.stack(
-        [
-            [np.bincount(trace.photodiode, part[:, 0] * path, minlength=base.level.shape[1]) for path in zones.T]
-            for trace, part in zip(base.transfer.traces, base.parts, strict=True)
-            for zones in (trace.path_mm[:, optics.bed_columns(scene)],)
-        ]
-    )
+    paths = np.zeros((len(scene.leds), len(moved), base.level.shape[1]))
+    for of_led, trace, part in zip(paths, base.transfer.traces, base.parts, strict=True):
+        for of_zone, column in zip(of_led, optics.bed_columns(scene), strict=True):
+            of_zone += np.bincount(trace.photodiode, part[:, 0] * trace.path_mm[:, column], minlength=len(of_zone))
     unit, unit_stderr = base.largest_modulation
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.array(contrast)[:, None] * np.tensordot(paths, moved, (1, 0)) / paths.sum(1) / unit
@@ -261,12 +397,9 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         covariance = np.outer(slope, slope) * np.asarray(reading.covariance)
         covariance += np.outer(signal, signal) * (unit_stderr / unit) ** 2
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
-    change, none = (
-        Change("blood's own scattering", False, text),
-        Estimates(np.zeros_like(signal), np.zeros_like(signal)),
-    )
-    paired = Difference(none, Estimates(signal, error, skew, covariance))
-    return effect_of(change, paired, base, tolerance=tolerance)
+    none = Estimates(np.zeros_like(signal), np.zeros_like(signal))
+    measured = Difference(none, Estimates(signal, error, skew, covariance))
+    return effect_of(Change("blood's own scattering", False, text), measured, base, tolerance=tolerance)
 
 
 def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Effect:
@@ -280,6 +413,6 @@ def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Ef
         # All LEDs' readings of a photodiode have one photocurrent from outside.
         one_photodiode = np.tile(np.eye(len(diodes)), [len(scene.leds)] * 2)
         covariance = np.outer(error, error) * one_photodiode + np.outer(ratio, ratio) * base.relative_covariance
-        paired = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr), 0.0, covariance))
+        measured = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr), 0.0, covariance))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
-    return effect_of(Change("ambient light", scene.ambient is not None, text), paired, base, tolerance=tolerance)
+    return effect_of(Change("ambient light", scene.ambient is not None, text), measured, base, tolerance=tolerance)

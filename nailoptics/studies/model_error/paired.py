@@ -16,7 +16,7 @@ from ...hemodynamics.for_scene import steady_blood
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.transfer.records import transmissions
-from ...options import Requested, TraceOptions
+from ...options import TraceOptions
 from ...scene import Scene
 from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife
 
@@ -64,8 +64,7 @@ class PairedReadings:
     @cached_property
     def relative_stderr(self) -> np.ndarray:
         """Relative standard error of the level; inf where fewer than 25 effective photons were detected."""
-        photons = np.array([trace.photons for trace in self.transfer.traces])[:, None]
-        square = self.sums(0, 2)
+        photons, square = np.array([trace.photons for trace in self.transfer.traces])[:, None], self.sums(0, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
             return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
@@ -83,9 +82,8 @@ class PairedReadings:
     def modulation_stderr(self) -> np.ndarray:
         """Standard error of the modulation; inf where fewer than 25 effective photons were detected."""
         count, spread = len(self.transfer.photodiodes), []
-        for recorded, part, level, modulation in zip(
-            self.transfer.traces, self.parts, self.level, self.modulation, strict=True
-        ):
+        of_leds = zip(self.transfer.traces, self.parts, self.level, self.modulation, strict=True)
+        for recorded, part, level, modulation in of_leds:
             # The modulation is linear in what one photon more or less adds to it.
             added = part[:, 1] - (1 + modulation[recorded.photodiode]) * part[:, 0]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -126,11 +124,6 @@ def end_states(scene: Scene) -> np.ndarray:
     return steady_blood(scene, [0.0, largest_force_n(scene)])
 
 
-def shape_of(scene: Scene) -> Scene:
-    """What a scene's geometry is built from when it is traced in a pair: with all parts, so that paths are shared."""
-    return geometry.shaping(scene, with_faces=geometry.AROUND)
-
-
 class PairedTracer:
     """Traces several scenes with one seed and as many photons each, so that what they share cancels in a difference.
 
@@ -156,8 +149,8 @@ class PairedTracer:
         scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
         if self._photons is None:
             self._photons = self._photons_for(scene)
-        elif self.seconds_left < 0:
-            raise NotReachedError(self._out_of_time())
+        else:
+            self._check_time()
         difference = self._traced(scene, self._photons)
         self._done += 1
         return difference
@@ -181,9 +174,8 @@ class PairedTracer:
         return max(PILOT_PHOTONS, int(PLANNED_SHARE * left_s / self.scenes / each_s * PILOT_PHOTONS))
 
     def _traced(self, scene: Scene, photons: int, *, store: bool = True) -> PairedReadings:
-        options, cpu = self.options, time.process_time()
-        how: Requested = {"photons": photons, "seed": options.seed, "store": store and options.store}
-        how["backend"] = options.backend
+        cpu, store = time.process_time(), store and self.options.store
+        how = replace(self.options, photons=photons, relative_error=None, max_seconds=None, store=store).fields
         try:
             transfer = trace(scene, with_faces=geometry.AROUND, progress=self._report_progress, **how)
         except NotReachedError as error:
@@ -193,17 +185,17 @@ class PairedTracer:
         self._setup_s = max(self._setup_s, time.process_time() - cpu - transfer.cpu_seconds)
         return paired_readings(transfer, self._setup_s)
 
-    def _out_of_time(self) -> str:
-        return f"max_seconds ended the study after {self._done} of {self.scenes} traces"
+    def _check_time(self) -> None:
+        if self.seconds_left < 0:
+            raise NotReachedError(f"max_seconds ended the study after {self._done} of {self.scenes} traces")
 
     def _report_progress(self, p: TraceProgress) -> None:
-        if self._done and p.fraction_done < 1 and self.seconds_left < 0:
-            raise NotReachedError(self._out_of_time())
+        if self._done and p.fraction_done < 1:
+            self._check_time()
         if self.progress:
-            share = (self._done + p.fraction_done) / self.scenes
+            share = min((self._done + p.fraction_done) / self.scenes, 1.0)
             name = f"{p.led}, trace {self._done + 1} of {self.scenes}"
-            seconds = time.perf_counter() - self._start
-            self.progress(replace(p, led=name, fraction_done=min(share, 1.0), seconds=seconds))
+            self.progress(replace(p, led=name, fraction_done=share, seconds=time.perf_counter() - self._start))
 
 
 class Estimates(NamedTuple):
@@ -250,13 +242,13 @@ def difference(base: PairedReadings, other: PairedReadings) -> Difference:
     resolved = np.isfinite(base.relative_stderr) & np.isfinite(other.relative_stderr)
 
     def estimates(of_leds: Sequence[tuple[np.ndarray, ...]], unit: float, unit_stderr: float) -> Estimates:
-        value, skew = (np.stack(column) / unit for column in (of_leds[0], of_leds[1]))
-        covariance = block_diag(*of_leds[2]) / unit**2 + np.outer(value, value) * (unit_stderr / unit) ** 2
+        values, skews, covariances = zip(*of_leds, strict=True)
+        value, skew = np.stack(values) / unit, np.stack(skews) / unit
+        covariance = block_diag(*covariances) / unit**2 + np.outer(value, value) * (unit_stderr / unit) ** 2
         stderr = np.sqrt(np.diag(covariance)).reshape(value.shape)
         return Estimates(value, np.where(resolved, stderr, np.inf), skew, covariance)
 
-    by_led = [_by_photodiode(base, other, led) for led in range(len(base.parts))]
-    reading, swing = (list(zip(*of_leds, strict=True)) for of_leds in zip(*by_led, strict=True))
+    reading, swing = zip(*(_by_photodiode(base, other, led) for led in range(len(base.parts))), strict=True)
     with np.errstate(invalid="ignore"):
         return Difference(estimates(reading, 1.0, 0.0), estimates(swing, *base.largest_modulation))
 
@@ -311,10 +303,8 @@ def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
 
 
 def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, ...]:
-    """Photons and photodiodes, (n,) int each, and what the one adds to the other in both scenes, (n, 2) float each.
-
-    A photon of one seed has the same random numbers in both scenes, and goes the same way up to where they differ.
-    """
+    """Photons and photodiodes, (n,) int each, and what the one adds to the other in both scenes, (n, 2) float each. A
+    photon of one seed has the same random numbers in both scenes, and goes the same way up to where they differ."""
     first, second = base.transfer.traces[led], other.transfer.traces[led]
     a, b = base.parts[led], other.parts[led]
     if first is second:
@@ -329,10 +319,8 @@ def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tupl
 
 
 def weighted_mean(estimates: Estimates, base: PairedReadings) -> tuple[float, float]:
-    """Mean over the readings and its error, weighted by the reference's errors; NaN and inf where one is unknown.
-
-    The weights are the same for all that is compared with the reference, so that none is drawn to its own low values.
-    """
+    """Mean over the readings and its error, weighted by the reference's errors; NaN and inf where one is unknown. The
+    weights are the same for all that is compared with the reference, so that none is drawn to its own low values."""
     weight = base.relative_stderr.ravel() ** -2.0
     if not (np.isfinite(estimates.value).all() and np.isfinite(estimates.stderr).all() and weight.any()):
         return float("nan"), float("inf")

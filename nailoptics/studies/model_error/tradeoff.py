@@ -4,14 +4,14 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
 
 from ... import tissue
 from ...display import Displayed
-from ...errors import InputError, NotReachedError
+from ...errors import InputError, NotReachedError, unless_cut_off
 from ...hemodynamics.for_scene import blood_over_touch
 from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, optics
@@ -20,20 +20,10 @@ from ...light.tracing import unlit
 from ...light.transfer.series import read_by_groups, read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene
-from ...variables import Variables, variable
-from .changes import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
-from .paired import (
-    Estimates,
-    PairedReadings,
-    PairedTracer,
-    check_study,
-    difference,
-    end_states,
-    reweighted,
-    weighted_mean,
-)
-
-T = TypeVar("T")
+from ...variables import Estimate, described
+from . import paired
+from .explain import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
+from .paired import Estimates, PairedReadings, PairedTracer
 
 DEFAULT_TOLERANCE = 0.02
 # Costs of one level, measured twice, differ by about this part.
@@ -104,9 +94,7 @@ class Level:
 
     def photon_seconds(self, error: float) -> float:
         """Seconds of photons until the error of the worst photodiode is no more than this; inf where it never is. [s]
-
-        One standard error and the bound on the bias add in squares.
-        """
+        One standard error and the bound on the bias add in squares."""
         needed = 0.0
         for bias, noise in ((self.reading, self.reading_noise), (self.signal, self.signal_noise)):
             left = error**2 - bias.bound**2
@@ -151,25 +139,19 @@ class Tradeoff(Displayed):
 
     def dataset(self) -> xr.Dataset:
         """Everything of the levels over level, as a Dataset."""
-        data: Variables = {}
-        for which, text in (("reading", "reading at rest"), ("signal", "change by touch, of the largest change")):
+        columns: dict[str, Any] = {"first_fixed": [level.setup_seconds for level in self.levels]}
+        for which in ("reading", "signal"):
             biases = [getattr(level, which) for level in self.levels]
             value, stderr, bound = np.array([(b.value, b.stderr, b.bound) for b in biases]).T
-            data |= variable(f"{which}_bias", "level", value, f"bias of the {text}", stderr=stderr)
-            data |= variable(f"{which}_bound", "level", bound, f"what no photodiode's bias exceeds, of the {text}")
-            noise = [getattr(level, f"{which}_noise") for level in self.levels]
-            text = f"standard error after one second of photons, of the {text}"
-            data |= variable(f"{which}_noise", "level", noise, text)
-        seconds = [level.setup_seconds for level in self.levels]
-        data |= variable("first_fixed", "level", seconds, "processor time of an answer without photons", units="s")
-        return xr.Dataset(data, {"level": [level.name for level in self.levels]}, self.attributes)
+            columns |= {f"{which}_bias": Estimate(value, stderr), f"{which}_bound": bound}
+            columns[f"{which}_noise"] = [getattr(level, f"{which}_noise") for level in self.levels]
+        names = {"level": [level.name for level in self.levels]}
+        return xr.Dataset(described("nailoptics.studies", **columns), names, self.attributes)
 
 
 def fastest(levels: Iterable[Level], error: float) -> Level | None:
-    """The level whose answer of no more than an error costs least; None where none gives one.
-
-    The scene itself, or else the full model, stays where none is cheaper beyond the noise of costs.
-    """
+    """The level whose answer of no more than an error costs least; None where none gives one. The scene itself, or else
+    the full model, stays where none is cheaper beyond the noise of costs."""
     able = [level for level in levels if math.isfinite(level.seconds(error))]
     least = min((level.seconds(error) for level in able), default=math.inf)
     usual = {level.name: level for level in able if (1 - COST_NOISE) * level.seconds(error) <= least}
@@ -198,7 +180,7 @@ def tradeoff(
         compare levels by, or, if interrupted, with the Tradeoff as far as it was made as result.
     """
     scene = as_scene(scene)
-    check_study(scene, tolerance, "tradeoff", "has one level, itself")
+    paired.check_study(scene, tolerance, "tradeoff", "has one level, itself")
     scene.require_blood("tradeoff")
     if largest_force_n(scene) <= 0:
         raise InputError("touch: the force never leaves 0, so there is nothing to compare levels by; give a force.")
@@ -217,7 +199,7 @@ def tradeoff(
     levels = [reference, *formulas(scene, base), *courses(scene, base)]
     if any(led.fwhm_nm for led in full.leds):
         # The same photons, so the same cost, whatever the noise of its error.
-        levels.append(measured(scene, "one wavelength", base, reweighted(base, revised(full, ONE_WAVELENGTH))))
+        levels.append(measured(scene, "one wavelength", base, paired.reweighted(base, revised(full, ONE_WAVELENGTH))))
     try:
         for name, variant in traced.items():
             levels.append(measured(scene, name, base, tracer.trace(variant)))
@@ -233,18 +215,16 @@ def tradeoff(
     # The full model first among those that cost the same.
     levels.sort(key=lambda level: (level.seconds(tolerance), level.setup_seconds, level.name != REFERENCE))
     result = Tradeoff(tuple(levels), tolerance, chosen, selected, time.perf_counter() - start, about)
-    if unmet:
-        raise NotReachedError(unmet, result=result)
-    return result
+    return unless_cut_off(result, unmet)
 
 
 def measured(scene: Scene, name: str, base: PairedReadings, other: PairedReadings) -> Level:
     """A traced level of a scene against the reference, which has no bias against itself."""
     reading = signal = Bias(0.0, 0.0, 0.0)
     if other is not base:
-        paired = difference(base, other)
-        assert paired.signal is not None
-        reading, signal = bias_of(base, paired.reading), bias_of(base, paired.signal)
+        off = paired.difference(base, other)
+        assert off.signal is not None
+        reading, signal = bias_of(base, off.reading), bias_of(base, off.signal)
     root_s = math.sqrt(other.transfer.cpu_seconds)
     return Level(
         name=name,
@@ -263,8 +243,8 @@ def bias_of(base: PairedReadings, off: Estimates, *, shared: float = 0.0) -> Bia
     shared : relative error of what all of them are parts of.
     """
     bounds = off._replace(stderr=np.hypot(off.stderr, shared * off.value)).bound
-    bound = float(np.max(np.where(np.isfinite(bounds), bounds, np.inf)))
-    mean, stderr = weighted_mean(off, base)
+    bound = float(np.nan_to_num(bounds, nan=np.inf, posinf=np.inf).max())
+    mean, stderr = paired.weighted_mean(off, base)
     if not np.isfinite(mean):
         return Bias(mean, stderr, bound)
     # The weights are estimates, too: of n photons a relative variance 1 / n is known to 1 / sqrt(n).
@@ -279,7 +259,7 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
     The reading at rest is the trace's, at what that costs; it is the signal that they may miss.
     """
     full = base.transfer.scene
-    ends, depths, traced = end_states(full), [], []
+    ends, depths, traced = paired.end_states(full), [], []
     for i, led in enumerate(full.leds):
         wavelength, share = optics.spectrum(led)
         mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
@@ -298,11 +278,11 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
 def courses(scene: Scene, base: PairedReadings) -> Iterator[Level]:
     """Blood with walls of mass, a looser tolerance, fewer samples: signals where blood between samples is off most."""
     full, (unit, stderr) = base.transfer.scene, base.largest_modulation
-    fewer: Changes = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
     usual, usual_s = _timed_course(full)
     blood = usual.blood_fraction.values
     ways: dict[str, tuple[dict[str, Any], Changes]] = {name: (way, {}) for name, way in COURSES.items()}
     if usual.sizes["time"] > 2 * FEWER_SAMPLES:
+        fewer = {"touch": {"sample_rate_hz": full.touch.sample_rate_hz / FEWER_SAMPLES}}
         ways[f"1 of {FEWER_SAMPLES} samples"] = {}, fewer
     for name, (way, changes) in ways.items():
         course, seconds = _timed_course(revised(full, changes), **way)

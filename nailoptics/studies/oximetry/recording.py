@@ -6,21 +6,17 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ... import hemodynamics
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
-from ...hemodynamics.for_scene import blood_over_touch
-from ...light import Transfer, optics
-from ...light.detect import light_of
 from ...scene import Oximeter, Scene
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
-from ...variables import Variables, variable
+from ...variables import Estimate, described, variable
 from ...version import code_attributes
-from .ratio import saturation_of
+from .oxygen import saturation_of
 
 _NOISE = 61
 # Interval between two estimates. [s]
@@ -35,27 +31,9 @@ MOST_UNSHARED, MOST_JUMP = 6.0, 4.0
 MOST_AWAY = 0.08
 # Around a sample that moved so much is marked, as filters spread it. [s]
 AROUND_S = 0.5
-# Of a window at least this part must be still.
+# Of a window at least this part must be still, without which nothing is known of these.
 LEAST_STILL = 0.5
-
-
-def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int]) -> tuple[Array, Array]:
-    """Times of the frames over a scene's touch [s], and the light that is detected then, (2, photodiodes, t) float.
-
-    The median of the blood is mixed, all else arterial, or as saturated as the balance of oxygen has it.
-    """
-    touch = scene.touch.model_copy(update={"sample_rate_hz": (scene.oximeter or Oximeter()).frame_hz})
-    course = blood_over_touch(scene.model_copy(update={"touch": touch}))
-    blood, light = course.blood_fraction.values, light_of(transfer)
-    if scene.blood.oxygen_balance:
-        so2 = course.so2.values
-    else:
-        resting = np.median(blood, axis=1, keepdims=True)
-        mixed = hemodynamics.saturation(scene.blood, resting)
-        so2 = scene.blood.so2 + (mixed - scene.blood.so2) * resting / np.maximum(blood, np.finfo(float).tiny)
-    states = [optics.equivalent_blood(scene, scene.leds[led], blood, so2).T for led in leds]
-    fractions = [light.readings_at(of_led).fraction[led] for led, of_led in zip(leds, states, strict=True)]
-    return course.time.values, np.stack(fractions)
+WHILE_STILL = ("ratio", "ratio_stderr", "perfusion_index_red", "perfusion_index_infrared")
 
 
 def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
@@ -82,9 +60,8 @@ def read_for(scene: Scene, path: str | Path) -> OximeterRecording:
     """Read a recording of a scene's oximeter; raises InputError, also where it holds no pulse."""
     leds = oximeter_leds(scene)
     front_end = front_end_of(scene, leds)
-    names, delays_s = scene.layout.photodiode_names, front_end.delays_s
-    frame_hz = (scene.oximeter or Oximeter()).frame_hz
-    how: dict[str, Any] = {"photodiodes": names, "delays_s": delays_s, "frame_hz": frame_hz}
+    how: dict[str, Any] = {"photodiodes": scene.layout.photodiode_names, "delays_s": front_end.delays_s}
+    how["frame_hz"] = (scene.oximeter or Oximeter()).frame_hz
     recording = read_oximeter_recording(path, leds=front_end.lights[:2], **how)
     # Checked here, before any light is traced.
     pulses_over_time(recording, scene)
@@ -115,18 +92,10 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
         of_curve = np.interp(value, so2, curve.ratio_stderr.values)
         spo2[j], error[j] = 100 * value, 100 * slope * np.hypot(estimates["ratio_stderr"][j], of_curve)
     bounds = np.clip([spo2 - Z95 * error, spo2 + Z95 * error], 0.0, 100.0)
-    data: Variables = {}
-    for name, values, text, units, stderr in (
-        ("ratio", estimates["ratio"], "ratio of ratios R", "1", estimates["ratio_stderr"]),
-        ("spo2", spo2, "oxygen saturation from the pulse", "percent", error),
-        ("spo2_low", bounds[0], "lower bound of SpO2, 95 %", "percent", None),
-        ("spo2_high", bounds[1], "upper bound of SpO2, 95 %", "percent", None),
-        ("rate_per_min", estimates["rate_per_min"], "pulse rate", "min-1", None),
-        ("perfusion_index_red", estimates["perfusion_red"], "perfusion index of the red LED", "1", None),
-        ("perfusion_index_infrared", estimates["perfusion_infrared"], "perfusion index of the infrared LED", "1", None),
-        ("motion", estimates["motion"], "part of the window in which the finger moved", "1", None),
-    ):
-        data |= variable(name, ("photodiode", "time"), values, text, units=units, stderr=stderr)
+    ratio, stderr = estimates.pop("ratio"), estimates.pop("ratio_stderr")
+    data = variable("ratio", ("photodiode", "time"), ratio, "ratio of ratios R", stderr=stderr)
+    saturation = {"spo2": Estimate(spo2, error), "spo2_low": bounds[0], "spo2_high": bounds[1]}
+    data |= described(__package__, **saturation, **estimates)
     typical = [float(np.nanmedian(errors)) if np.isfinite(errors).any() else np.inf for errors in error]
     about: dict[str, Any] = {
         "title": "oxygen from a recording",
@@ -191,7 +160,7 @@ def _window(
     still = inside & ~moved
     out = {"motion": float(moved[inside].mean()), "rate_per_min": beats.rate_at(centre_s, AVERAGE_S)}
     if still.sum() < LEAST_STILL * inside.sum():
-        return out | dict.fromkeys(("ratio", "ratio_stderr", "perfusion_red", "perfusion_infrared"), np.nan)
+        return out | dict.fromkeys(WHILE_STILL, np.nan)
     ratio, stderr = slope_of_two(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
     # A pulse's height from the middle of its beats' own.
     heights = [
@@ -200,7 +169,7 @@ def _window(
         if (window := still & (beat := (even_s >= start) & (even_s < end))).sum() > 0.8 * beat.sum()
     ]
     index = np.median(heights, axis=0) if heights else np.full(2, np.nan)
-    return out | {"ratio": ratio, "ratio_stderr": stderr, "perfusion_red": index[0], "perfusion_infrared": index[1]}
+    return out | dict(zip(WHILE_STILL, (ratio, stderr, *index), strict=True))
 
 
 def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) -> tuple[float, float]:
@@ -263,17 +232,14 @@ def _check_limit(recording: OximeterRecording, range_v: float) -> None:
     valid = np.isfinite(recording.volts)
     full = (electronics.recorded_at_limit(recording.volts, range_v) & valid).sum(-1) / valid.sum(-1)
     for k, j in np.argwhere(full > MOST_SATURATED):
-        raise InputError(
-            f'{recording.name}: photodiode "{recording.photodiodes[j]}" is saturated in {100 * full[k, j]:.0f} % of '
-            f"its {('red', 'infrared')[k]} readings ({range_v:g} V is the converter's limit); lower the LED's power "
-            "and record again."
-        )
+        where = f'photodiode "{recording.photodiodes[j]}" is saturated in {full[k, j]:.0%} of its'
+        limit = f"{('red', 'infrared')[k]} readings ({range_v:g} V is the converter's limit)"
+        raise InputError(f"{recording.name}: {where} {limit}; lower the LED's power and record again.")
 
 
 def spo2_csv(result: xr.Dataset) -> str:
     """The text of oxygen.csv; what is not known is left empty."""
-    names = ["ratio", "spo2", "spo2_low", "spo2_high", "rate_per_min"]
-    names += ["perfusion_index_red", "perfusion_index_infrared", "motion"]
+    names = ["ratio", "spo2", "spo2_low", "spo2_high", "rate_per_min", *WHILE_STILL[2:], "motion"]
     rows = result[names].to_dataframe(dim_order=["photodiode", "time"]).reset_index()
     rows.insert(0, "time_s", rows.pop("time").map(repr))
     return str(rows[["time_s", "photodiode", *names]].to_csv(index=False, float_format="%.6g", lineterminator="\n"))

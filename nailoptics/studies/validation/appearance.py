@@ -17,9 +17,7 @@ from ...options import TraceOptions
 from ...scene import Finger, Scene
 from ...scene.base import USUAL_PULP_BLOOD_FRACTION
 from ...statistics import Z95
-from ..colour.adaptive_sampling import ALONG, patches_of
-from ..colour.colorimetry import WAVELENGTHS_NM, Viewer, lab_of
-from ..colour.reflectance import ColourRays, walk_colour
+from ..colour.nail_colour import ALONG, WAVELENGTHS_NM, ColourRays, Viewer, lab_of, patches_of, walk_colour
 from ..prior_uncertainty import PriorSensitivity, at_value, over_priors
 from . import people_tables
 from .comparison import Comparison, interval, moments, part_between, shipped_scene, texts_of
@@ -144,10 +142,8 @@ def _lab(rgb: Array) -> Array:
 
 
 def nails_lab(photos: "pd.DataFrame") -> Array:
-    """L*, a*, b* of people's nails, (p, 3) float.
-
-    The level of a nail is that of the skin beside it, times what a spectrophotometer measured on the shipped hands.
-    """
+    """L*, a*, b* of people's nails, (p, 3) float. The level of a nail is that of the skin beside it, times what a
+    spectrophotometer measured on the shipped hands."""
     spectra = read_people("skin_spectra")
     hands = spectra[spectra.place == "back of hand"]
     skin = np.mean([percentile(hands[hands.group == group], 50) for group in SCALED_TO], 0) / 100
@@ -221,10 +217,6 @@ def _w_depth(name: str, table: "pd.DataFrame", model: Sequence[Array]) -> dict[s
     if len(people) < 2:
         return {}
     low, middle, high = np.transpose(model)
-    stderr = float((middle - people).std(ddof=1) / np.sqrt(len(people)))
-    spread = float((high - low).mean() / (2 * Z95))
-    return {
-        name: Comparison.by_standard_errors(
-            texts_of(name, table), (float(people.mean()), stderr), (float(middle.mean()), 0.0), spread
-        )
-    }
+    stderr, spread = (middle - people).std(ddof=1) / np.sqrt(len(people)), (high - low).mean() / (2 * Z95)
+    both = (float(people.mean()), float(stderr)), (float(middle.mean()), 0.0)
+    return {name: Comparison.by_standard_errors(texts_of(name, table), *both, float(spread))}

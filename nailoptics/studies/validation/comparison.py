@@ -1,15 +1,13 @@
 """One measured quantity beside the model's: when they agree, and what is stated of it."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...assets import asset_path, data_dir
+from ...assets import data_dir, read_toml
 from ...checks import Array
 from ...scene import Scene, load_scene
 from ...statistics import Z95, jackknife
@@ -79,15 +77,10 @@ class Comparison:
         return out | {self.statistic: self.value, "accepted": [*self.accepted], "agrees": self.agrees}
 
 
-@cache
-def _quantities() -> dict[str, dict[str, Any]]:
-    with asset_path("real/quantities.toml").open("rb") as file:
-        return tomllib.load(file)
-
-
 def texts_of(name: str, table: "pd.DataFrame", **words: Any) -> dict[str, Any]:
     """What is stated of a quantity of a table of people, with words filled in."""
-    texts = {key: text.format(**words) if isinstance(text, str) else text for key, text in _quantities()[name].items()}
+    stated = read_toml("real/quantities.toml")[name]
+    texts = {key: text.format(**words) if isinstance(text, str) else text for key, text in stated.items()}
     if not texts.pop("fitted_to_any", False) and not table.attrs["shipped"]:
         texts |= {"basis": "prediction", "fit": "nothing was fitted to this table"}
     return texts | {"source": table.attrs["source"]}

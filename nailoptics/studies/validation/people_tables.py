@@ -71,9 +71,8 @@ def read_people(name: str, folder: Path | None = None) -> "pd.DataFrame":
         if (rows := np.flatnonzero(wrong)).size:
             kind = "a name" if ends is None else f"a finite number above {ends[0]:g}"
             kind += f" and at most {ends[1]:g}" if ends and np.isfinite(ends[1]) else ""
-            raise InputError(
-                f"{path}: {column} must be {kind}, got {text.iloc[rows[0]]} in row {rows[0] + 1}; correct it."
-            )
+            got = f"got {text.iloc[rows[0]]} in row {rows[0] + 1}"
+            raise InputError(f"{path}: {column} must be {kind}, {got}; correct it.")
         table[column] = values
     if lacking := _lacking(name, table):
         raise InputError(f"{path}: needs {lacking}; add rows or leave the table out.")

@@ -20,7 +20,7 @@ from ...light import ProgressCallback, trace
 from ...options import Requested, TraceOptions
 from ...scene import Body, Scene
 from ...scene.priors import shipped_priors
-from ..oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
+from ..oximetry.oxygen import FIT_SO2, calibrate_curve, saturation_curve
 from ..prior_uncertainty import at_value, only_absorbs, over_priors
 from . import people_tables
 from .appearance import Skin, nails
@@ -73,9 +73,8 @@ def validate(
     if options.relative_error is not None or options.max_seconds is not None:
         raise InputError("validate has no relative_error and no max_seconds; give photons.")
     if data is not None and not any((data / f"{name}.csv").is_file() for name in COLUMNS):
-        raise InputError(
-            f"{data}: holds none of {', '.join(f'{name}.csv' for name in COLUMNS)}; see docs/validation.md."
-        )
+        files = ", ".join(f"{name}.csv" for name in COLUMNS)
+        raise InputError(f"{data}: holds none of {files}; see docs/validation.md.")
     tables = {name: read_people(name, data) for name in COLUMNS}
     result = _waves(tables["fingertip_waves"])
     result["pulse_over_contact_pressure"] = _contact_pressure(tables["pulse_against_contact_pressure"])
@@ -104,10 +103,8 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
         prior = ranges[f"body.{name}.amplitude_pa"]
         amplitudes_pa = np.array([[prior.low], [getattr(scene.body, name).amplitude_pa], [prior.high]])
         modelled = rms[name] / rms[HEARTBEAT.name] * amplitudes_pa / amplitudes_pa[1]
-        values = people[column] / people["heart_0.7_3_hz_g"]
-        result[f"{name}_over_heartbeat"] = Comparison.by_coverage(
-            texts_of("waves", people, wave=name), values, modelled
-        )
+        texts, values = texts_of("waves", people, wave=name), people[column] / people["heart_0.7_3_hz_g"]
+        result[f"{name}_over_heartbeat"] = Comparison.by_coverage(texts, values, modelled)
     return result
 
 
@@ -146,8 +143,7 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
     }
     middle, error = _model_pulse(float(ratio.mean()), options, progress)
     words = {"infrared_nm": MODULE_INFRARED_NM, "ratio": ratio.mean(), "normal_percent": people_tables.NORMAL_SPO2}
-    words |= {"reference_percent": REFERENCE_SPO2_ERROR}
-    result = {}
+    words, result = words | {"reference_percent": REFERENCE_SPO2_ERROR}, dict[str, Comparison]()
     for k, (name, both) in enumerate(measured.items()):
         texts = texts_of(f"spo2_{name}", people, **words)
         result[f"spo2_{name}"] = Comparison.by_standard_errors(texts, both, (float(middle[k]), float(error[k])))

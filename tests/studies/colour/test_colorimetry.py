@@ -10,11 +10,17 @@ from nailoptics.light.tracing import StageProgress
 from nailoptics.light.transfer.series import ChebyshevBox
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Viewing
-from nailoptics.studies.colour import adaptive_sampling
-from nailoptics.studies.colour.adaptive_sampling import stderr_of_colour
-from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer, delta_e_2000
-from nailoptics.studies.colour.nail_colour import _redness_left
-from nailoptics.studies.colour.reflectance import NODES, NODES_NM, WEIGHTS
+from nailoptics.studies.colour import nail_colour as adaptive_sampling
+from nailoptics.studies.colour.nail_colour import (
+    NODES,
+    NODES_NM,
+    WAVELENGTHS_NM,
+    WEIGHTS,
+    Viewer,
+    _redness_left,
+    delta_e_2000,
+    stderr_of_colour,
+)
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])

@@ -14,9 +14,7 @@ from nailoptics.light.walk.interfaces import Interfaces
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import Viewing, parse_scene
 from nailoptics.statistics import jackknife, seed_of
-from nailoptics.studies.colour.colorimetry import WAVELENGTHS_NM, Viewer
-from nailoptics.studies.colour.nail_colour import colour
-from nailoptics.studies.colour.reflectance import GROUPS, NODES, ColourRays, walk_colour
+from nailoptics.studies.colour.nail_colour import GROUPS, NODES, WAVELENGTHS_NM, ColourRays, Viewer, colour, walk_colour
 from nailoptics.tissue import properties
 
 SCENE = parse_scene(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate, stacked
+from nailoptics.studies.force.predict import ForceInterval
 from nailoptics.studies.force.subject import parse_subject
-from nailoptics.studies.force.uncertainty import ForceInterval
 
 SAMPLES, BEFORE_TOUCH = 200, slice(40, 50)
 

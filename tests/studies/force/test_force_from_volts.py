@@ -14,14 +14,12 @@ from nailoptics.errors import InputError
 from nailoptics.report.pages.force import calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.scene.protocol import protocol
-from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with
+from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
 from nailoptics.studies.force.fit import Fit
-from nailoptics.studies.force.kalman import DIVERGED, KalmanFilter
+from nailoptics.studies.force.kalman import DIVERGED, WIDTHS, KalmanFilter
 from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.predict import csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
-from nailoptics.studies.force.recording_checks import lacking, with_site
-from nailoptics.studies.force.state_space import WIDTHS
 from nailoptics.studies.force.subject import DYNAMIC_ERROR, READING_CORRELATION_S, Subject, parse_subject, subject_toml
 
 # Four readings whose logarithm falls in a line with both zones' blood, as traced light does but for a few percent.

@@ -8,8 +8,8 @@ from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
 from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.fit import joined
 from nailoptics.studies.force.predict import predict
-from nailoptics.studies.force.recording_checks import joined
 from nailoptics.studies.force.scores import rms
 from nailoptics.studies.force.subject import Subject, parse_subject
 

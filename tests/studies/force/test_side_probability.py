@@ -9,9 +9,8 @@ import pytest
 import tomli_w
 
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.predict import BOTH_SHARES, _site_probabilities, predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
-from nailoptics.studies.force.uncertainty import BOTH_SHARES, _site_probabilities
 
 
 def test_what_is_stated_is_as_often_true() -> None:

@@ -77,7 +77,7 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
         for row in (*jacobian, *zero):
             rows.append(np.zeros((samples, size)))
             rows[-1][k] = row
-        variance += [*measured, *np.full(len(zero), touch_error.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s)]
+        variance += [*measured, *np.full(len(zero), touch_error.kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s)]
         true_variance += [*NOISE**2, *np.zeros(len(zero))]
         design, at = np.array(rows).reshape(len(rows), -1), slice(k * size + 3, k * size + 5)
         gain = joint_model[at] @ design.T @ np.linalg.inv(design @ joint_model @ design.T + np.diag(variance))

@@ -19,17 +19,21 @@ from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end
 from nailoptics.studies.model_error import explain as effects
 from nailoptics.studies.model_error import paired
-from nailoptics.studies.model_error.changes import (
+from nailoptics.studies.model_error.explain import (
     ONE_WAVELENGTH,
     PART_WIDTH,
+    SCATTERING_FACTOR,
     Change,
     Changes,
+    Effect,
+    Explanation,
     changes_between,
+    effect_of,
+    explain,
     lines_of,
     merged,
     revised,
 )
-from nailoptics.studies.model_error.explain import SCATTERING_FACTOR, Effect, Explanation, effect_of, explain
 from nailoptics.studies.model_error.paired import (
     UNDETECTED,
     Difference,

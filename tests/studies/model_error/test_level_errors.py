@@ -11,7 +11,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95
-from nailoptics.studies.model_error.changes import ONE_WAVELENGTH, revised
+from nailoptics.studies.model_error.explain import ONE_WAVELENGTH, revised
 from nailoptics.studies.model_error.paired import Estimates, PairedReadings, paired_readings, reweighted
 from nailoptics.studies.model_error.tradeoff import CHEAPER, FULL, Level, bias_of, formulas, measured
 

@@ -9,7 +9,7 @@ from nailoptics.assets import data_dir
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene
 from nailoptics.studies.model_error import paired
-from nailoptics.studies.model_error.changes import Changes, revised
+from nailoptics.studies.model_error.explain import Changes, revised
 from nailoptics.studies.model_error.tradeoff import FULL, REFERENCE, Level, Tradeoff, fastest, tradeoff
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]

@@ -18,7 +18,7 @@ from nailoptics.report.pages.tradeoff import lines as tradeoff_lines
 from nailoptics.report.pages.tradeoff import sentence
 from nailoptics.report.pages.tradeoff import summary as tradeoff_summary
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.studies.model_error.changes import lines_of, revised
+from nailoptics.studies.model_error.explain import lines_of, revised
 from nailoptics.studies.model_error.tradeoff import (
     FORMULAS,
     FULL,

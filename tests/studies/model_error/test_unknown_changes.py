@@ -7,7 +7,7 @@ from nailoptics.assets import data_dir
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages import explain as explain_page
 from nailoptics.scene import Priors
-from nailoptics.studies.model_error.changes import changes_of, lines_of, revised
+from nailoptics.studies.model_error.explain import changes_of, lines_of, revised
 from nailoptics.studies.model_error.paired import PairedTracer, difference
 from nailoptics.studies.prior_uncertainty import at_value
 

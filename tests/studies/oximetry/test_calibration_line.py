@@ -8,8 +8,14 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
-from nailoptics.studies.oximetry.disturbances import literature_bias, path_warnings
-from nailoptics.studies.oximetry.ratio import MEASURED, calibrate_curve, evaluate, saturation_of
+from nailoptics.studies.oximetry.oxygen import (
+    MEASURED,
+    calibrate_curve,
+    evaluate,
+    literature_bias,
+    path_warnings,
+    saturation_of,
+)
 
 SO2 = np.linspace(0.7, 1.0, 31)
 

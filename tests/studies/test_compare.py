@@ -21,15 +21,15 @@ from nailoptics.report.pages import compare as compare_page
 from nailoptics.report.pages.compare import page, summary, verdict_line
 from nailoptics.scene import Scene
 from nailoptics.statistics import Z95, jackknife
-from nailoptics.studies.comparison import formula_errors
-from nailoptics.studies.comparison.compare import (
+from nailoptics.studies import compare as formula_errors
+from nailoptics.studies.compare import (
+    Over,
     _scattering_slopes,
     compare,
     compare_transfer,
     state_sweep,
     verdict,
 )
-from nailoptics.studies.comparison.formula_errors import Over
 
 NO_SCATTERING = np.zeros((2, 1, 8))
 
@@ -286,7 +286,7 @@ def test_neighbouring_seeds_share_no_streams(monkeypatch):
         used.append(seed)
         return made_up(np.full(50, 4.0), np.zeros(50), scene=scene)
 
-    monkeypatch.setattr("nailoptics.studies.comparison.compare.trace", trace)
+    monkeypatch.setattr("nailoptics.studies.compare.trace", trace)
     for seed in range(4):
         compare(prototype(fwhm_nm=0.0), over=["blood"], photons=400, seed=seed)
     assert len(used) == len(set(used)) == 12 and max(used) < 2**63

@@ -1,1 +1,0 @@
-"""Where the paper's reduced optics hold against traced light."""
