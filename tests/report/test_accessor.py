@@ -128,6 +128,7 @@ def test_a_sweep_of_one_value_is_a_point_and_another_axis_is_named():
         _ = sweep(force_n=[1.0]).scene
 
 
+@pytest.mark.long
 def test_a_persons_sensor_and_its_force_show_themselves(tmp_path):
     subject = parse_subject(made_sensor.subject())
     assert list(all_shown(subject)) == ["factors"] and len(repr(subject)) < 120
@@ -179,6 +180,7 @@ def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
     assert transfer.nail.report(tmp_path)["result"].name == "trace.nc"
 
 
+@pytest.mark.long
 @pytest.mark.jit
 def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
     check = nail.check(nail.load_scene("prototype"))
