@@ -8,7 +8,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import as_far_as_reached
-from nailoptics.exports.formats import FILES
+from nailoptics.exports.formats import WRITERS
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import Candidate, Scene, Touch, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
@@ -56,7 +56,7 @@ def test_every_file_of_place_is_read(
     is_read(best)
     assert parse_scene(to_toml(best)) == best
     for name in ("glb", "kicad_pcb", "mitsuba", "mmc"):
-        path = tmp_path / (f"export.{name}" if name in FILES else name)
+        path = tmp_path / (f"export.{name}" if WRITERS[name][2] else name)
         assert all(file.exists() for file in nail.export(best, path, format=name).values())
     outline = read_outline(tmp_path / "best.kicad_pcb")
     assert len(outline.corners_mm) >= 4

@@ -24,8 +24,7 @@ from nailoptics.scene import Finger, load_scene
 from nailoptics.scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
 from nailoptics.studies.colour.nail_colour import WAVELENGTHS_NM, walk_colour
 from nailoptics.studies.validation.appearance import PAD
-from nailoptics.tissue import properties
-from nailoptics.tissue.properties import PULP_ABSORPTION, PULP_SCATTERING, PULP_SCATTERING_POWER
+from nailoptics.tissue import PULP_ABSORPTION, PULP_SCATTERING, PULP_SCATTERING_POWER
 
 NM = np.arange(400.0, 701.0, 10)
 EPIDERMIS_MM, PULP_MM = 0.1, 9.0
@@ -90,7 +89,7 @@ class Skin:
         usual = PULP_SCATTERING, PULP_SCATTERING_POWER, PULP_ABSORPTION
         names = "PULP_SCATTERING", "PULP_SCATTERING_POWER", "PULP_ABSORPTION"
         for name, value in zip(names, (scatters, power, absorbs), strict=True):
-            setattr(properties, name, value)
+            setattr(tissue, name, value)
         scene = load_scene(data_dir("scenes") / "prototype.toml")
         more = {"finger": Finger(digit="ring"), "blood": scene.blood.model_copy(update={"pulp_blood_fraction": blood})}
         scene = scene.model_copy(update=more)
@@ -98,7 +97,7 @@ class Skin:
         rays = walk_colour(nail, [PAD], photons=RAYS, seed=1)
         walked = rays.reflectance(np.full((1, nail.zones.count), 0.03), scene.colour, scene=nail.scene)[0, 0, 0]
         for name, value in zip(names, usual, strict=True):
-            setattr(properties, name, value)
+            setattr(tissue, name, value)
         self.shape = np.ones(len(NM))
         flat = self.reflects(scatters, power, absorbs, blood, USUAL_MELANIN_FRACTION) - self.gloss
         self.shape = np.interp(NM, WAVELENGTHS_NM, walked) / flat

@@ -3,5 +3,4 @@
 from ..scene.sweep import Axis, Sweep, load_sweep
 from .folder import Status, open_results, status, write_table
 from .jobs import count
-from .parametric import sweep
-from .run import BatchProgress, Outcome, run_batch
+from .run import BatchProgress, Outcome, run_batch, sweep

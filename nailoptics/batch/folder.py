@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
 import xarray as xr
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
 from ..checks import explain
 from ..errors import InputError
@@ -23,7 +23,7 @@ from ..light.transfer import current_versions
 from ..scene import Accuracy
 from ..scene.base import Table
 from ..scene.sweep import Axis, StudyName
-from ..variables import from_record, unit_of
+from ..variables import from_record, unit_of, variable
 from .studies import STUDIES
 
 log = logging.getLogger(__name__)
@@ -60,10 +60,7 @@ class Made(Table):
 
 
 class Plan(Table):
-    """What a batch is to do: enough to open its results and to show its progress.
-
-    required : accuracy of each scene.
-    """
+    """What a batch is to do, with the accuracy of each scene: enough to open its results and to show its progress."""
 
     model_config = ConfigDict(extra="ignore")  # earlier ones have more
 
@@ -77,13 +74,11 @@ class Plan(Table):
     required: tuple[Accuracy, ...]
     lights: int
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
+    def _check(self) -> None:
         if not math.prod(self.dims.values()) == len(self.scenes) == len(self.required):
             raise ValueError("its scenes do not fill its dims")
         if any(len(axis.values) not in self.dims.values() for axis in self.axes):
             raise ValueError("its axes do not fit its dims")
-        return self
 
 
 @dataclass(frozen=True)
@@ -190,9 +185,8 @@ def meets(header: dict[str, Any], required: Accuracy) -> bool:
 
 @dataclass(frozen=True)
 class Status:
-    """Counts of a batch's scenes.
+    """Counts of a batch's scenes; below are those with results that are not yet as accurate as requested.
 
-    below : results that are there, but not yet as accurate as requested.
     other_versions : which versions made them that are others than here, in words.
     """
 
@@ -270,9 +264,9 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
     ):
         joined[label] = _SCENE, list(texts), {"long_name": text}
     dataset = xr.Dataset(coords=_coordinates(plan) | {n: coord for n, coord in joined.coords.items() if n != _SCENE})
-    for name, variable in joined.data_vars.items():
-        values = variable.transpose(_SCENE, ...).values.reshape(*dims.values(), *variable.isel({_SCENE: 0}).shape)
-        dataset[name] = (*dims, *variable.isel({_SCENE: 0}).dims), values, variable.attrs
+    for name, one in joined.data_vars.items():
+        values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
+        dataset[name] = (*dims, *one.isel({_SCENE: 0}).dims), values, one.attrs
     attributes = {k: v for k, v in joined.attrs.items() if k in ("engine", "versions")}
     attributes |= {"title": f"nailoptics: batch {plan.sweep}", "Conventions": "CF-1.11"}
     return dataset.assign_attrs(attributes, seed=plan.made.seed, backend=plan.made.backend, study=plan.study)
@@ -284,14 +278,12 @@ def _of_scene(header: dict[str, Any], dataset: xr.Dataset, axes: set[str], cours
     axes : names of the sweep's axes; a variable that is called as one of them is renamed, as of leds.ir.wavelength_nm.
     """
     dataset = dataset if course else dataset.drop_dims("time", errors="ignore")
-    for name, key, text in (
-        ("relative_error", "relative_error", "largest relative error"),
-        ("photons", "photons_per_led", "photons per LED"),
-        ("reached", "reached", "as accurate as requested"),
-    ):
-        value = header[key]
-        value = value if key == "reached" else float(np.nan if value is None else value)
-        dataset[name] = (), value, {"units": "1", "long_name": text}
+    error, photons = header["relative_error"], float(header["photons_per_led"])
+    dataset = dataset.assign(
+        variable("relative_error", (), np.nan if error is None else error, "largest relative error")
+        | variable("photons", (), photons, "photons per LED")
+        | variable("reached", (), header["reached"], "as accurate as requested")
+    )
     return dataset.rename({name: f"{name}_result" for name in axes & {str(name) for name in dataset.data_vars}})
 
 
@@ -302,10 +294,8 @@ def _joined(scenes: dict[int, xr.Dataset], count: int) -> xr.Dataset:
     try:
         joined = xr.concat(scenes.values(), numbers, combine_attrs="override", **how)
     except ValueError as error:
-        raise InputError(
-            f"the scenes of this batch make no one dataset: {str(error).splitlines()[0]}; sweep scenes with the same "
-            "names, as many of each and, for course, the same times."
-        ) from None
+        why = f"{str(error).splitlines()[0]}; sweep scenes with the same names, as many of each and the same times."
+        raise InputError(f"the scenes of this batch make no one dataset: {why}") from None
     empty = {name: {"b": False, "U": "", "u": 0}.get(variable.dtype.kind, np.nan) for name, variable in joined.items()}
     return joined.reindex({_SCENE: range(count)}, fill_value=empty)
 

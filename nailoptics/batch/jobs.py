@@ -1,6 +1,7 @@
 """The jobs of a batch, one for each scene: what they share, what was there before, and what a worker does with one."""
 
 import hashlib
+import itertools
 import logging
 import math
 import os
@@ -9,8 +10,8 @@ import threading
 import time
 import traceback
 import warnings
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, cast
@@ -40,10 +41,8 @@ _one_job = threading.Lock()
 
 @dataclass(frozen=True)
 class Settings:
-    """What all jobs of a batch share.
+    """What all jobs of a batch share, with the end of the run's time (deadline, in seconds since the epoch).
 
-    options : of every scene; the time that a run may take is in deadline, in seconds since the epoch.
-    study : what is done with every scene.
     sharers : workers among which a machine's cores are to be divided, if that has not been done.
     """
 
@@ -120,12 +119,8 @@ def of_shard(jobs: list[Job], shard: str | None) -> list[Job]:
 
 def in_order(jobs: Iterable[Job]) -> list[Job]:
     """Jobs in the order in which they begin: the first of every light before any second."""
-    earlier: Counter[str] = Counter()
-    ranked = []
-    for job in jobs:
-        ranked.append((earlier[job.key], job))
-        earlier[job.key] += 1
-    return [job for _, job in sorted(ranked, key=lambda pair: pair[0])]
+    earlier: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
+    return sorted(jobs, key=lambda job: next(earlier[job.key]))
 
 
 def plan_of(sweep: Sweep, jobs: Sequence[Job], settings: Settings) -> Plan:
@@ -157,10 +152,8 @@ def check_same(folder: Folder, jobs: Sequence[Job], settings: Settings) -> None:
     if unlike := old.made.unlike(settings.made()):
         raise InputError(f"{folder.root}: was begun with {unlike}; use the same, or another folder.")
     if others := len(set(old.scenes) - {job.digest for job in jobs}):
-        raise InputError(
-            f'{folder.root}: holds the sweep "{old.sweep}", and {others} of its {len(old.scenes)} scenes are not '
-            "in this one; use another folder."
-        )
+        why = f"{others} of its {len(old.scenes)} scenes are not in this one; use another folder."
+        raise InputError(f'{folder.root}: holds the sweep "{old.sweep}", and {why}')
 
 
 def count(sweep: Sweep, **requested: Unpack[Requested]) -> dict[str, int]:
@@ -175,11 +168,9 @@ def cores() -> int:
 
 
 def work(job: Job, settings: Settings) -> tuple[str, str]:
-    """Study a scene, unless that is done, and write its result or why it failed.
+    """Study a scene, unless that is done, and write its result or why it failed; WriteError where no more fits.
 
     Returns: done, unmet, failed, or unfinished, where the run's time ended before; and why it failed.
-
-    Raises: WriteError where the folder takes no more.
     """
     with _one_job:
         if settings.sharers:

@@ -4,21 +4,26 @@ import logging
 import multiprocessing
 import os
 import sys
+import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import TypeAlias, Unpack
+from typing import Any, Literal, TypeAlias, Unpack
 
-from ..errors import InputError, NailopticsError, NotReachedError, WriteError
+import xarray as xr
+
+from ..errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached, unless_cut_off
 from ..io import let_dask_in
 from ..local_worker import prepare
 from ..options import Requested, TraceOptions
-from ..scene.sweep import Sweep
-from .folder import DAMAGE, Folder
+from ..scene import SceneIn
+from ..scene.sweep import StudyName, Sweep, sweep_over
+from .folder import DAMAGE, Folder, open_results
 from .jobs import Job, Settings, check_same, cores, in_order, jobs_of, of_shard, plan_of, work
 
 log = logging.getLogger(__name__)
@@ -35,11 +40,9 @@ Result: TypeAlias = "futures.Future[tuple[str, str]]"
 
 @dataclass
 class Outcome:
-    """What a run did: digests of scenes by what became of them, and why those failed that did.
+    """What a run did: digests of scenes by what became of them, why those failed that did, and killed workers (deaths).
 
-    kept : they were done before.
-    corrupt : their results were damaged, or another seed's, backend's or version's, and were made again.
-    deaths : workers that were killed.
+    kept : they were done before. corrupt : their results were damaged or others', see `DAMAGE`, and were made again.
     """
 
     total: int
@@ -107,11 +110,50 @@ def run_batch(
     return driver.checked_outcome()
 
 
+def sweep(
+    scene: SceneIn,
+    over: Mapping[str, Any],
+    *,
+    study: StudyName = "simulate",
+    combine: Literal["product", "zip"] = "product",
+    folder: str | Path | None = None,
+    course: bool = False,
+    workers: int | None = None,
+    progress: Callable[[BatchProgress], None] | None = None,
+    **requested: Unpack[Requested],
+) -> xr.Dataset:
+    """Run a study of a scene over values of its fields, in several processes, as one dataset.
+
+    Each field is a dimension, called as its last part, such as so2; its values, with their unit, are the coordinate.
+    Scenes that differ in absorption only share one trace.
+
+    scene : a scene, a scene file, or the name of a shipped scene.
+    over : values by field, such as {"blood.so2": [0.9, 0.97], "leds.ir.flux_mw": [1.0, 2.0]}.
+    study : simulate, trace, oximeter or colour.
+    combine : product, every combination of values; or zip, the first values of all fields, the second, and so on, along
+        the dimension sample.
+    folder : where results stay, and a sweep that was ended goes on; a temporary folder if not given.
+    course : also what runs over time (volts, blood, force), for which the scenes must share their times.
+    workers : processes; one per core, and no more than scenes, if not given.
+    progress : called with a `BatchProgress` several times a second.
+    requested : seed, backend, relative_error, max_seconds, photons, store; the scheduler of `run_batch`, too.
+
+    Raises: InputError; NotReachedError, whose result is the dataset, where scenes failed, missed their tolerance or
+        were not reached.
+    """
+    planned = sweep_over(scene, over, study=study, combine=combine)
+    with ExitStack() as stack:
+        place = folder or stack.enter_context(tempfile.TemporaryDirectory(prefix="nailoptics_"))
+        how = {"workers": workers, "retry_failed": True, "progress": progress}
+        _, unmet = as_far_as_reached(run_batch, planned, place, **how, **requested)
+        results = open_results(place, course=course)
+    return unless_cut_off(results, unmet)
+
+
 class LocalSlots:
     """Spawned processes of this machine, one per slot, so that a death identifies its scene.
 
-    killed : what a future raises whose worker died.
-    lost : what is raised where no worker will come any more.
+    killed : what a future raises whose worker died. lost : what is raised where no worker will come any more.
     """
 
     sharers = 0
@@ -215,7 +257,6 @@ class _Driver:
     left : jobs that have not ended yet, by the digest of their scene.
     stored : lights of which a job has ended, so that others read what it stored.
     trouble : why the run ended before its time; full where it was for lack of room.
-    retried : whether scenes that had failed before are tried again.
     """
 
     def __init__(

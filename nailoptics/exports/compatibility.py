@@ -19,10 +19,7 @@ Row = tuple[str, str, str]
 
 
 def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
-    """The scene as another program gets it, at rest: what it lacks is taken out, so that readings can be compared.
-
-    reflecting : whether its opaque parts reflect light.
-    """
+    """The scene as another program gets it, at rest, without what it lacks; reflecting: opaque parts do."""
     plain = {"fwhm_nm": 0.0, "pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
     update: dict[str, object] = {"leds": tuple(led.model_copy(update=plain) for led in scene.leds)}
     if not reflecting:
@@ -30,12 +27,8 @@ def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     return scene.model_copy(update=update)
 
 
-def rows(scene: Scene, geometry: Geometry, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
-    """What no other program takes of a scene.
-
-    own : what else the program at hand does not.
-    reflecting : whether its opaque parts reflect light.
-    """
+def rows(scene: Scene, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
+    """What no other program takes of a scene, and what else the program at hand does not; arguments as of `as_seen`."""
     lacking = [*own]
     for led in scene.leds:
         if led.fwhm_nm:
@@ -61,35 +54,16 @@ def rows(scene: Scene, geometry: Geometry, *, own: Sequence[Row], reflecting: bo
         lacking.append((", ".join(scene.light.left_out), "take the optics of what they lie in", there))
     if not reflecting and (share := scene.board.opaque_reflectance):
         lacking.append(("barrier, rim and cover", f"reflect {share:.0%} of the light diffusely", "swallow it"))
-    if not reflecting and (shares := _refracted(scene, geometry)):
-        most = f"at most {max(shares.values()):.1e} of light that comes straight"
-        there = f"reflect as if they had the epoxy's index: {most}"
-        names = ", ".join(shares)
-        lacking.append((f"faces of opaque parts on {names}", "swallow all light that is not reflected back", there))
+    if not reflecting:
+        there = "reflect as if they had the epoxy's index: at most 0.4 % of light that comes straight"
+        lacking.append(("faces of opaque parts", "swallow all light that is not reflected back", there))
     return lacking
-
-
-def _refracted(scene: Scene, geometry: Geometry) -> dict[str, float]:
-    """Regions on faces of opaque parts, and what these reflect more or less where they have the epoxy's index."""
-    shares: dict[str, float] = {}
-    for led in scene.leds:
-        media = optics.finger_media(scene, geometry.regions, led.wavelength_nm)
-        epoxy = media.n[geometry.regions.index("epoxy")]
-        for one, other in geometry.interfaces():
-            for clear, opaque in ((one, other), (other, one)):
-                name, n = geometry.regions[clear], float(media.n[clear])
-                if media.opaque[opaque] and not media.opaque[clear] and name != "air" and n != epoxy:
-                    shares[name] = max(shares.get(name, 0.0), ((n - epoxy) / (n + epoxy)) ** 2)
-    return shares
 
 
 def absorber_of(scene: Scene, geometry: Geometry, middles_mm: np.ndarray, region: np.ndarray) -> np.ndarray:
     """Which of the scene's absorbers a place in a region belongs to, from 1 on, (n,) int; 0 in what is opaque, or air.
 
-    A place between two zones of blood counts as in the one that it is more in.
-
-    middles_mm : (n, 3) float. [mm]
-    region : (n,) int.
+    A place at middles_mm, (n, 3) float, between two zones of blood counts as in the one that it is more in.
     """
     number = np.zeros(len(geometry.regions), int)
     for i, absorber in enumerate(optics.absorbing(scene), start=1):
@@ -120,11 +94,9 @@ def led_file(scene: Scene, led: int, ending: str) -> str:
 def session_of(
     scene: Scene, led: int, *, photons: int, longest_s: float, media: Iterable[Iterable[float]], **own: Any
 ) -> dict[str, Any]:
-    """What sessions of MCX and MMC for an LED share, as JSON.
+    """What sessions of MCX and MMC for an LED share, as JSON, in which light is followed for so long.
 
-    longest_s : light that has propagated for so long has been absorbed. [s]
-    media : mu_a, mu_s [mm^-1], g and n of each, from medium 0 on.
-    own : what stands under "nailoptics" beside what all sessions have there.
+    media : mu_a, mu_s [mm^-1], g and n of each, from medium 0 on. own : what else stands under "nailoptics".
     """
     names = {"absorbers": list(optics.absorbers(scene)), "photodiodes": list(scene.layout.photodiode_names)}
     about = {"led": led, "wavelength_nm": scene.leds[led].wavelength_nm, **own, **names, "scene": to_toml(scene)}
@@ -149,12 +121,10 @@ def write_folder(
     binary: dict[str, bytes] | None = None,
     **values: object,
 ) -> dict[str, Path]:
-    """Write an export: a file of each LED, the runner of sessions, binary files, the scene and a README.
+    """Write an export: a file of each LED, the runner of sessions, binary files, scene and README; returns their paths.
 
     program : names the README's template; values are what else that holds.
     of_leds : bytes of XML, or sessions, which become JSON; about : what one of these files is.
-
-    Returns: paths by what they are.
     """
     make_folder(folder)
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
@@ -175,8 +145,3 @@ def write_folder(
     files = "\n".join(f"- `{name}`: {about}" for name in names)
     write_text(paths["readme"], page.substitute(values, rows=table, about=files, first=names[0]))
     return paths
-
-
-def numbered(names: Iterable[str], start: int = 0) -> str:
-    """Names with their numbers, for a README."""
-    return ", ".join(f"{number} {name}" for number, name in enumerate(names, start))

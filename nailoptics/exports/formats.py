@@ -4,7 +4,7 @@ kicad_pcb is its board, spice its circuit."""
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Unpack, get_args
+from typing import Any, Literal, Unpack
 
 from ..errors import InputError
 from ..io import check_writable
@@ -14,22 +14,16 @@ from ..scene import SceneIn, as_scene
 FormatName = Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"]
 
 
-# The function that writes a scene to a path and returns the files by what they are.
-WRITERS: dict[FormatName, tuple[str, str]] = {
-    "glb": ("mesh_files", "write_mesh"),
-    "ply": ("mesh_files", "write_mesh"),
-    "kicad_pcb": ("kicad_board", "write_kicad_pcb"),
-    "spice": ("spice", "write_spice"),
-    "mmc": ("mmc", "write_mmc"),
-    "mcx": ("mcx", "write_mcx"),
-    "mitsuba": ("mitsuba_files", "write_mitsuba"),
-}
-# Formats of one file by the endings of its name; the others make a folder.
-FILES: dict[FormatName, tuple[str, ...]] = {
-    "glb": (".glb",),
-    "ply": (".ply",),
-    "kicad_pcb": (".kicad_pcb",),
-    "spice": (".cir", ".sp"),
+# The function that writes a scene to a path and returns the files by what they are, and the endings that a file's name
+# may have; formats without any make a folder.
+WRITERS: dict[FormatName, tuple[str, str, tuple[str, ...]]] = {
+    "glb": ("mesh_files", "write_mesh", (".glb",)),
+    "ply": ("mesh_files", "write_mesh", (".ply",)),
+    "kicad_pcb": ("kicad_board", "write_kicad_pcb", (".kicad_pcb",)),
+    "spice": ("spice", "write_spice", (".cir", ".sp")),
+    "mmc": ("monte_carlo", "write_mmc", ()),
+    "mcx": ("monte_carlo", "write_mcx", ()),
+    "mitsuba": ("mesh_files", "write_mitsuba", ()),
 }
 
 
@@ -59,35 +53,28 @@ def export(
     if not isinstance(path, str | Path):
         raise InputError(f"path = {path!r}: is no path; give a file or folder to write.")
     path = Path(path)
-    ending, known = path.suffix.lower(), ", ".join(get_args(FormatName))
-    name = next((one for one, endings in FILES.items() if ending in endings), None) if format is None else format
+    ending, known = path.suffix.lower(), ", ".join(WRITERS)
+    name = format or next((one for one, (*_, endings) in WRITERS.items() if ending in endings), None)
     if name is None:
-        endings = ", ".join(one for endings in FILES.values() for one in endings)
-        raise InputError(f"{path}: its ending names no format; end it in {endings}, or give format, one of {known}.")
+        those = ", ".join(one for *_, endings in WRITERS.values() for one in endings)
+        raise InputError(f"{path}: its ending names no format; end it in {those}, or give format, one of {known}.")
     if name not in WRITERS:
         raise InputError(f'format = "{name}" is unknown; choose from {known}.')
     if voxel_mm is not None and name != "mcx":
         raise InputError(f"voxel_mm = {voxel_mm:g} belongs to the format mcx, not to {name}; leave it out.")
     if requested and name != "spice":
         raise InputError(f"{next(iter(requested))} belongs to the format spice, not to {name}; leave it out.")
-    single = name in FILES
-    if single and ending not in FILES[name]:
-        raise InputError(f"{path}: a file in the format {name} ends in {' or '.join(FILES[name])}; rename it.")
-    if not single and os.path.exists(path) and not os.path.isdir(path):
+    module, function, endings = WRITERS[name]
+    if endings and ending not in endings:
+        raise InputError(f"{path}: a file in the format {name} ends in {' or '.join(endings)}; rename it.")
+    if not endings and os.path.exists(path) and not os.path.isdir(path):
         raise InputError(f"{path}: is a file where format {name} makes a folder; choose another name.")
-    check_writable(path.parent if single else path, *([path.name] if single else []))
+    check_writable(path.parent if endings else path, *([path.name] if endings else []))
     if scene.finger is None:
-        raise InputError(
-            "export: the photocurrents of spice follow the touch of a [finger], and a [phantom] has none; export a "
-            "scene with [finger]."
-            if name == "spice"
-            else "export: a phantom is laterally infinite and has no mesh; export a scene with [finger], or give its "
-            "layers to the other program by hand."
-        )
-    module, function = WRITERS[name]
+        why = "a phantom is laterally infinite and has no mesh, board or touch; export a scene with [finger]"
+        raise InputError(f"export: {why}, or give its layers to the other program by hand.")
     write = getattr(import_module(f".{module}", __package__), function)
     more: dict[str, Any] = {**requested} if voxel_mm is None else {"voxel_mm": voxel_mm}
     if name == "kicad_pcb":
         more["folder"] = Path(folder or ".")
-    paths: dict[str, Path] = write(scene, path, **more)
-    return paths
+    return write(scene, path, **more)  # type: ignore[no-any-return]

@@ -23,9 +23,7 @@ ALIKE_MM = 1e-3
 
 
 def write_kicad_pcb(scene: Scene, path: Path, *, folder: Path | None = None) -> dict[str, Path]:
-    """Write a scene's layout as a board of KiCad, its own one if it came from one; returns the path by what it is.
-
-    folder : where the scene's own board lies.
+    """Write a scene's layout as a board of KiCad, its own one, in a folder, if it came from one; returns the path.
 
     Raises: WriteError; InputError where the own board cannot be read, or a footprint not be moved.
     """
@@ -49,8 +47,7 @@ def write_new_board(scene: Scene, path: Path, edges: Outline) -> None:
 
 
 def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:
-    """A scene's own board with its parts where the scene has them, as text, and the scene with references of those that
-    are new on it.
+    """A scene with references of parts that are new on its own board, and that board's text, parts where it has them.
 
     Raises: InputError where the board cannot be read, or a footprint not be moved.
     """

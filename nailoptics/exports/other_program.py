@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 from zipfile import ZipFile
 
 import numpy as np
@@ -116,12 +116,8 @@ class ProgramComparison:
         return rows
 
 
-@dataclass(frozen=True)
-class OtherDetection:
-    """What another program detected of one LED of a scene.
-
-    trace : Photons with their paths; the weights hold without absorption.
-    """
+class OtherDetection(NamedTuple):
+    """What another program detected of an LED of a scene: photons, paths, and weights that hold without absorption."""
 
     program: str
     scene: Scene

@@ -30,9 +30,7 @@ NOISE_FROM, NOISE_TO = 1e-6, 1e2
 
 
 def write_spice(scene: Scene, path: Path, **requested: Unpack[Requested]) -> dict[str, Path]:
-    """Simulate a scene's touch and write its circuit for ngspice; returns the path by what it is.
-
-    requested : fields of `TraceOptions`; if not given, seed 0 and the scene's [accuracy].
+    """Simulate a scene's touch and write its circuit for ngspice, traced as requested; returns the path by what it is.
 
     Raises: WriteError; InputError as `simulate`.
     """
@@ -46,10 +44,7 @@ def write_spice(scene: Scene, path: Path, **requested: Unpack[Requested]) -> dic
 
 
 def netlist(scene: Scene, result: xr.Dataset) -> str:
-    """The circuit of a scene for ngspice.
-
-    result : the scene's `simulate`.
-    """
+    """The circuit of a scene for ngspice, with the photocurrents of its `simulate`."""
     stage = scene.electronics
     values = {
         "boltzmann": electronics.BOLTZMANN_J_PER_K,

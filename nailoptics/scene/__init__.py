@@ -5,21 +5,18 @@ from pathlib import Path
 from types import ModuleType
 
 from .body import Body, Breathing, Drift, Heartbeat, Motion, Vasomotion
-from .electronics import Ambient, Electronics
+from .electronics import Ambient, Electronics, Oximeter, Slot
 from .files import SceneIn, as_scene, digest, json_schema, load_scene, parse_scene, to_toml
-from .finger import Finger
+from .finger import Finger, Layer, Phantom
 from .layout import Element, Layout
-from .oximeter import Oximeter, Slot
 from .parts import Board, Led, Photodiode
-from .phantom import Layer, Phantom
 from .placement import Candidate, FingerCase, Placement
 from .priors import Prior, Priors
 from .rectangles import Rectangle
 from .scene import Scene
 from .touch import ForceStep, Touch
-from .tracing import Accuracy, Light
+from .tracing import Accuracy, Light, Viewing
 from .vessels import Blood, Tuning
-from .viewing import Viewing
 
 
 class _Room(ModuleType):

@@ -4,12 +4,13 @@ import ast
 import inspect
 import itertools
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationInfo, model_validator
 
 from ..checks import explain
 from .text_files import frozen
@@ -49,6 +50,14 @@ class Table(BaseModel):
     # Tables of files are validated without it, whose faults are those of the whole file.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    @model_validator(mode="after")
+    def _is_checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Raise ValueError where fields do not go together."""
+
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """The JSON Schema, each field described by the text below it.
@@ -62,6 +71,20 @@ class Table(BaseModel):
             for name, text in _texts_below(table).items():
                 fields[name]["description"] = text
         return schema
+
+
+class FilledTable(Table):
+    """A table of which a digit, a part or a file fills what it does not give itself."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _is_filled(cls, data: object, info: ValidationInfo) -> object:
+        return cls._filled(data, (info.context or {}).get("folder")) if isinstance(data, dict) else data
+
+    @classmethod
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        """The table, not validated yet, with what is filled in; files are looked for in the folder."""
+        raise NotImplementedError
 
 
 @cache
@@ -83,11 +106,9 @@ MOST_PHOTODIODES = 1024
 
 def check_unique(names: Sequence[str], what: str) -> None:
     """Raise ValueError where a name is used twice."""
-    earlier: set[str] = set()
-    for name in names:
-        if name in earlier:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise ValueError(f'{what}: the name "{name}" is used twice; give each its own')
-        earlier.add(name)
 
 
 Positive = Annotated[float, Field(gt=0)]

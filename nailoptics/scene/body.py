@@ -1,12 +1,12 @@
 """The body that wears the sensor: what moves its readings beside the touch."""
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field
 
-from .base import ArterialPressure, Positive, Table, VenousPressure, WaveAmplitude
-from .importers.sensor_recordings import check_columns, read_columns
+from .base import ArterialPressure, FilledTable, Positive, Table, VenousPressure, WaveAmplitude
+from .importers.sensor_recordings import check_columns, with_recording
 
 # Columns of a recording of the body.
 RECORDED = ("arterial_pressure_pa", "venous_pressure_pa", "hand_height_m")
@@ -67,11 +67,9 @@ class Vasomotion(WaveTable):
     band_hz: tuple[Positive, Annotated[float, Field(gt=0, le=5)]] = (0.05, 0.15)
     """Lowest and highest frequency of the waves, at most 5, as fast as a heart beats. [Hz]"""
 
-    @model_validator(mode="after")
-    def _band_rises(self) -> Self:
+    def _check(self) -> None:
         if self.band_hz[1] <= self.band_hz[0]:
             raise ValueError(f"band_hz = {list(self.band_hz)} must rise from the lowest to the highest frequency")
-        return self
 
 
 class Drift(Table):
@@ -100,7 +98,7 @@ class Motion(Table):
     """Correlation time of the displacement (decrease by a factor e). [s]"""
 
 
-class Body(Table):
+class Body(FilledTable):
     """What changes readings besides the touch: the arterial pressure P_H, and the sensor itself. What is not given does
     not vary."""
 
@@ -134,26 +132,19 @@ class Body(Table):
     recorded_hand_height_m: tuple[float, ...] | None = None
     """The recorded heights of the hand; filled from file. [m]"""
 
-    @model_validator(mode="before")
     @classmethod
-    def _read_the_recording(cls, data: object, info: ValidationInfo) -> object:
-        if isinstance(data, dict) and isinstance(data.get("file"), str) and "recorded_time_s" not in data:
-            path = Path((info.context or {}).get("folder") or Path()) / data["file"]
-            columns = read_columns(path, "body.file", RECORDED, either=[(name,) for name in RECORDED])
-            return data | {f"recorded_{name}": column for name, column in columns.items()}
-        return data
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        return with_recording(data, folder, "body", RECORDED, either=[(name,) for name in RECORDED])
 
-    @model_validator(mode="after")
-    def _is_recorded_or_made(self) -> Self:
+    def _check(self) -> None:
         if self.recorded_time_s is None:
-            return self
+            return
         check_columns({"time_s": self.recorded_time_s} | self.recorded, "body.file")
         for name in self.waves if "arterial_pressure_pa" in self.recorded else ():
             raise ValueError(f"file holds the whole pressure; leave out [body.{name}], or file")
         for name in self.recorded.keys() & {"venous_pressure_pa", "hand_height_m"}:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"file holds {name} over time; leave out {name} = {getattr(self, name):g}")
-        return self
 
     @property
     def recorded(self) -> dict[str, tuple[float, ...]]:

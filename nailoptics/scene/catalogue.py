@@ -4,9 +4,9 @@ import re
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
@@ -57,11 +57,9 @@ class LedPart(Table):
     pattern: Literal["lambertian"] | Rows = "lambertian"
     """lambertian, or rows [angle_deg, relative intensity per solid angle]."""
 
-    @model_validator(mode="after")
-    def _pattern_is_whole(self) -> Self:
+    def _check(self) -> None:
         if self.pattern != "lambertian":
             check_pattern(self.pattern, "pattern")
-        return self
 
     def scene_fields(self) -> dict[str, Any]:
         """The part under the names that an LED has in a scene."""
@@ -94,27 +92,21 @@ class PhotodiodeElements(Table):
     capacitance_pf: NonNegative = 0.0
     """Capacitance of one element, in addition to that of the amplifier's input. [pF]"""
 
-    @model_validator(mode="after")
-    def _responses_are_physical(self) -> Self:
+    def _check(self) -> None:
         rows, angular = self.responsivity, self.angular_response
         if rows is not None and (len(rows) < 2 or _falls(rows)):
             raise ValueError("responsivity needs two rows [wavelength_nm, A/W] or more, wavelengths rising")
         for nm, value in rows or ():
             if value > nm / PHOTON_NM_PER_V * (1 + 1e-9):
-                raise ValueError(
-                    f"responsivity = {value:g} A/W at {nm:g} nm is more than one electron per photon, "
-                    f"{nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
-                )
+                why = f"at {nm:g} nm is more than one electron per photon, {nm / PHOTON_NM_PER_V:.3g} A/W; correct it"
+                raise ValueError(f"responsivity = {value:g} A/W {why}")
         if angular is None:
-            return self
+            return
         if len(angular) < 2 or angular[0] != (0, 1) or _falls(angular):
-            raise ValueError(
-                "angular_response needs two rows [angle_deg, relative] or more, from [0, 1] on, angles rising"
-            )
+            raise ValueError("angular_response needs two rows [angle_deg, relative] or more from [0, 1], angles rising")
         last_deg, last = angular[-1]
         if last_deg == 90 and last > 0:
             raise ValueError(f"angular_response = {last:g} at 90 degrees, where no light meets the face; give 0")
-        return self
 
 
 class PhotodiodePart(PhotodiodeElements):
@@ -175,10 +167,8 @@ KINDS: dict[str, type[Part]] = {
 
 
 def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part] | None = None) -> Part:
-    """Load a part by name: the user's own beside their scene if there is one, else the shipped one.
+    """Load a part by its name, from the folder of the user's scene or parts/ in it, else the shipped one.
 
-    name : The file's name without .toml, such as "led_800".
-    beside : Folder of the user's scene; `name`.toml and parts/`name`.toml in it come first.
     expect : `LedPart`, `PhotodiodePart` or `ModulePart`, where only that kind will do.
 
     Raises: InputError when there is no such part, when it breaks a rule, or when it is of the other kind.
@@ -186,13 +176,12 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     path = _find_part(name, None if beside is None else Path(beside))
     shown = f"part {path}"
     tables = parse_toml(read_text(path, "a part (TOML)", shown=shown), shown)
-    kind = tables.get("kind")
-    if not isinstance(kind, str) or kind not in KINDS:
+    if (model := KINDS.get(str(tables.get("kind")))) is None:
         raise InputError(f'{shown}: kind must be "led", "photodiode" or "module"; set it')
     try:
-        part: Part = KINDS[kind].model_validate(tables)
+        part = model.model_validate(tables)
     except ValidationError as error:
-        raise explain(error, KINDS[kind], shown) from None
+        raise explain(error, model, shown) from None
     if expect is not None and not isinstance(part, expect):
         needed = next(kind for kind, model in KINDS.items() if model is expect)
         raise InputError(f'part "{name}" has kind "{part.kind}", and "{needed}" is needed here; name another part')
@@ -201,9 +190,8 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
 
 def _find_part(name: str, beside: Path | None) -> Path:
     if not re.fullmatch(r"\w[\w.-]*", name):
-        raise InputError(
-            f'part "{short(name)}" is not a name of letters, digits, "_", "-" and "."; give no path and no .toml'
-        )
+        why = 'is not a name of letters, digits, "_", "-" and "."; give no path and no .toml'
+        raise InputError(f'part "{short(name)}" {why}')
     shipped = data_dir("assets") / "parts"
     folders = [] if beside is None else [beside, beside / "parts"]
     for folder in (*folders, shipped):

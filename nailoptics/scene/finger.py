@@ -1,33 +1,26 @@
-"""The finger a scene asks for: sizes from anatomy, each of which can be overridden."""
+"""What the light goes through: a finger, whose sizes from anatomy can be overridden, or a phantom of layers."""
 
+import math
 from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ..assets import read_toml
-from .base import USUAL_MELANIN_FRACTION, Fraction, Table
+from .base import USUAL_MELANIN_FRACTION, FilledTable, Fraction, Name, Table, check_unique
 
 ANATOMY: dict[str, dict[str, float]] = read_toml("anatomy.toml")
 """Sizes of adult digits, by digit and field. [mm]"""
 DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
 Factor = Annotated[float, Field(ge=0.01, le=100)]
-# Fields that decide how much light tissue absorbs, and how it scatters; all others are sizes.
-ABSORBING = (
-    "melanin_fraction",
-    "dermis",
-    "plate_absorption",
-    "plate_absorption_slope",
-    "bed_absorption",
-    "bone_absorption",
-    "pulp_absorption",
-)
-SCATTERING = ("plate_scattering", "bed_scattering", "bone_scattering", "pulp_scattering")
 # From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
 BEYOND_NAIL_MM = 4.0
+# Beyond this a mean free path is below an atom, and single precision ends soon after. [mm^-1]
+Coefficient = Annotated[float, Field(ge=0, le=1e9)]
 
 
-class Finger(Table):
+class Finger(FilledTable):
     """A fingertip; the digit sets the default of every size. Lengths in mm."""
 
     digit: Literal["thumb", "index", "middle", "ring", "little"] = "index"
@@ -89,31 +82,61 @@ class Finger(Table):
         """Place of the end of the distal phalanx along the nail, relative to the nail's centre."""
         return self.nail_length_mm / 2 + self.beyond_nail_mm - self.bone_to_tip_mm
 
-    @model_validator(mode="before")
     @classmethod
-    def _sizes_from_anatomy(cls, data: object) -> object:
-        digit = data.get("digit", "index") if isinstance(data, dict) else None
-        if not (isinstance(data, dict) and isinstance(digit, str)):
-            return data
-        sizes = ANATOMY.get(digit, {}) | data
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        sizes = ANATOMY.get(str(data.get("digit", "index")), {}) | data
         nail = sizes.get("nail_length_mm")
         return {"length_mm": nail + BEYOND_NAIL_MM} | sizes if isinstance(nail, int | float) else sizes
 
-    @model_validator(mode="after")
-    def _shape_is_possible(self) -> Self:
+    def _check(self) -> None:
         radius, half_width = self.nail_radius_mm, self.width_mm / 2
         if self.nail_width_mm > 2.6 * min(radius, half_width):
-            raise ValueError(
-                f"nail_width_mm = {self.nail_width_mm} does not fit a nail of radius {radius} mm on a finger "
-                f"{self.width_mm} mm wide; at most {2.6 * min(radius, half_width):.2f}"
-            )
+            why = f"on a finger {self.width_mm} mm wide; at most {2.6 * min(radius, half_width):.2f}"
+            raise ValueError(f"nail_width_mm = {self.nail_width_mm} does not fit a nail of radius {radius} mm {why}")
         deep = self.nail_thickness_mm + self.bed_thickness_mm
         if deep > 0.6 * min(self.thickness_mm, 2 * radius) - 1:
-            raise ValueError(
-                f"nail_thickness_mm + bed_thickness_mm = {deep:.2f} leaves no room for the bone in a finger "
-                f"{self.thickness_mm} mm thick with a nail radius of {radius} mm; make them thinner"
-            )
+            why = f"in a finger {self.thickness_mm} mm thick with a nail radius of {radius} mm; make them thinner"
+            raise ValueError(f"nail_thickness_mm + bed_thickness_mm = {deep:.2f} leaves no room for the bone {why}")
         least = self.nail_length_mm + BEYOND_NAIL_MM
         if self.length_mm < least:
             raise ValueError(f"length_mm = {self.length_mm} is too short for the nail; at least {least}")
-        return self
+
+
+# Fields that decide how much light tissue absorbs, and how it scatters; all others are sizes.
+ABSORBING = ("melanin_fraction", "dermis", *(name for name in Finger.model_fields if "_absorption" in name))
+SCATTERING = tuple(name for name in Finger.model_fields if name.endswith("_scattering"))
+
+
+class Layer(Table):
+    """One layer of a phantom, laterally infinite."""
+
+    name: Name
+    """Name of the layer, unique in the phantom."""
+    thickness_mm: Annotated[float, Field(gt=0, allow_inf_nan=True)]
+    """Thickness; inf closes the stack. [mm]"""
+    mu_a_per_mm: Coefficient
+    """Absorption coefficient. [mm^-1]"""
+    mu_s_per_mm: Coefficient
+    """Scattering coefficient. [mm^-1]"""
+    g: Annotated[float, Field(ge=-0.9999, le=0.9999)] = 0.0
+    """Anisotropy of Henyey-Greenstein scattering."""
+    n: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index."""
+
+
+class Phantom(Table):
+    """A laterally infinite stack of layers instead of the finger, its top face at z = 0."""
+
+    n_above: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index above the stack."""
+    n_below: Annotated[float, Field(ge=1, le=4)] = 1.0
+    """Refractive index below the stack."""
+    layers: Annotated[tuple[Layer, ...], Field(min_length=1, max_length=50)]
+    """The layers from the top down."""
+
+    def _check(self) -> None:
+        check_unique([layer.name for layer in self.layers], "layers")
+        for layer in self.layers[:-1]:
+            if math.isinf(layer.thickness_mm):
+                why = "has thickness_mm = inf but is not the last; only the last can be infinite"
+                raise ValueError(f'layers: "{layer.name}" {why}')

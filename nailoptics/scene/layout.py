@@ -67,7 +67,10 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
         for led in leds
     )
     wired, unwired = lay_elements(board, photodiodes)
-    _check_heights(board, leds, photodiodes)
+    for what, one in [*(("leds", led) for led in leds), *(("photodiodes", diode) for diode in photodiodes)]:
+        if one.height_um > board.clear_epoxy_um - LEAST_EPOXY_UM:
+            tall = f'{what} "{one.name}": height_um = {one.height_um:g} leaves less than {LEAST_EPOXY_UM:g} um'
+            raise ValueError(f"{tall} of the clear epoxy, {board.clear_epoxy_um:g} um deep; make clear_epoxy_um more")
     parts = [(f'leds "{r.name}"', r) for r in dies] + [(f'photodiode "{e.name}"', e.area) for e in wired]
     parts += [(f'photodiode element "{r.name}"', r) for r in unwired]
     unplaced = [f'leds "{led.name}"' for led in leds if "position_mm" not in led.model_fields_set]
@@ -76,21 +79,15 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
             cure = "move one of them" if name not in unplaced else "it was not given and is (0, 0), give it"
             raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; {cure}")
     outline = _outline(board, parts, finger)
-    _check_nail(outline, finger)
+    u, v = (outline.u_min, outline.u_max), (outline.v_min, outline.v_max)
+    for axis, (low, high), size in (("wide", u, finger.nail_width_mm), ("long", v, finger.nail_length_mm)):
+        if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
+            why = f"which is {size:g} mm {axis}; make the board smaller or move its center_mm"
+            raise ValueError(f"board: {low:.2f} to {high:.2f} mm does not fit on the nail, {why}")
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     # What is not wired stands in the way like what is; the highest stands for all.
     height_um = max((p.height_um for p in photodiodes if p.wired is not None), default=0.0)
     return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers)
-
-
-def _check_heights(board: Board, leds: tuple[Led, ...], photodiodes: tuple[Photodiode, ...]) -> None:
-    for what, parts in (("leds", leds), ("photodiodes", photodiodes)):
-        for part in parts:
-            if part.height_um > board.clear_epoxy_um - LEAST_EPOXY_UM:
-                raise ValueError(
-                    f'{what} "{part.name}": height_um = {part.height_um:g} leaves less than {LEAST_EPOXY_UM:g} um of '
-                    f"the clear epoxy, which is {board.clear_epoxy_um:g} um deep; make clear_epoxy_um more"
-                )
 
 
 def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[str, Rectangle], tuple[str, Rectangle]]]:
@@ -138,23 +135,9 @@ def _lies_within(part: Rectangle, origin: Point, border: Polygon, *holes: Polygo
     return has_room(turned(part.center_mm, -part.rotation_deg), (width / 2, length / 2), lines[0], lines[1:])
 
 
-def _check_nail(outline: Rectangle, finger: Finger) -> None:
-    for axis, low, high, size in (
-        ("wide", outline.u_min, outline.u_max, finger.nail_width_mm),
-        ("long", outline.v_min, outline.v_max, finger.nail_length_mm),
-    ):
-        if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
-            raise ValueError(
-                f"board: {low:.2f} to {high:.2f} mm does not fit on the nail, which is {size:g} mm {axis}; "
-                "make the board smaller or move its center_mm"
-            )
-
-
 def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:
     """Photodiode elements that are read, and those that are there but not wired."""
-    wired: list[Element] = []
-    unwired: list[Rectangle] = []
-    du, dv = board.center_mm
+    wired, unwired, (du, dv) = list[Element](), list[Rectangle](), board.center_mm
     for photodiode in photodiodes:
         u, v = photodiode.position_mm
         resistors = iter(photodiode.feedback_ohm) if isinstance(photodiode.feedback_ohm, tuple) else None
@@ -189,11 +172,10 @@ def _barriers(
         gaps = {side: nearest[side] - span_mm(led, side)[1] for side in SIDES}
         side: str = board.barrier_side or max(gaps, key=lambda key: gaps[key])
         if gaps[side] < width + (beside or 0.0) + WALL_ROOM_MM:
-            raise ValueError(
-                f'board.barrier: LED "{led.name}" lies {max(gaps[side], 0):.3g} mm beside the photodiodes, which '
-                f"leaves no room for a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}; "
-                "move it, make barrier_um smaller, or set barrier = false"
-            )
+            needed = f"a wall of {width:g} mm{f' at a gap of {beside:g} mm' if beside else ''}"
+            why = f"no room for {needed}; move it, make barrier_um smaller, or set barrier = false"
+            gap = f"{max(gaps[side], 0):.3g} mm beside the photodiodes"
+            raise ValueError(f'board.barrier: LED "{led.name}" lies {gap}, which leaves {why}')
         faced[side].append(span_mm(led, side)[1])
     walls = []
     for side, edges in faced.items():

@@ -1,12 +1,13 @@
 """What lies on the nail: the LEDs, the photodiodes, and the board that carries them."""
 
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, ValidationError
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
+from .base import FilledTable, Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
@@ -32,15 +33,15 @@ ELECTRICAL = (
 USUAL_TEMPERATURE_K = 298.15
 
 
-def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
+def with_part(data: dict[str, Any], kind: Any, folder: Path | None) -> dict[str, Any]:
     """The table with the fields of its part filled in where it does not give them itself.
 
     A table that gives them all, as a written scene does, needs no part any more.
     """
-    if not isinstance(data, dict) or not isinstance(data.get("part"), str) or FROM_PART[kind] <= data.keys():
+    if not isinstance(data.get("part"), str) or FROM_PART[kind] <= data.keys():
         return data
     try:
-        part = load_part(data["part"], beside=(info.context or {}).get("folder"), expect=kind)
+        part = load_part(data["part"], beside=folder, expect=kind)
     except InputError as error:
         # As a ValueError it comes with the place in the scene that names the part.
         raise ValueError(str(error).rstrip(".")) from None
@@ -55,7 +56,7 @@ def with_part(data: object, kind: Any, info: ValidationInfo) -> object:
     return fields | data
 
 
-class Mounted(Table):
+class Mounted(FilledTable):
     """What an LED and a photodiode have on a board."""
 
     name: Name
@@ -96,13 +97,11 @@ class Led(Mounted):
     size_mm: Size = (0.25, 0.25)
     """Size of the die (u, v); a pencil beam has none. [mm]"""
 
-    @model_validator(mode="before")
     @classmethod
-    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        return with_part(data, LedPart, info)
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        return with_part(data, LedPart, folder)
 
-    @model_validator(mode="after")
-    def _pattern_is_complete(self) -> Self:
+    def _check(self) -> None:
         if self.pattern == "measured":
             angles, values = self.pattern_deg or (), self.pattern_relative or ()
             if len(angles) != len(values):
@@ -110,7 +109,6 @@ class Led(Mounted):
             check_pattern(tuple(zip(angles, values, strict=True)), "pattern_deg and pattern_relative")
         elif self.pattern_deg is not None or self.pattern_relative is not None:
             raise ValueError(f'pattern_deg and pattern_relative belong to pattern = "measured", not "{self.pattern}"')
-        return self
 
 
 class Photodiode(PhotodiodeElements, Mounted):
@@ -139,16 +137,15 @@ class Photodiode(PhotodiodeElements, Mounted):
         """Names of the elements: its own where it is one photodiode, name.0, name.1 and so on of an array."""
         return (self.name,) if self.elements == 1 else tuple(f"{self.name}.{i}" for i in range(self.elements))
 
-    @model_validator(mode="before")
     @classmethod
-    def _fill_from_part(cls, data: object, info: ValidationInfo) -> object:
-        if isinstance(data, dict) and isinstance(data.get("array"), str) and data.get("part") is None:
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        if isinstance(data.get("array"), str) and data.get("part") is None:
             data = {name: value for name, value in data.items() if name != "array"} | {"part": data["array"]}
-        data = with_part(data, PhotodiodePart, info)
-        return {"name": data["part"]} | data if isinstance(data, dict) and isinstance(data.get("part"), str) else data
+        data = with_part(data, PhotodiodePart, folder)
+        return {"name": data["part"]} | data if isinstance(data.get("part"), str) else data
 
-    @model_validator(mode="after")
-    def _wiring_exists(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if self.aperture and self.angular_response:
             raise ValueError("an aperture counts light at every angle; leave angular_response out")
         for index in self.wired or ():
@@ -158,12 +155,9 @@ class Photodiode(PhotodiodeElements, Mounted):
             raise ValueError(f"wired names an element twice: {list(self.wired)}")
         count = len(self.wired or range(self.elements))
         if isinstance(self.feedback_ohm, tuple) and len(self.feedback_ohm) != count:
-            raise ValueError(
-                f"feedback_ohm has {len(self.feedback_ohm)} values for {count} wired elements; give each one"
-            )
+            raise ValueError(f"feedback_ohm has {len(self.feedback_ohm)} values for {count} wired elements; give each")
         if self.elements > 1 and self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:
             raise ValueError(f"pitch_mm = {self.pitch_mm} is less than the element's size along v, {self.size_mm[1]}")
-        return self
 
 
 def check_one_response(photodiodes: Iterable[Photodiode]) -> None:
@@ -171,20 +165,16 @@ def check_one_response(photodiodes: Iterable[Photodiode]) -> None:
     first, *others = photodiodes
     for other in others:
         if other.angular_response != first.angular_response:
-            raise InputError(
-                f'photodiodes "{first.name}" and "{other.name}" differ in angular_response, and maps of a board '
-                "read any place as by one photodiode; give all the same, or read the scene by simulate or trace."
-            )
+            why = "and maps of a board read any place as by one; give all the same, or use simulate or trace."
+            raise InputError(f'photodiodes "{first.name}" and "{other.name}" differ in angular_response, {why}')
 
 
 def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
     """Raise InputError for a photodiode with an angular response, where light of all angles is counted alike."""
     for photodiode in photodiodes:
         if photodiode.angular_response is not None:
-            raise InputError(
-                f'photodiode "{photodiode.name}": angular_response is not known to {what}; leave it out, or '
-                "read the scene by trace or simulate on a backend that compiles kernels."
-            )
+            why = "leave it out, or use trace or simulate on a backend that compiles kernels."
+            raise InputError(f'photodiode "{photodiode.name}": angular_response is not known to {what}; {why}')
 
 
 class BoardFile(Table):
@@ -220,9 +210,9 @@ class BoardFile(Table):
         return hash(tuple(value for name, value in self.__dict__.items() if name != "parts"))
 
     @staticmethod
-    def is_to_be_read(table: object) -> bool:
+    def is_to_be_read(table: dict[str, Any]) -> bool:
         """Whether a table names a file that has not been read, and its fields are valid; if not, these say so."""
-        if not isinstance(table, dict) or "unmapped" in table or not isinstance(table.get("parts"), dict | None):
+        if "unmapped" in table or not isinstance(table.get("parts"), dict | None):
             return False
         given = {name: table[name] for name in BoardFile.model_fields.keys() & table.keys() - {"parts"}}
         try:
@@ -231,11 +221,9 @@ class BoardFile(Table):
             return False
         return file.kicad is not None or file.positions is not None
 
-    @model_validator(mode="after")
-    def _parts_are_of_a_file(self) -> Self:
+    def _check(self) -> None:
         if self.parts is not None and self.unmapped is None:
             raise ValueError("parts says what a file's references are; give kicad or positions, the file that has them")
-        return self
 
 
 class Board(BoardFile):
@@ -277,8 +265,7 @@ class Board(BoardFile):
         """Height of the board's underside above the nail: clear epoxy, adhesive and air. [mm]"""
         return (self.clear_epoxy_um + self.adhesive_um + (self.air_gap_um or 0.0)) * 1e-3
 
-    @model_validator(mode="after")
-    def _cover_is_thick_or_none(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if 0 < self.cover_um < 20:
             raise ValueError(f"cover_um = {self.cover_um:g} is too thin a cover; give 20 or more, or 0 for none")
-        return self

@@ -1,23 +1,24 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
+from .base import FilledTable, Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
 from .finger import DermisAbsorption
 from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
-from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_mirrored, warn_of_rotation
+from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_bottom
 from .parts import BoardFile, Led, Photodiode, Rotation
 
 # What layouts can be ranked by, and which of these may be combined.
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
 
-class Candidate(BoardFile):
+class Candidate(BoardFile, FilledTable):
     """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre.
 
     Of a position file without parts, references such as D1 or LED1 are LEDs, PD1 photodiodes, others are ignored.
@@ -46,27 +47,24 @@ class Candidate(BoardFile):
     photodiodes: tuple[Photodiode, ...] = ()
     """The photodiodes according to parts; filled from the file."""
 
-    @model_validator(mode="before")
     @classmethod
-    def _read_the_positions(cls, data: object, info: ValidationInfo) -> object:
-        if not isinstance(data, dict) or "photodiodes_mm" in data or not cls.is_to_be_read(data):
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        if "photodiodes_mm" in data or not cls.is_to_be_read(data):
             return data
-        folder = (info.context or {}).get("folder")
         if data.get("parts") or data.get("kicad") is not None:
             try:
                 board = read_board_file(data, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
             filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes}
-            return data | filled | {"parts": None, "unmapped": board.ignored}
+            return data | filled | {"parts": None, "unmapped": board.board["unmapped"]}
         path = Path(folder or Path()) / str(data["positions"])
         parts = read_positions(path, **{name: data[name] for name in READING & data.keys()})
         groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}
         used = [*groups["leds"], *groups["photodiodes"]]
         # Fiducials and holes, which nobody asks for, may share one.
         check_unique([part.ref for part in used], f"{path}: Ref")
-        warn_of_mirrored(data, parts, used)
-        warn_of_rotation(data, path, [part for part in used if part.rotation_deg % 90])
+        warn_of_bottom(data, parts, used, [part for part in used if part.rotation_deg % 90])
         view = view_of(data, used, data.get("faces_nail")) if used else View()
         filled = {f"{name}_mm": tuple(view.place(p.position_mm) for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(view.angle(p.rotation_deg) for p in group) for name, group in groups.items()}
@@ -74,22 +72,15 @@ class Candidate(BoardFile):
         filled["photodiode_refs"] = tuple(p.ref for p in groups["photodiodes"])
         return data | filled | {"unmapped": tuple(p.ref for p in parts if not p.kind)}
 
-    @model_validator(mode="after")
-    def _has_parts(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if not (self.leds_mm or self.leds) or not (self.photodiodes_mm or self.photodiodes):
-            raise ValueError(
-                "a candidate needs leds_mm and photodiodes_mm, or a file that has both: LEDs as D1 or LED1 and "
-                "photodiodes as PD1, or any that parts names"
-            )
-        for name in ("leds", "photodiodes"):
-            places = getattr(self, f"{name}_mm")
-            for kind in ("turned", "deg"):
-                given = getattr(self, f"{name}_{kind}")
-                if given and len(given) != len(places):
-                    raise ValueError(
-                        f"{name}_{kind} has {len(given)} entries for {len(places)} places; give one for each"
-                    )
-        return self
+            why = "or a file that has both: LEDs as D1 or LED1 and photodiodes as PD1, or any that parts names"
+            raise ValueError(f"a candidate needs leds_mm and photodiodes_mm, {why}")
+        for name, kind in product(("leds", "photodiodes"), ("turned", "deg")):
+            places, given = getattr(self, f"{name}_mm"), getattr(self, f"{name}_{kind}")
+            if given and len(given) != len(places):
+                raise ValueError(f"{name}_{kind} has {len(given)} entries for {len(places)} places; give one for each")
 
 
 class FingerCase(Table):
@@ -109,7 +100,7 @@ class FingerCase(Table):
     """Absorption of the bloodless bed."""
 
 
-class Placement(Table):
+class Placement(FilledTable):
     """Constraints and objective of the layout search."""
 
     candidates: Annotated[tuple[Candidate, ...], Field(max_length=200)] = ()
@@ -164,22 +155,19 @@ class Placement(Table):
     photodiode_step_mm: Annotated[float, Field(ge=0.05, le=2)] = 0.25
     """Spacing of photodiode positions. [mm]"""
 
-    @model_validator(mode="before")
     @classmethod
-    def _read_the_outline(cls, data: object, info: ValidationInfo) -> object:
-        if not isinstance(data, dict) or not isinstance(data.get("outline"), str) or "outline_mm" in data:
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        if not isinstance(data.get("outline"), str) or "outline_mm" in data:
             return data
-        folder = (info.context or {}).get("folder") or Path()
         unit, origin = data.get("outline_unit") or "mm", data.get("outline_origin") or (0.0, 0.0)
         if unit not in get_args(FileUnit) or not (origin == "middle" or is_point(origin)):
             return data  # which its fields refuse
-        outline = read_outline(Path(folder) / data["outline"], unit_mm=UNITS_MM[unit])
+        outline = read_outline(Path(folder or Path()) / data["outline"], unit_mm=UNITS_MM[unit])
         x, y = middle(outline.corners_mm) if origin == "middle" else origin
         corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (outline.corners_mm, *outline.holes_mm))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
-    @model_validator(mode="after")
-    def _something_to_do(self) -> Self:
+    def _check(self) -> None:
         if not self.search and not self.candidates:
             raise ValueError("search = false leaves nothing to rank; give candidates")
         check_unique([candidate.name for candidate in self.candidates], "candidates")
@@ -189,7 +177,6 @@ class Placement(Table):
             raise ValueError('rank_by is empty; give a weight, such as { worst = 1.0 }, or a word, such as "worst"')
         if {"worst", "mean"} <= self.weights.keys():
             raise ValueError("rank_by has both worst and mean, which are of the same force; give one of them")
-        return self
 
     @property
     def rank_words(self) -> str:

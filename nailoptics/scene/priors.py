@@ -3,10 +3,10 @@
 import math
 from collections.abc import Collection, Sequence
 from functools import cache
-from typing import Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from ..assets import read_toml
 from .base import Table, check_unique
@@ -24,11 +24,9 @@ class PriorRange(Table):
     high: float
     """Upper end; 2.5 % of fingers lie above."""
 
-    @model_validator(mode="after")
-    def _ends_rise(self) -> Self:
+    def _check(self) -> None:
         if self.low >= self.high:
             raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
-        return self
 
 
 class Prior(PriorRange):
@@ -69,27 +67,24 @@ class Priors(Table):
     ranges: Annotated[tuple[PriorRange, ...], Field(max_length=100)] = ()
     """Ranges that replace the shipped ones; such a field is independent of all others."""
 
-    @model_validator(mode="after")
-    def _names_unknowns(self) -> Self:
+    def _check(self) -> None:
         named = [*self.known, *(one.field for one in self.ranges)]
         check_unique(named, "known and ranges")
-        shipped = {shipped_prior.field: shipped_prior for shipped_prior in shipped_priors()}
+        shipped = {prior.field: prior for prior in shipped_priors()}
         for field in named:
             if field not in shipped:
                 raise ValueError(f'"{field}" has no prior; choose from {", ".join(shipped)}')
         for one in self.ranges:
             if one.low <= 0 < shipped[one.field].low:
                 raise ValueError(f"ranges: low = {one.low:g} must be above 0 for {one.field}")
-        return self
 
     def of_finger(self, stated: Collection[str] = ()) -> tuple[Prior, ...]:
         """The shipped priors without the known fields and those of [body], with the scene's own ranges.
 
         stated : fields that are no unknowns of the scene, too.
         """
-        return tuple(
-            prior for prior in self._unknown() if not prior.field.startswith("body.") and prior.field not in stated
-        )
+        unknown = (prior for prior in self._unknown() if prior.field not in stated)
+        return tuple(prior for prior in unknown if not prior.field.startswith("body."))
 
     def of_body(self, body: Body | None) -> tuple[Prior, ...]:
         """The same of [body], for the tables that it has."""
@@ -98,11 +93,8 @@ class Priors(Table):
 
     def _unknown(self) -> tuple[Prior, ...]:
         own = {one.field: {"low": one.low, "high": one.high} for one in self.ranges}
-        return tuple(
-            shipped_prior.model_copy(update=own.get(shipped_prior.field, {}))
-            for shipped_prior in shipped_priors()
-            if shipped_prior.field not in self.known
-        )
+        unknown = (prior for prior in shipped_priors() if prior.field not in self.known)
+        return tuple(prior.model_copy(update=own.get(prior.field, {})) for prior in unknown)
 
     def correlation(self, priors: Sequence[Prior]) -> np.ndarray:
         """Correlations of some priors, each on its scale, (priors, priors) float; 0 with the scene's own ranges."""

@@ -82,7 +82,9 @@ class Rectangle:
         for low, high in zip(lines, lines[1:], strict=False):
             piece = _between(_between(self.corners_mm, float(low), 1), -float(high), -1)
             if high > low and (area := area_mm2(piece)) > 0:
-                middle, half = _center_u(piece, area), area / (high - low) / 2
+                sides = zip(piece, (*piece[1:], *piece[:1]), strict=True)
+                middle = sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides) / (6 * area)
+                half = area / (high - low) / 2
                 strips.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
         return tuple(strips)
 
@@ -114,11 +116,6 @@ def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
 def area_mm2(corners: Sequence[Point]) -> float:
     """Area of a polygon, negative where its corners follow the clock. [mm^2]"""
     return sum(a * d - c * b for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True)) / 2
-
-
-def _center_u(corners: Sequence[Point], area: float) -> float:
-    sides = zip(corners, (*corners[1:], *corners[:1]), strict=True)
-    return sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides) / (6 * area)
 
 
 def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:

@@ -1,38 +1,36 @@
 """A scene: a finger or a phantom, with the LEDs and photodiodes that look at it."""
 
+import re
 from bisect import bisect_right
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field
 
 from ..assets import WAVELENGTH_RANGE_NM
 from ..display import Displayed
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, Table, check_unique
+from .base import MOST_PHOTODIODES, FilledTable, Table, check_unique
 from .body import Body
-from .edits import steps_of, with_value
-from .electronics import Ambient, Electronics
-from .finger import Finger
+from .electronics import DARK, Ambient, Electronics, Oximeter, two_leds
+from .finger import Finger, Phantom
 from .importers.board_files import read_board_file
 from .layout import Layout, lay_out
-from .oximeter import DARK, Oximeter, two_leds
-from .parts import Board, Led, Photodiode
-from .phantom import Phantom
+from .parts import FROM_PART, Board, BoardFile, Led, Photodiode
 from .placement import Placement
 from .priors import Prior, Priors
 from .text_files import short
 from .touch import Touch
-from .tracing import Accuracy, Light
+from .tracing import Accuracy, Light, Viewing
 from .vessels import Blood
-from .viewing import Viewing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Scene(Displayed, Table):
+class Scene(Displayed, FilledTable):
     """A scene: everything that determines the result."""
 
     schema_version: Literal[1]
@@ -70,12 +68,10 @@ class Scene(Displayed, Table):
     placement: Placement | None = None
     """Constraints and objective of the layout search."""
 
-    @model_validator(mode="before")
     @classmethod
-    def _read_old_places(cls, data: object) -> object:
-        """Of bed_scattering, once in [light], and of ambient_light and ambient_lux, once in [oximeter]."""
-        if not isinstance(data, dict):
-            return data
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        data = cls._with_board_file(data, folder)
+        # Old places of bed_scattering, once in [light], and of ambient_light and ambient_lux, once in [oximeter].
         light, oximeter, old = data.get("light"), data.get("oximeter"), {"ambient_light", "ambient_lux"}
         if isinstance(light, dict) and "bed_scattering" in light:
             data = data | {"light": {name: value for name, value in light.items() if name != "bed_scattering"}}
@@ -87,37 +83,29 @@ class Scene(Displayed, Table):
             data["ambient"] = {"kind": kind, "illuminance_lux": lux}
         return data
 
-    @model_validator(mode="before")
-    @classmethod
-    def _read_the_board_file(cls, data: object, info: ValidationInfo) -> object:
-        board = data.get("board") if isinstance(data, dict) else None
-        if not isinstance(data, dict) or not isinstance(board, dict) or not Board.is_to_be_read(board):
+    @staticmethod
+    def _with_board_file(data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        board = data.get("board")
+        if not isinstance(board, dict) or not Board.is_to_be_read(board):
             return data
         if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
             return data
         try:
-            mounted = read_board_file(board, (info.context or {}).get("folder"))
+            mounted = read_board_file(board, folder)
         except (InputError, ValueError) as error:
             raise ValueError(f"board: {str(error).rstrip('.')}") from None
         data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
-        # A layout goes back into a board of KiCad.
-        of_file: dict[str, object] = {"parts": None} if mounted.view is None else mounted.view.fields
-        filled: dict[str, object] = {"unmapped": mounted.ignored} | of_file
-        if mounted.outline is not None and "outline_mm" not in board:
-            filled |= {"outline_mm": mounted.outline.corners_mm, "outline_holes_mm": mounted.outline.holes_mm}
-        if mounted.film_um is not None and "kapton_um" not in board:
-            filled["kapton_um"] = mounted.film_um
         leds, photodiodes = ((*data.get(name, ()), *getattr(mounted, name)) for name in ("leds", "photodiodes"))
-        return data | {"board": board | filled, "leds": leds, "photodiodes": photodiodes}
+        return data | {"board": board | mounted.board, "leds": leds, "photodiodes": photodiodes}
 
-    @model_validator(mode="after")
-    def _finger_or_phantom(self) -> Self:
+    def _check(self) -> None:
         if (self.phantom is None) == (self.finger is None):
             raise ValueError("a scene has either [finger] or [phantom]; give exactly one of them")
-        if self.phantom is not None and self.ambient is not None:
-            raise ValueError("ambient needs a [finger]; a [phantom] is read as fractions, not in volts: leave it out")
-        if self.phantom is not None and self.electronics.feedback_ohm == "auto":
-            raise ValueError('electronics.feedback_ohm = "auto" needs a [finger]; give a [phantom] a resistance')
+        auto = 'electronics.feedback_ohm = "auto"' if self.electronics.feedback_ohm == "auto" else None
+        for needs in filter(None, (self.ambient and "ambient", self.oximeter and "oximeter", auto)):
+            if self.phantom is not None:
+                why = "a [phantom] is read as fractions, not in volts: leave it out"
+                raise ValueError(f"{needs} needs a [finger]; {why}")
         check_unique([led.name for led in self.leds], "leds")
         elements = [name for p in self.photodiodes for name in p.element_names()]
         check_unique(elements, "photodiodes")
@@ -125,83 +113,61 @@ class Scene(Displayed, Table):
             raise ValueError(f"photodiodes: have {len(elements)} elements; at most {MOST_PHOTODIODES}, leave some out")
         for i, led in enumerate(self.leds):
             if self.finger is not None and led.pattern == "pencil":
-                raise ValueError(
-                    f'leds[{i}].pattern = "pencil" is for phantoms; a die on a board is "lambertian" or "measured"'
-                )
+                why = 'is for phantoms; a die on a board is "lambertian" or "measured"'
+                raise ValueError(f'leds[{i}].pattern = "pencil" {why}')
             low, high = WAVELENGTH_RANGE_NM
             if self.finger is not None and not low <= led.wavelength_nm <= high:
-                raise ValueError(
-                    f"leds[{i}].wavelength_nm = {led.wavelength_nm:g} has no tissue data, which reach from "
-                    f"{low:g} to {high:g} nm; choose a wavelength in there"
-                )
+                why = f"has no tissue data, which reach from {low:g} to {high:g} nm; choose a wavelength in there"
+                raise ValueError(f"leds[{i}].wavelength_nm = {led.wavelength_nm:g} {why}")
         for i, photodiode in enumerate(self.photodiodes):
             if photodiode.aperture != (self.phantom is not None):
-                which = (
-                    "needs aperture = true: a phantom has no board" if self.phantom else "is for phantoms; leave it out"
+                why = (
+                    "must be true in a phantom, which has no board" if self.phantom else "is for phantoms; leave it out"
                 )
-                raise ValueError(f"photodiodes[{i}].aperture {which}")
+                raise ValueError(f"photodiodes[{i}].aperture {why}")
         if self.finger is not None and not self.photodiodes:
             raise ValueError("photodiodes: a finger scene needs at least one")
         # The board is laid out here so that every impossible layout is the scene's own error.
         if self.finger is not None:
             lay_out(self.finger, self.board, self.leds, self.photodiodes)
-        return self
+        self._body_suits_vessels_and_touch()
+        self._slots_and_zones_fit()
 
-    @model_validator(mode="after")
-    def _body_suits_vessels_and_touch(self) -> Self:
+    def _body_suits_vessels_and_touch(self) -> None:
         heartbeat, tuning = (self.body.heartbeat if self.body else None), self.blood.tuning
         if heartbeat is not None and heartbeat.mean_pressure_pa is not None and tuning is not None:
             if "arterial_pressure_pa" in {*tuning.values(), *(tuning.factors or {})}:
-                raise ValueError(
-                    "body.heartbeat.mean_pressure_pa and blood.tuning.arterial_pressure_pa both set P_H; give one of "
-                    "them"
-                )
+                both = "body.heartbeat.mean_pressure_pa and blood.tuning.arterial_pressure_pa"
+                raise ValueError(f"{both} both set P_H; give one of them")
         touch, finger = self.touch, self.finger
         sides = [area for area in (touch.proximal_area_mm2, touch.distal_area_mm2) if area is not None]
         largest_mm2 = max([touch.contact_area_mm2, *sides, *(touch.recorded_contact_area_mm2 or ())])
         if touch.contact_force_n is not None:
             largest_mm2 *= max(1.0, touch.corners()[1].max() / touch.contact_force_n) ** (2 / 3)
-        if finger is not None and largest_mm2 > finger.width_mm * finger.length_mm:
-            raise ValueError(
-                f"touch: an area of contact of {largest_mm2:g} mm^2 reaches off the finger, which has "
-                f"{finger.width_mm * finger.length_mm:.0f} mm^2 (width_mm times length_mm); make it smaller"
-            )
+        if finger is not None and largest_mm2 > (whole_mm2 := finger.width_mm * finger.length_mm):
+            why = f"reaches off the finger, which has {whole_mm2:.0f} mm^2 (width_mm times length_mm); make it smaller"
+            raise ValueError(f"touch: an area of contact of {largest_mm2:g} mm^2 {why}")
         recorded = self.body.recorded_time_s if self.body else None
         if recorded is not None:
             times = self.touch.times_s()
             if recorded[0] > times[0] or recorded[-1] < times[-1]:
-                raise ValueError(
-                    f"body.file reaches from {recorded[0]:g} to {recorded[-1]:g} s, but the touch from {times[0]:g} to "
-                    f"{times[-1]:g} s; record longer, or shorten the touch"
-                )
-        return self
+                why = f"but the touch from {times[0]:g} to {times[-1]:g} s; record longer, or shorten the touch"
+                raise ValueError(f"body.file reaches from {recorded[0]:g} to {recorded[-1]:g} s, {why}")
 
-    @model_validator(mode="after")
-    def _slots_light_two_leds(self) -> Self:
-        if self.oximeter is None:
-            return self
-        if self.phantom is not None:
-            raise ValueError("oximeter needs a [finger], whose blood beats; a [phantom] has none")
-        for i, slot in enumerate(self.oximeter.slots or ()):
+    def _slots_and_zones_fit(self) -> None:
+        for i, slot in enumerate(self.oximeter.slots or () if self.oximeter else ()):
             known = [led.name for led in self.leds] + [DARK]
             if slot.light not in known:
-                raise ValueError(
-                    f'oximeter.slots[{i}].light = "{slot.light}" is unknown; choose from {", ".join(known)}'
-                )
-        two_leds(self.leds, self.oximeter.slots)
-        return self
-
-    @model_validator(mode="after")
-    def _zones_lie_on_the_nail(self) -> Self:
+                unknown = f'oximeter.slots[{i}].light = "{slot.light}" is unknown'
+                raise ValueError(f"{unknown}; choose from {', '.join(known)}")
+        if self.oximeter is not None:
+            two_leds(self.leds, self.oximeter.slots)
         if self.finger is not None and (len(self.blood.zone_edges_mm) > 1 or self.blood.decay_length is not None):
             half = self.finger.nail_length_mm / 2
             for edge in self.blood.zone_edges_mm:
                 if not -half < edge < half:
-                    raise ValueError(
-                        f"blood.zone_edges_mm {edge:g} lies off the nail, which reaches from {-half:g} to {half:g} mm; "
-                        "move it"
-                    )
-        return self
+                    off = f"blood.zone_edges_mm {edge:g} lies off the nail"
+                    raise ValueError(f"{off}, which reaches from {-half:g} to {half:g} mm; move it")
 
     @classmethod
     def from_kicad(cls, path: str | Path, parts: Mapping[str, Any] | None = None, **tables: Any) -> Self:
@@ -238,10 +204,7 @@ class Scene(Displayed, Table):
         return self._edited([(["leds", name, field], value) for field, value in changes.items()])
 
     def with_photodiode(self, name: str | int, /, **changes: Any) -> Self:
-        """The scene with other values of one photodiode, or of one array, by its name or number.
-
-        Raises: InputError, as `with_`.
-        """
+        """The scene with other values of one photodiode, or of one array, by its name or number; raises InputError."""
         return self._edited([(["photodiodes", name, field], value) for field, value in changes.items()])
 
     def _edited(self, edits: Iterable[tuple[list[str | int], Any]]) -> Self:
@@ -252,10 +215,7 @@ class Scene(Displayed, Table):
         return type(self)(**tables)
 
     def draw(self) -> "Figure":
-        """Its board on the nail from above, and the section below it, as a matplotlib Figure.
-
-        Raises: InputError for a phantom, which has no board.
-        """
+        """Its board on the nail from above, and the section below it, a matplotlib Figure; InputError for a phantom."""
         return self.nail.plot()
 
     def __repr__(self) -> str:
@@ -270,9 +230,7 @@ class Scene(Displayed, Table):
     def require_blood(self, command: str) -> None:
         """Raise InputError where a bed without blood leaves a command nothing that changes."""
         if self.blood.rest_blood_fraction == 0.0:
-            raise InputError(
-                f"blood.rest_blood_fraction = 0: nothing changes that {command} could read; give some blood."
-            )
+            raise InputError(f"blood.rest_blood_fraction = 0: nothing changes that {command} reads; give some blood.")
 
     @property
     def fingertip(self) -> Finger:
@@ -314,10 +272,7 @@ class Scene(Displayed, Table):
 
     @property
     def layout(self) -> Layout:
-        """Where everything lies on a finger scene's board.
-
-        Raises: InputError where the parts of a copy of the scene do not fit, or for a phantom.
-        """
+        """Where all lies on a finger's board; InputError where a copy's parts do not fit, or for a phantom."""
         if self.finger is None:
             raise InputError("a phantom has no board to lay out; give a scene with [finger].")
         try:
@@ -335,3 +290,66 @@ def _with_map(placement: object, parts: object) -> object:
         for item in placement["candidates"]
     )
     return placement | {"candidates": tuple(candidates)}
+
+
+def steps_of(path: str) -> list[str | int]:
+    """A dotted path as keys and indices: leds[0].flux_mw is leds, 0, flux_mw; raises ValueError."""
+    steps: list[str | int] = []
+    for part in path.split("."):
+        match = re.fullmatch(r"([\w\-]+)((?:\[\d+\])*)", part)
+        if not match:
+            raise ValueError(f'"{path}": "{part}" is no field; write it as in leds[0].flux_mw')
+        steps.append(match[1])
+        steps += [int(n) for n in re.findall(r"\d+", match[2])]
+    return steps
+
+
+def with_value(item: Any, steps: Sequence[str | int], value: Any, path: str) -> Any:
+    """A copy of tables and arrays with a value at a place, in arrays by number or name; raises InputError."""
+    if not steps:
+        return value
+    step, *rest = steps
+    if isinstance(item, Table):
+        item = _defining_fields(item)
+    if isinstance(item, dict) and isinstance(step, str):
+        if not rest:
+            item = _without_read(item, step, path)
+        return item | {step: with_value(item.get(step) or {} if rest else None, rest, value, path)}
+    if not isinstance(item, tuple):
+        raise InputError(f'path "{path}" goes on at {step!r} where the scene has a value; correct the path.')
+    names = [_name(row) for row in item]
+    if step not in names and not (isinstance(step, int) and 0 <= step < len(item)):
+        array = str(step).rpartition(".")[0]
+        why = f"{step} is an element of the array {array}" if array in names else f"there is no item {step} here"
+        known = ", ".join(["0" if len(item) == 1 else f"0 to {len(item) - 1}", *filter(None, names)])
+        raise InputError(short(f'path "{path}": {why}; known: {known}', 300) + ".")
+    i = step if isinstance(step, int) else names.index(step)
+    return (*item[:i], with_value(item[i], rest, value, path), *item[i + 1 :])
+
+
+def _name(row: Any) -> str | None:
+    if isinstance(row, Table):
+        return getattr(row, "name", None)
+    name = row.get("name", row.get("part", row.get("array"))) if isinstance(row, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def _defining_fields(table: Table) -> dict[str, Any]:
+    """The fields that make a table, without those that a part, a digit, a profile or a default gives again."""
+    fields = table.model_dump(exclude_unset=True, exclude_none=True)
+    for name in [*fields]:
+        fewer = {other: value for other, value in fields.items() if other != name}
+        with suppress(InputError):
+            if type(table)(**fewer) == table:
+                fields = fewer
+    return fields
+
+
+def _without_read(table: dict[str, Any], field: str, path: str) -> dict[str, Any]:
+    """A table without what was read from the file that a field names, which another one replaces; raises InputError."""
+    if table.get("unmapped") is not None and field in BoardFile.model_fields:
+        raise InputError(f"{path}: the file of the board has been read; read it again, as with Scene.from_kicad.")
+    if field in ("part", "array") and any(given <= table.keys() for given in FROM_PART.values()):
+        why = "or its old part is not in this folder; give its values instead, or leave them out."
+        raise InputError(f"{path}: all that a part gives is written out here, {why}")
+    return {name: value for name, value in table.items() if field != "file" or not name.startswith("recorded_")}

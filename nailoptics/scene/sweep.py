@@ -6,17 +6,16 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator
 
 from ..checks import explain
 from ..errors import InputError
 from .base import Table
-from .edits import steps_of, with_value
 from .files import load_scene, scene_of, schema_of, shipped_scene
-from .scene import Scene
+from .scene import Scene, steps_of, with_value
 from .text_files import frozen, is_there, parse_toml, read_text, short
 
 MAX_SCENES = 1_000_000
@@ -55,15 +54,13 @@ class AxisTable(Table):
         steps_of(path)
         return path
 
-    @model_validator(mode="after")
-    def _is_an_axis(self) -> Self:
+    def _check(self) -> None:
         if len([key for key in _GIVEN if getattr(self, key) is not None]) != 1:
             raise ValueError(f"give exactly one of {', '.join(_GIVEN)}")
         if self.logspace is not None and min(self.logspace[:2]) <= 0:
             raise ValueError(f"logspace = {list(self.logspace)}: low and high must be above 0")
         if not self.axis_name.isidentifier():
             raise ValueError(f'name = "{self.axis_name}": must be a name of letters, digits and _')
-        return self
 
     @property
     def axis_name(self) -> str:
@@ -107,8 +104,7 @@ class SweepFile(Table):
     axes: tuple[AxisTable, ...] = ()
     """The fields that vary; the last axis of a product varies fastest."""
 
-    @model_validator(mode="after")
-    def _says_what_varies(self) -> Self:
+    def _check(self) -> None:
         if (self.base is None) == (self.scenes is None):
             raise ValueError("a sweep has either base (a scene file or table) or scenes (a list of files); give one")
         if self.base is not None and not self.axes:
@@ -118,10 +114,6 @@ class SweepFile(Table):
             if axis.axis_name in taken:
                 raise ValueError(f'axes[{i}]: the name "{axis.axis_name}" is taken; give the axis another name = "..."')
             taken.add(axis.axis_name)
-        return self
-
-    @model_validator(mode="after")
-    def _axes_suit_their_combination(self) -> Self:
         sampled = self.combine == "latin_hypercube"
         if sampled and self.samples is None:
             raise ValueError("samples is missing: a Latin hypercube needs their number")
@@ -132,15 +124,12 @@ class SweepFile(Table):
             if self.combine == "product" and len({*map(str, axis.values or ())}) < len(axis.values or ()):
                 raise ValueError(f"axes[{i}]: {axis.path} has a value twice; leave one out")
             if axis.values is None and (axis.range is not None) != sampled:
-                raise ValueError(
-                    f"axes[{i}]: a Latin hypercube takes range = [low, high] or values; "
-                    'linspace and logspace are for "product" and "zip"'
-                )
+                why = 'linspace and logspace are for "product" and "zip"'
+                raise ValueError(f"axes[{i}]: a Latin hypercube takes range = [low, high] or values; {why}")
         counts = {axis.axis_name: len(axis.values_at()) for axis in self.axes if self.combine == "zip"}
         if len({*counts.values()}) > 1:
             each = ", ".join(f"{name} {count}" for name, count in counts.items())
             raise ValueError(f'axes differ in their numbers of values, {each}; combine = "zip" needs as many of each')
-        return self
 
 
 @dataclass(frozen=True)
@@ -167,10 +156,7 @@ class Sweep:
 
 
 def load_sweep(path: str | Path) -> Sweep:
-    """Read a sweep file and build its scenes.
-
-    Raises: InputError, one line that names the file, the field, the rule and the value.
-    """
+    """Read a sweep file and build its scenes; raises InputError."""
     path = Path(path)
     tables = parse_toml(read_text(path, "the path of a sweep file (TOML)"), str(path))
     try:
@@ -213,7 +199,15 @@ def sweep_json_schema() -> dict[str, Any]:
 
 
 def _build(file: SweepFile, path: Path) -> Sweep:
-    axes, points = _axes(file), zip if file.combine != "product" else itertools.product
+    points = zip if file.combine != "product" else itertools.product
+    quantiles: list[np.ndarray | None] = [None] * len(file.axes)
+    if file.combine == "latin_hypercube" and file.axes:
+        from scipy.stats import qmc
+
+        sampler = qmc.LatinHypercube(d=len(file.axes), rng=np.random.default_rng(file.seed or 0))
+        quantiles = list(sampler.random(file.samples).T)
+    pairs = zip(file.axes, quantiles, strict=True)
+    axes = tuple(Axis(axis.axis_name, axis.path, axis.values_at(column)) for axis, column in pairs)
     dims = {axis.name: len(axis.values) for axis in axes}
     if file.combine != "product" and axes:
         dims = {"sample": len(axes[0].values)}
@@ -231,17 +225,6 @@ def _build(file: SweepFile, path: Path) -> Sweep:
     if file.scenes is not None:
         axes = (Axis("scene", "", tuple(Path(name).stem for name in file.scenes)), *axes)
     return Sweep(path.stem, axes, dims, scenes, file.study)
-
-
-def _axes(file: SweepFile) -> tuple[Axis, ...]:
-    quantiles: list[np.ndarray | None] = [None] * len(file.axes)
-    if file.combine == "latin_hypercube" and file.axes:
-        from scipy.stats import qmc
-
-        sampler = qmc.LatinHypercube(d=len(file.axes), rng=np.random.default_rng(file.seed or 0))
-        quantiles = list(sampler.random(file.samples).T)
-    pairs = zip(file.axes, quantiles, strict=True)
-    return tuple(Axis(axis.axis_name, axis.path, axis.values_at(column)) for axis, column in pairs)
 
 
 def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:

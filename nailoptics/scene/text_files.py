@@ -31,13 +31,11 @@ MOST_BITS = 8192
 
 
 def read_text(path: str | Path, expected: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
-    """The text of a file, with or without a byte order mark, which some editors and spreadsheets write.
+    """The text of a file, with or without a byte order mark, which editors write; raises InputError.
 
     expected : what to give instead, for the message, such as "a position file".
     shown : how the message names the file; its path if not given.
     any_encoding : whether it may be UTF-16 or Windows' own text, too, as other programs write it.
-
-    Raises: InputError.
     """
     with _reading(path, expected, shown or str(path)):
         data = Path(path).read_bytes()
@@ -87,10 +85,7 @@ def is_there(path: Path) -> bool:
 
 
 def read_rows(path: str | Path, expected: str, *, shown: str | None = None) -> Rows:
-    """Rows of a CSV with their line numbers, one at a time, without empty lines and comments.
-
-    Raises: InputError as `read_text`.
-    """
+    """Rows of a CSV with their line numbers, one at a time, without empty lines and comments; raises InputError."""
     name = shown or str(path)
     with _reading(path, expected, name), Path(path).open(encoding="utf-8-sig") as file:
         reader = csv.reader(file)
@@ -113,9 +108,7 @@ def number_columns(
     """Line numbers (T,) of rows, and their columns (T,) as numbers, NaN where a cell is empty; time_s has none empty.
 
     columns : the position of each column in a row. codes : the numbers of words, for columns that hold words.
-    gaps : whether cells may be empty.
-
-    Raises: InputError for a cell that is neither.
+    gaps : whether cells may be empty. Raises: InputError for a cell that is neither.
     """
     lines, numbers, words = array("q"), array("d"), codes or {}
     for line, row in rows:
@@ -141,9 +134,8 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     if not isinstance(text, str):
         raise InputError(f"{name}: {short(repr(text))} is no text; give TOML, as a file has it.")
     if len(text) > MOST_TOML_BYTES:
-        raise InputError(
-            f"{name}: has {len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}; shorten it."
-        )
+        size = f"{len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}"
+        raise InputError(f"{name}: has {size}; shorten it.")
     try:
         if DEEP_KEY.search(text):
             raise RecursionError

@@ -1,14 +1,16 @@
 """The touch: force over time as a step, ramp, cycle, list of steps, held force, protocol of calibration or CSV."""
 
 import math
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, model_validator
+from pydantic import Field
 
-from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .importers.sensor_recordings import PRESSURES, check_columns, read_columns
+from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, FilledTable, Fraction, NonNegative, Positive, Table
+from .importers.sensor_recordings import PRESSURES, check_columns, with_recording
 from .protocol import protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
@@ -44,7 +46,7 @@ class ForceStep(Table):
     """Force until the next step. [N]"""
 
 
-class Touch(Table):
+class Touch(FilledTable):
     """Force on the fingertip over time, and its distribution over the pulp."""
 
     profile: Literal["step", "ramp", "hold", "cycle", "steps", "protocol", "recorded"] = "step"
@@ -128,17 +130,10 @@ class Touch(Table):
         stated = {"touch.contact_area_mm2": area, "touch.proximal_share": share}
         return {field for field, is_stated in stated.items() if is_stated}
 
-    @model_validator(mode="before")
     @classmethod
-    def _fill_in(cls, data: object, info: ValidationInfo) -> object:
-        if not isinstance(data, dict):
-            return data
-        if isinstance(data.get("file"), str) and "recorded_time_s" not in data:
-            folder = (info.context or {}).get("folder") or Path()
-            known = ("force_n", *PRESSURES, *BESIDE_FORCE)
-            path = Path(folder) / data["file"]
-            columns = read_columns(path, "touch.file", known, either=(("force_n",), PRESSURES))
-            data = data | {f"recorded_{name}": column for name, column in columns.items()}
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        known = ("force_n", *PRESSURES, *BESIDE_FORCE)
+        data = with_recording(data, folder, "touch", known, either=(("force_n",), PRESSURES))
         if data.get("profile") == "protocol" and "recorded_time_s" not in data:
             seed = data.get("protocol_seed", 0)
             drawn = protocol(seed if isinstance(seed, int) and seed >= 0 else 0)  # else the field's rule says so
@@ -149,8 +144,7 @@ class Touch(Table):
             data = {"proximal_share": SHARES[data["site"]]} | data
         return _duration_of(data) | data
 
-    @model_validator(mode="after")
-    def _profile_is_complete(self) -> Self:
+    def _check(self) -> None:
         if (self.profile in ("recorded", "protocol")) != (self.recorded_time_s is not None):
             raise ValueError('profile = "recorded" and file go together; give both or neither')
         if self.profile == "protocol" and (self.file is not None or self.site is not None):
@@ -165,40 +159,26 @@ class Touch(Table):
             columns = {name: getattr(self, f"recorded_{name}") for name in names}
             check_columns({name: column for name, column in columns.items() if column is not None}, "touch.file")
         if self.distal_onset_n and self.proximal_share == 0.0:
-            raise ValueError(
-                f"distal_onset_n = {self.distal_onset_n:g} is for a touch that presses on the proximal pulp first, and "
-                "proximal_share is 0; leave it out"
-            )
+            why = "is for a touch that presses on the proximal pulp first, and proximal_share is 0; leave it out"
+            raise ValueError(f"distal_onset_n = {self.distal_onset_n:g} {why}")
         if self.site is not None and self.proximal_share != SHARES[self.site]:
-            raise ValueError(
-                f'site = "{self.site}" sets proximal_share to {SHARES[self.site]:g}, '
-                f"but it is {self.proximal_share:g}; give one of them"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _times_are_in_order(self) -> Self:
+            set_to = f'site = "{self.site}" sets proximal_share to {SHARES[self.site]:g}'
+            raise ValueError(f"{set_to}, but it is {self.proximal_share:g}; give one of them")
         if self.profile in ("step", "ramp") and self.release_s <= self.start_s:
             raise ValueError(f"release_s = {self.release_s} must come after start_s = {self.start_s}")
-        if self.profile == "ramp" and self.release_s < self.start_s + self.ramp_s:
-            raise ValueError(
-                f"release_s = {self.release_s} cuts the ramp, which ends at {self.start_s + self.ramp_s} s"
-            )
+        end_s = self.start_s + self.ramp_s
+        if self.profile == "ramp" and self.release_s < end_s:
+            raise ValueError(f"release_s = {self.release_s} cuts the ramp, which ends at {end_s} s")
         steps = self.steps or ()
-        for i, (before, after) in enumerate(zip(steps, steps[1:], strict=False)):
+        for i, (before, after) in enumerate(pairwise(steps)):
             if after.start_s <= before.start_s:
-                raise ValueError(
-                    f"steps[{i + 1}].start_s = {after.start_s} must come after steps[{i}].start_s = {before.start_s}"
-                )
+                earlier = f"steps[{i}].start_s = {before.start_s}"
+                raise ValueError(f"steps[{i + 1}].start_s = {after.start_s} must come after {earlier}")
+        rate = f"sample_rate_hz = {self.sample_rate_hz:g}"
         if self.intervals > 1e7:
-            raise ValueError(
-                f"sample_rate_hz = {self.sample_rate_hz:g} takes {self.intervals:g} samples of the touch; at most 1e7"
-            )
+            raise ValueError(f"{rate} takes {self.intervals:g} samples of the touch; at most 1e7")
         if self.times_s().size < 2:
-            raise ValueError(
-                f"sample_rate_hz = {self.sample_rate_hz:g} gives one sample of the touch; raise it, or touch longer"
-            )
-        return self
+            raise ValueError(f"{rate} gives one sample of the touch; raise it, or touch longer")
 
     def contact(self) -> dict[str, Any]:
         """Where a force presses, as `hemodynamics.Contact` takes it."""
@@ -234,27 +214,22 @@ class Touch(Table):
             times = [self.start_s, self.start_s + self.ramp_s, self.release_s, self.release_s + self.ramp_s]
             points = list(zip(times, [0.0, self.force_n, self.force_n, 0.0], strict=True))
         else:
-            points = self._cycle_corners()
+            period_s, cycles = self.period_s or CYCLE["period_s"], self.cycles or CYCLE["cycles"]
+            per_period = 2 if self.waveform == "triangle" else CORNERS_PER_PERIOD
+            turns = np.arange(cycles * per_period + 1) / per_period
+            # Where it is 0 it is so exactly.
+            shape = 1 - np.abs(2 * (turns % 1) - 1) if per_period == 2 else np.sin(np.pi * (turns % 1)) ** 2
+            return self.start_s + period_s * turns, self.force_n * shape
         time_s, force_n = np.array(points).T
         return time_s, force_n
-
-    def _cycle_corners(self) -> list[tuple[float, float]]:
-        period_s, cycles = self.period_s or CYCLE["period_s"], self.cycles or CYCLE["cycles"]
-        per_period = 2 if self.waveform == "triangle" else CORNERS_PER_PERIOD
-        turns = np.arange(cycles * per_period + 1) / per_period
-        # Where it is 0 it is so exactly.
-        shape = 1 - np.abs(2 * (turns % 1) - 1) if per_period == 2 else np.sin(np.pi * (turns % 1)) ** 2
-        return list(zip((self.start_s + period_s * turns).tolist(), (self.force_n * shape).tolist(), strict=True))
 
 
 def _duration_of(data: dict[str, Any]) -> dict[str, float]:
     """The duration that a cycle or a list of steps has where none is given, if it can be computed."""
-    try:
+    with suppress(TypeError, KeyError, IndexError, ValueError, AttributeError):  # the fields' rules say what is wrong
         if data.get("profile") == "cycle":
             return {"duration_s": float(data.get("start_s", 0.25) + data["cycles"] * data["period_s"])}
         if data.get("profile") == "steps":
             last = data["steps"][-1]
             return {"duration_s": float(last["start_s"] if isinstance(last, dict) else last.start_s) + LAST_STEP_S}
-    except (TypeError, KeyError, IndexError, ValueError, AttributeError):
-        pass  # the fields' own rules say what is wrong
     return {}

@@ -4,19 +4,10 @@ import difflib
 from itertools import pairwise
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from .base import (
-    USUAL_BLOOD_FRACTION,
-    USUAL_BONE_EDGE_MM,
-    USUAL_PULP_BLOOD_FRACTION,
-    USUAL_SO2,
-    ArterialPressure,
-    Fraction,
-    Positive,
-    Table,
-    VenousPressure,
-)
+from . import base
+from .base import ArterialPressure, Fraction, Positive, Table, VenousPressure
 
 MOST_ZONES = 32
 # Fields of the blood that are factors on constants of the vessels, named set and tuning alike.
@@ -76,8 +67,7 @@ class Tuning(Table):
     factors: dict[str, PerBed] | None = None
     """Factors on constants of the named set, by their names, instead of values."""
 
-    @model_validator(mode="after")
-    def _factors_are_of_constants(self) -> Self:
+    def _check(self) -> None:
         known = [name for name in type(self).model_fields if name != "factors"]
         for name in self.factors or {}:
             if name not in known:
@@ -88,7 +78,6 @@ class Tuning(Table):
                 raise ValueError(f"factors.{name} has two values, but it belongs to both beds; give one")
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} has both a value and a factor; give one of them")
-        return self
 
     def __hash__(self) -> int:
         # Pydantic's own hash of a frozen model cannot take the dictionary of factors.
@@ -115,11 +104,11 @@ class Blood(Table):
     """Further factor on the stiffness of the distal bed's capillaries."""
     vein_resistance: Annotated[float, Field(ge=0.01, le=100)] = 1.0
     """Factor on the resistance of the vein, which a longer one has."""
-    rest_blood_fraction: Fraction = USUAL_BLOOD_FRACTION
+    rest_blood_fraction: Fraction = base.USUAL_BLOOD_FRACTION
     """Volume fraction of blood in the nail bed at rest."""
-    pulp_blood_fraction: Fraction = USUAL_PULP_BLOOD_FRACTION
+    pulp_blood_fraction: Fraction = base.USUAL_PULP_BLOOD_FRACTION
     """Volume fraction of blood in the pulp."""
-    so2: Fraction = USUAL_SO2
+    so2: Fraction = base.USUAL_SO2
     """Oxygen saturation of the blood; of arterial blood if venous_so2 is given."""
     venous_so2: Fraction | None = None
     """Oxygen saturation of venous blood. If given, the bed at rest contains a mixture of half arterial, half venous
@@ -139,7 +128,7 @@ class Blood(Table):
     """Boundaries of the blood zones along the nail, relative to its centre, the most proximal first. [mm]"""
     zone_width_mm: Positive = 2.0
     """Width of the smooth transition between zones; at most one zone if their number is given by zones. [mm]"""
-    bone_edge_mm: Annotated[float, Field(ge=0.01, le=30)] = USUAL_BONE_EDGE_MM
+    bone_edge_mm: Annotated[float, Field(ge=0.01, le=30)] = base.USUAL_BONE_EDGE_MM
     """Length over which the end of the bone stops shielding the bed from the distal pressure, with more than two zones;
     of two it acts on the distal one only. [mm]"""
     decay_length: Annotated[float, Field(ge=0.01, le=100)] | None = None
@@ -149,25 +138,19 @@ class Blood(Table):
     """Part of the distal pressure that acts on the whole bed, whatever shields it; 0 in the paper, where the bone keeps
     all of it from the bed behind."""
 
-    @model_validator(mode="after")
-    def _zones_are_said_once_and_apart(self) -> Self:
+    def _check(self) -> None:
         edges = self.zone_edges_mm
         if self.zones is not None and edges != (0.0,):
-            raise ValueError(
-                f"zones = {self.zones} and zone_edges_mm = {list(edges)} both cut the bed; give one of them"
-            )
+            raise ValueError(f"zones = {self.zones} and zone_edges_mm = {list(edges)} both cut the bed; give one")
         for first, second in pairwise(edges):
             # Closer, three zones would pass into each other at one place.
             if second - first < self.zone_width_mm:
-                raise ValueError(
-                    f"zone_edges_mm {first:g} and {second:g} lie closer than zone_width_mm = {self.zone_width_mm:g}; "
-                    "move them apart (in rising order) or narrow the width"
-                )
+                why = f"than zone_width_mm = {self.zone_width_mm:g}; move them apart (in rising order) or narrow it"
+                raise ValueError(f"zone_edges_mm {first:g} and {second:g} lie closer {why}")
         if self.venous_so2 is not None and self.venous_so2 > self.so2:
             raise ValueError(f"venous_so2 = {self.venous_so2} must not be above so2 = {self.so2}, that of the arteries")
         if self.oxygen_balance and self.venous_so2 is None:
             raise ValueError(f"oxygen_balance needs venous_so2; {max(self.so2 - 0.08, 0.0):.2g} is usual in a finger")
-        return self
 
     def with_so2(self, so2: float) -> Self:
         """The same with another arterial saturation; that of the veins stays as far below."""

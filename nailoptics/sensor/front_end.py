@@ -10,7 +10,7 @@ from ..checks import Array
 from ..errors import InputError
 from ..hemodynamics.for_scene import heart_rate_per_min
 from ..scene import Oximeter, Photodiode, Scene, Slot
-from ..scene.oximeter import DARK, two_leds
+from ..scene.electronics import DARK, two_leds
 from . import electronics
 from .volts import with_fitted_resistors
 

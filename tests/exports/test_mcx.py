@@ -13,7 +13,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.exports import run_session
 from nailoptics.exports.compatibility import as_seen
-from nailoptics.exports.mcx import labels, voxels
+from nailoptics.exports.monte_carlo import labels, voxels
 from nailoptics.geometry import build
 from nailoptics.light import optics
 from nailoptics.scene import load_scene

@@ -88,7 +88,7 @@ def test_ngspice_reproduces_volts_and_noise(jit_backend, shared_light, ngspice, 
 @pytest.mark.parametrize(
     ("scene", "file", "how", "why"),
     [
-        ("phantom", "board.cir", [], "a [phantom] has none; export a scene with [finger]"),
+        ("phantom", "board.cir", [], "has no mesh, board or touch; export a scene with [finger]"),
         ("prototype", "board.net", ["--format", "spice"], "ends in .cir or .sp; rename it"),
         ("prototype", "there.txt/board.sp", [], "cannot be written"),
     ],

@@ -7,7 +7,7 @@ import pytest
 from watertight import volumes_mm3
 
 from nailoptics.assets import data_dir
-from nailoptics.exports.mmc import FLAT_MM3, tetrahedra
+from nailoptics.exports.monte_carlo import FLAT_MM3, tetrahedra
 from nailoptics.geometry import Geometry, build
 from nailoptics.scene import load_scene
 

@@ -271,7 +271,7 @@ def test_pooled_blood_is_arterial_and_squeezing_changes_no_saturation():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("zones = 8\nzone_edges_mm = [1.0]", "both cut the bed; give one of them"),
+        ("zones = 8\nzone_edges_mm = [1.0]", "both cut the bed; give one"),
         ("zone_edges_mm = [0.0, 1.0]", "lie closer than zone_width_mm = 2; move them apart"),
         ("zone_edges_mm = [0.0, 7.0]", "blood.zone_edges_mm 7 lies off the nail, which reaches from -6 to 6 mm"),
         ("zones = 1", "blood.zones = 1: must be greater than or equal to 2"),

@@ -222,7 +222,7 @@ def test_phantoms_and_fingers_refuse_each_others_fields():
         in_led('wavelength_nm = 800.0\npattern = "pencil"')
     )
     assert "photodiodes[0].aperture is for phantoms" in complaint(in_photodiode("aperture = true"))
-    assert "photodiodes[0].aperture needs aperture = true" in complaint(
+    assert "photodiodes[0].aperture must be true in a phantom" in complaint(
         PHANTOM + '[[photodiodes]]\nname = "square"\nposition_mm = [2.0, 0.0]'
     )
 

@@ -131,7 +131,7 @@ def test_a_module_is_a_package_of_leds_and_photodiodes():
     ("field", "rows", "words"),
     [
         ("angular_response", "[[0.0, 1.0]]", "two rows"),
-        ("angular_response", "[[0.0, 0.9], [60.0, 0.5]]", r"from \[0, 1\] on"),
+        ("angular_response", "[[0.0, 0.9], [60.0, 0.5]]", r"from \[0, 1\],"),
         ("angular_response", "[[0.0, 1.0], [60.0, 0.5], [50.0, 0.2]]", "angles rising"),
         ("angular_response", "[[0.0, 1.0], [90.0, 0.1]]", "0.1 at 90 degrees"),
         ("angular_response", "[[0.0, 1.0], [91.0, 0.0]]", "less than or equal to 90"),

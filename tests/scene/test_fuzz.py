@@ -17,7 +17,7 @@ from nailoptics.scene.catalogue import load_part
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import COLUMNS, read_positions
-from nailoptics.scene.importers.sensor_recordings import read_columns
+from nailoptics.scene.importers.sensor_recordings import with_recording
 from nailoptics.scene.sweep import load_sweep
 
 fuzz = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
@@ -25,7 +25,7 @@ PROTOTYPE = tomllib.loads((data_dir("scenes") / "prototype.toml").read_text())
 
 
 def read_touch(path):
-    return read_columns(path, "touch.file", ("force_n",), either=(("force_n",),))
+    return with_recording({"file": str(path)}, None, "touch", ("force_n",), either=(("force_n",),))
 
 
 def few_lines_or_nothing(read, *arguments) -> str:

@@ -14,7 +14,6 @@ from nailoptics.errors import InputError
 from nailoptics.scene import Priors
 from nailoptics.scene.base import USUAL_PULP_BLOOD_FRACTION
 from nailoptics.scene.priors import shipped_priors
-from nailoptics.tissue import properties
 
 
 def test_blood_absorbs_as_in_prahls_table():
@@ -190,8 +189,8 @@ def test_one_more_step_of_its_fit_leaves_the_shipped_pulp_as_it_is(chosen_jit, m
     import fit_fingertip_skin as fit
 
     monkeypatch.setattr(fit, "RAYS", 100_000)
-    logarithms = np.log([properties.PULP_SCATTERING, 1.0, properties.PULP_ABSORPTION, USUAL_PULP_BLOOD_FRACTION])
-    shipped = np.where([True, False, True, True], logarithms, properties.PULP_SCATTERING_POWER)
+    logarithms = np.log([tissue.PULP_SCATTERING, 1.0, tissue.PULP_ABSORPTION, USUAL_PULP_BLOOD_FRACTION])
+    shipped = np.where([True, False, True, True], logarithms, tissue.PULP_SCATTERING_POWER)
     skin, people = fit.Skin(), fit.pooled(fit.measured("ring finger"))
     skin.walk(*fit.values_of(shipped))
     here, width = fit.misfit(shipped, skin, people), 1e-3
@@ -206,7 +205,7 @@ def test_ring_fingers_have_the_skin_that_the_pulp_is_fitted_to():
     printed = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True).stdout
     fit = re.search(r"scattering x(.*) \(wavelength/500\)\^(.*), absorption x(.*), blood (.*)", printed)
     shipped = (
-        *(getattr(properties, f"PULP_{name}") for name in ("SCATTERING", "SCATTERING_POWER", "ABSORPTION")),
+        *(getattr(tissue, f"PULP_{name}") for name in ("SCATTERING", "SCATTERING_POWER", "ABSORPTION")),
         USUAL_PULP_BLOOD_FRACTION,
     )
     assert [float(one) for one in fit.groups()] == pytest.approx(shipped, abs=0.005)

@@ -6,17 +6,17 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...assets import data_dir
 from ...errors import InputError
 from ..base import Point
 from ..catalogue import ModulePart, load_part
 from ..rectangles import area_mm2, turned
-from ..text_files import finite_number, read_rows
+from ..text_files import number_columns, read_rows
 from .kicad import KicadBoard, read_board
-from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, is_number, is_point, join, middle
-from .positions import READING, PlacedPart, read_positions, warn_of_mirrored, warn_of_rotation
+from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, dxf_lines, is_number, is_point, join, middle
+from .positions import READING, PlacedPart, read_positions, warn_of_bottom
 
 log = logging.getLogger(__name__)
 
@@ -34,22 +34,12 @@ FILM_UM = (5, 500)
 NAIL_REACH_MM = 20.0
 
 
-@dataclass(frozen=True)
-class OnNail:
-    """What of a board file lies on the nail, as tables of a scene.
-
-    ignored : References of the file that nothing was said of.
-    outline : In the nail's coordinates; None where the file has none.
-    film_um : Thickness of the board's film; None where the file says none, or that of a rigid board. [um]
-    view : How the coordinates of a KiCad board became the nail's; None of a position file.
-    """
+class OnNail(NamedTuple):
+    """What of a board file lies on the nail: tables of a scene, and the fields of its `[board]` that the file gives."""
 
     leds: tuple[dict[str, Any], ...]
     photodiodes: tuple[dict[str, Any], ...]
-    ignored: tuple[str, ...]
-    outline: Outline | None = None
-    film_um: float | None = None
-    view: "View | None" = None
+    board: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -92,51 +82,48 @@ class View:
 
 
 def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNail:
-    """The parts and the outline of the file that a `[board]` or a candidate names.
+    """The parts and the outline of the file that a `[board]` or a candidate names; raises ValueError, InputError.
 
     table : with kicad or positions, and parts, origin, faces_nail, turn_deg, negate_x_on_bottom, positions_unit.
-
-    Raises: ValueError, InputError.
     """
     if table.get("kicad") is not None and table.get("positions") is not None:
         raise ValueError("kicad and positions both place the parts; give one of them")
-    name = str(table.get("kicad") or table.get("positions"))
+    name, uses = _name(table), table.get("parts") or {}
     path = Path(folder or Path()) / name
-    uses = table.get("parts") or {}
     board = read_board(path) if table.get("kicad") is not None else None
-    if board is None:
-        placed = read_positions(path, **{name: table[name] for name in READING & table.keys()})
-    else:
-        placed = board.footprints
+    placed = board.footprints if board else read_positions(path, **{one: table[one] for one in READING & table.keys()})
     if not uses:
         raise ValueError(f"{name}: nothing says what its parts are; choose from this and add it: {proposal(placed)}")
     mapped = _mapped(placed, uses, name)
     if board is None:
-        warn_of_mirrored(table, placed, mapped)
-        warn_of_rotation(table, path, [part for part in mapped if _looks_turned(part, uses[part.ref], folder)])
+        oblique = [part for part in mapped if _looks_turned(part, uses[part.ref], folder)]
+        warn_of_bottom(table, placed, mapped, oblique)
     whole = None
     if board is not None and board.edges:  # a file may hold several boards: the outline around the parts
         whole = join(board.edges, name, around=[part.position_mm for part in mapped])
-    view = view_of(table, mapped, _faces_nail(mapped, table.get("faces_nail")), board=board, outline=whole)
+    side = str(table.get("faces_nail") or mapped[0].side)
+    for part in (part for part in mapped if part.side != side):
+        why = "parts on the other side see nothing: take it out of the parts"
+        raise ValueError(f"parts.{part.ref} lies on the {part.side}, but the {side} of the board faces the nail; {why}")
+    view = view_of(table, mapped, side, board=board, outline=whole)
     tables: dict[str, list[dict[str, Any]]] = {"led": [], "photodiode": []}
     for part in mapped:
         for kind, fields in _tables(part, dict(uses[part.ref]), view, folder):
             tables[kind].append(fields)
-    outline = None
-    if whole is not None:
-        corners, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
-        outline = Outline(corners, tuple(holes))
-    ignored = tuple(part.ref for part in placed if part.ref not in uses)
+    own: dict[str, Any] = {"unmapped": tuple(part.ref for part in placed if part.ref not in uses)}
+    # A layout goes back into a board of KiCad.
+    own |= {"parts": None} if board is None else view.fields
+    if whole is not None and "outline_mm" not in table:
+        border, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
+        own |= {"outline_mm": border, "outline_holes_mm": tuple(holes)}
     film_um = 0.0 if board is None else round(1e3 * board.thickness_mm, 6)
-    bends = FILM_UM[0] <= film_um <= FILM_UM[1]
-    return OnNail(
-        tuple(tables["led"]),
-        tuple(tables["photodiode"]),
-        ignored,
-        outline,
-        film_um if bends else None,
-        view if board else None,
-    )
+    if FILM_UM[0] <= film_um <= FILM_UM[1] and "kapton_um" not in table:
+        own["kapton_um"] = film_um
+    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), own)
+
+
+def _name(table: Mapping[str, Any]) -> str:
+    return str(table.get("kicad") or table.get("positions"))
 
 
 def view_of(
@@ -151,7 +138,7 @@ def view_of(
 
     parts : those of the file that are used. faces_nail : side of the board.
     """
-    origin = _origin(table.get("origin"), board, outline, parts, str(table.get("kicad") or table.get("positions")))
+    origin = _origin(table.get("origin"), board, outline, parts, _name(table))
     return View(origin, faces_nail == "top", float(table.get("turn_deg", 0.0)))
 
 
@@ -168,18 +155,12 @@ def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
         x, y = board.auxiliary_mm or (0.0, 0.0)
         return join([[(a - x, b - y) for a, b in line] for line in board.edges], str(path))
     if path.suffix.lower() == ".dxf":
-        from .dxf import dxf_lines
-
         return join(dxf_lines(path, unit_mm=unit_mm), str(path))
-    rows = list(read_rows(path, "an outline"))
-    if not rows or [name.strip().lower() for name in rows[0][1][:2]] != ["x_mm", "y_mm"]:
+    rows = read_rows(path, "an outline")
+    if [name.strip().lower() for name in next(rows, (0, []))[1][:2]] != ["x_mm", "y_mm"]:
         raise InputError(f"{path}: is no outline; give a KiCad board, a DXF, or a CSV whose first line is x_mm,y_mm.")
-    corners = []
-    for number, row in rows[1:]:
-        if len(row) < 2:
-            raise InputError(f"{path} line {number}: {','.join(row)!r} is not two numbers.")
-        x, y = (finite_number(text, name, f"{path} line {number}") for text, name in zip(row, "xy", strict=False))
-        corners.append((x, y))
+    _, columns = number_columns(rows, {"x_mm": 0, "y_mm": 1}, str(path), gaps=False)
+    corners = [*zip(*(column.tolist() for column in columns.values()), strict=True)]
     if len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_PLACE_MM:
         corners = corners[:-1]
     if len(corners) < 3 or abs(area_mm2(corners)) < LEAST_AREA_MM2:
@@ -223,35 +204,21 @@ def _origin(
             raise ValueError(f'origin = "{origin}" needs a KiCad board; give [x, y] as in {name}, or leave it out')
         reach_mm = max(abs(x) for part in mapped for x in part.position_mm)
         return (0.0, 0.0) if reach_mm <= NAIL_REACH_MM else _middle_of(mapped, name)
-    named: dict[str, Point | None] = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm, "outline": None}
-    if outline is not None:
-        named["outline"] = middle(outline.corners_mm)
-    preferred = (origin,) if origin is not None else ("auxiliary", "outline")
-    point = next((point for choice in preferred if (point := named.get(choice)) is not None), None)
-    if point is None and origin is None:
+    named = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm}
+    named["outline"] = middle(outline.corners_mm) if outline else None
+    for choice in ("auxiliary", "outline") if origin is None else (origin,):
+        if (point := named.get(choice)) is not None:
+            return point
+    if origin is None:
         return _middle_of(mapped, name)
-    if point is None:
-        raise ValueError(
-            f'{name} has no such origin; set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
-        )
-    return point
+    why = 'set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
+    raise ValueError(f"{name} has no such origin; {why}")
 
 
 def _middle_of(mapped: Sequence[PlacedPart], name: str) -> Point:
     """The middle of the box around the mapped parts, for a file that says no origin. [mm]"""
     log.warning("%s: has no origin; the middle of its mapped parts lies on the nail's centre: give origin.", name)
     return middle([part.position_mm for part in mapped])
-
-
-def _faces_nail(mapped: Sequence[PlacedPart], side: Any) -> str:
-    """The side of the board on which all its parts lie."""
-    for part in mapped:
-        if part.side != (side or mapped[0].side):
-            raise ValueError(
-                f"parts.{part.ref} lies on the {part.side}, but the {side or mapped[0].side} of the board faces the "
-                "nail; parts on the other side see nothing: take it out of the parts"
-            )
-    return str(side or mapped[0].side)
 
 
 def _looks_turned(part: PlacedPart, use: Mapping[str, Any], folder: str | Path | None) -> bool:

@@ -7,6 +7,7 @@ import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,10 @@ from ...io import write_text
 from ..base import Point, Polygon
 from ..rectangles import turned
 from ..text_files import read_text
-from .outlines import Outline
+from .outlines import FLAT_MM, Outline
 from .positions import PlacedPart
 
 EDGE = "Edge.Cuts"
-# How far an arc may lie from the lines that take its place.
-FLAT_MM = 0.002
 NUMBER = re.compile(r"[-+]?[0-9]*\.?[0-9]+(e[-+]?[0-9]+)?", re.IGNORECASE)
 TOKEN = re.compile(r'"(?P<quoted>(?:[^"\\]|\\.)*)"|(?P<mark>[()])|[^\s()"]+', re.DOTALL)
 ESCAPE, CONTROL = re.compile(r"\\(.)", re.DOTALL), {"n": "\n", "r": "\r", "t": "\t"}
@@ -35,12 +34,6 @@ PAGE_CENTER_MM = (100.0, 100.0)
 LEAST_MOVE_MM, LEAST_TURN_DEG = 2e-6, 2e-3
 # Part of a die's longer side that each of its two pads takes.
 PAD_SHARE = 0.4
-# Of the layers that a board may have, those that a written one uses; KiCad adds the others.
-LAYERS = (
-    '(0 "F.Cu" signal) (31 "B.Cu" signal) (34 "B.Paste" user) (35 "F.Paste" user)',
-    '(36 "B.SilkS" user "B.Silkscreen") (37 "F.SilkS" user "F.Silkscreen") (38 "B.Mask" user) (39 "F.Mask" user)',
-    '(44 "Edge.Cuts" user) (46 "B.CrtYd" user "B.Courtyard") (48 "B.Fab" user) (49 "F.Fab" user)',
-)
 
 
 @dataclass(frozen=True)
@@ -61,9 +54,9 @@ class KicadBoard:
 
 
 class Item(list[Any]):
-    """An item of a board file: its name, then texts and items; from where to where in the file it stands."""
+    """An item of a board file: its name, then texts and items; start is where in the file it stands."""
 
-    start = end = 0
+    start = 0
 
 
 def read_board(path: Path) -> KicadBoard:
@@ -90,7 +83,7 @@ def _parsed(text: str) -> Item:
             around[-1].append(item)
             around.append(item)
         elif mark:
-            around.pop().end = token.end()
+            around.pop()
         else:
             around[-1].append(token[0] if quoted is None else ESCAPE.sub(lambda e: CONTROL.get(e[1], e[1]), quoted))
     ((tree,),) = around
@@ -112,16 +105,11 @@ def _point(tree: Sequence[Any], name: str) -> Point:
     return x, -y
 
 
-def _back(tree: Sequence[Any]) -> set[str]:
-    """Names of the bottom side's copper, which is the last one; up to version 5 items call it what its user did."""
-    copper = [
-        str(row[1]) for row in next(_all(tree, "layers"), Item()) if isinstance(row, list) and "user" not in row[2:3]
-    ]
-    return {"B.Cu", *copper[-1:]}
-
-
 def _board(tree: list[Any]) -> KicadBoard:
-    footprints, edges, back = [], [line for item in tree if (line := _edge(item, "gr_"))], _back(tree)
+    footprints, edges = [], [line for item in tree if (line := _edge(item, "gr_"))]
+    rows = [row for row in next(_all(tree, "layers"), Item()) if isinstance(row, list) and "user" not in row[2:3]]
+    # The bottom's copper is the last; up to version 5 items call it what its user did.
+    back = {"B.Cu", *(str(row[1]) for row in rows[-1:])}
     for item in _all(tree, "module", "footprint"):
         place = _numbers(item, "at")
         x, y, angle = (*place, 0.0)[:3]
@@ -162,11 +150,9 @@ def _pads_middle(footprint: list[Any], angle_deg: float) -> Point:
 
 def _edge(item: Any, kind: str) -> Polygon:
     """The line that an item draws on the outline's layer; none if it draws elsewhere."""
-    if not isinstance(item, list) or not item or not str(item[0]).startswith(kind):
+    if not (isinstance(item, list) and item and str(item[0]).startswith(kind)):
         return ()
-    if next(_all(item, "layer"), ["", ""])[1] != EDGE:
-        return ()
-    shape = str(item[0]).removeprefix(kind)
+    shape = str(item[0]).removeprefix(kind) if next(_all(item, "layer"), ["", ""])[1] == EDGE else ""
     if shape == "line":
         return _point(item, "start"), _point(item, "end")
     if shape == "rect":
@@ -175,20 +161,24 @@ def _edge(item: Any, kind: str) -> Polygon:
             return _rounded(min(a, c), min(b, d), max(a, c), max(b, d), radius)
         return (a, b), (c, b), (c, d), (a, d), (a, b)
     if shape == "circle":
-        center, through = _point(item, "center"), _point(item, "end")
-        return _arc(center, through, math.tau)
+        return _arc(_point(item, "center"), _point(item, "end"), math.tau)
     if shape == "arc":
         if angle := _numbers(item, "angle"):  # KiCad 5: start is the centre, and the angle follows the clock
             return _arc(_point(item, "start"), _point(item, "end"), -math.radians(angle[0]))
-        return _arc_through(*(_point(item, name) for name in ("start", "mid", "end")))
+        return _arc_through(item)
     if shape in ("poly", "curve"):
         line: list[Point] = []
         for vertex in next(_all(item, "pts"))[1:]:
             if vertex[0] == "arc":
-                line += _arc_through(*(_point(vertex, name) for name in ("start", "mid", "end")))
+                line += _arc_through(vertex)
             else:
                 line.append((float(vertex[1]), -float(vertex[2])))
-        return _bezier(line) if shape == "curve" else (*line, line[0])
+        if shape == "poly":
+            return (*line, line[0])
+        a, b, c, d = np.array(line)
+        t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
+        points = (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * b + 3 * t * t * (1 - t) * c + t**3 * d
+        return tuple((x, y) for x, y in points.tolist())
     return ()
 
 
@@ -212,8 +202,9 @@ def _arc(center: Point, start: Point, sweep_rad: float) -> Polygon:
     return (start, *((center[0] + radius * math.cos(a), center[1] + radius * math.sin(a)) for a in angles))
 
 
-def _arc_through(start: Point, middle: Point, end: Point) -> Polygon:
-    """The arc through three points; a straight line where they lie on one."""
+def _arc_through(item: Sequence[Any]) -> Polygon:
+    """The arc through an item's three points; a straight line where they lie on one."""
+    start, middle, end = (_point(item, name) for name in ("start", "mid", "end"))
     first = complex(*start)
     a, b = complex(*middle) - first, complex(*end) - first
     twice_mm2 = (a.conjugate() * b).imag
@@ -224,13 +215,6 @@ def _arc_through(start: Point, middle: Point, end: Point) -> Polygon:
     center = first + away
     line = _arc((center.real, center.imag), start, sweep if twice_mm2 > 0 else sweep - math.tau)
     return (*line[:-1], end)
-
-
-def _bezier(handles: Sequence[Point]) -> Polygon:
-    a, b, c, d = np.array(handles)
-    t = np.linspace(0.0, 1.0, CURVE_POINTS)[:, None]
-    points = (1 - t) ** 3 * a + 3 * t * (1 - t) ** 2 * b + 3 * t * t * (1 - t) * c + t**3 * d
-    return tuple((x, y) for x, y in points.tolist())
 
 
 def moved_board(path: Path, places: Mapping[str, tuple[Point, float]], new: Sequence[tuple[PlacedPart, Point]]) -> str:
@@ -255,8 +239,7 @@ def moved_board(path: Path, places: Mapping[str, tuple[Point, float]], new: Sequ
         for one in _all(item, "pad", "fp_text", "property") if turn_deg else ():
             edits |= _edit(text, one, turn_deg)
     end = text.rindex(")")
-    footprints = [_footprint(part, size, _place(part.position_mm)) for part, size in new]
-    edits[end, end] = "".join(f"{line}\n" for lines in footprints for line in lines)
+    edits[end, end] = "".join(_footprint(part, size, _place(part.position_mm)) for part, size in new)
     for (start, stop), words in sorted(edits.items(), reverse=True):
         text = text[:start] + words + text[stop:]
     return text
@@ -285,64 +268,44 @@ def _place(point: Point) -> str:
 def write_board(
     path: Path, parts: Sequence[PlacedPart], sizes_mm: Sequence[Point], outline: Outline, *, thickness_mm: float
 ) -> None:
-    """Write a layout as a board of KiCad 6, which newer ones open: outline and footprints, two pads under each die.
+    """Write a layout as a board of KiCad 6, which newer ones open, from its origin; raises WriteError.
 
-    The origin of drill and position files is the layout's.
-
-    sizes_mm : Size of each part's die at a rotation of 0. [mm]
+    sizes_mm : Size of each part's die at a rotation of 0, with two pads under it. [mm]
     thickness_mm : Of the board's film.
-
-    Raises: WriteError.
     """
     ox, oy = PAGE_CENTER_MM
 
     def place(point: Point) -> str:
         return _place((point[0] + ox, point[1] - oy))
 
-    lines = [
-        '(kicad_pcb (version 20211014) (generator "nailoptics")',
-        f"  (general (thickness {thickness_mm:.9g}))",
-        '  (paper "A4")',
-    ]
-    lines += ["  (layers", *(f"    {row}" for row in LAYERS), "  )"]
-    lines += [f"  (setup (pad_to_mask_clearance 0) (aux_axis_origin {ox:g} {oy:g}))", '  (net 0 "")']
-    for part, size in zip(parts, sizes_mm, strict=True):
-        lines += _footprint(part, size, place(part.position_mm))
+    items = [_footprint(part, size, place(part.position_mm)) for part, size in zip(parts, sizes_mm, strict=True)]
     for polygon in (outline.corners_mm, *outline.holes_mm):
         for k, (a, b) in enumerate(zip(polygon, (*polygon[1:], polygon[0]), strict=True)):
-            lines.append(
-                f'  (gr_line (start {place(a)}) (end {place(b)}) (layer "{EDGE}") (width 0.05) {_stamp(a, k)})'
-            )
-    write_text(path, "\n".join([*lines, ")"]) + "\n")
+            ends = f"(start {place(a)}) (end {place(b)})"
+            items.append(f'  (gr_line {ends} (layer "{EDGE}") (width 0.05) {_stamp(a, k)})\n')
+    board = {"thickness": f"{thickness_mm:.9g}", "origin": f"{ox:g} {oy:g}", "items": "".join(items)}
+    write_text(path, _filled("board.kicad", board))
 
 
-def _footprint(part: PlacedPart, size_mm: Point, place: str) -> list[str]:
-    side, half = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
-    mirror = " (justify mirror)" if side == "B" else ""
-    font = f"(effects (font (size 0.3 0.3) (thickness 0.05)){mirror})"
-    angle = f"{part.rotation_deg:.9g}"
-    lines = [f'  (footprint "nailoptics:{_quoted(part.package)}" (layer "{side}.Cu") {_stamp(part.ref)}']
-    lines.append(f"    (at {place} {angle}) (attr smd)")
-    for kind, text in (("reference", part.ref), ("value", part.value)):
-        where = f'(at 0 0 {angle}) (layer "{side}.Fab")'
-        lines.append(f'    (fp_text {kind} "{_quoted(text)}" {where} {font} {_stamp(part.ref, kind)})')
-    corners = f"(start {-half[0]:.9g} {-half[1]:.9g}) (end {half[0]:.9g} {half[1]:.9g})"
-    for layer in ("Fab", "CrtYd"):
-        lines.append(
-            f'    (fp_rect {corners} (layer "{side}.{layer}") (width 0.02) (fill none) {_stamp(part.ref, layer)})'
-        )
-    long = int(size_mm[1] > size_mm[0])
-    pad = [size_mm[0], size_mm[1]]
-    pad[long] *= PAD_SHARE
-    layers = " ".join(f'"{side}.{layer}"' for layer in ("Cu", "Paste", "Mask"))
-    for number, way in ((1, -1), (2, 1)):
-        at = [0.0, 0.0]
-        at[long] = way * (1 - PAD_SHARE) / 2 * size_mm[long]
-        lines.append(
-            f'    (pad "{number}" smd rect (at {at[0]:.9g} {at[1]:.9g} {angle}) (size {pad[0]:.9g} {pad[1]:.9g}) '
-            f"(layers {layers}) {_stamp(part.ref, number)})"
-        )
-    return [*lines, "  )"]
+def _filled(template: str, fields: Mapping[str, str]) -> str:
+    return Template(Path(__file__).with_name(template).read_text(encoding="utf-8")).substitute(fields)
+
+
+def _footprint(part: PlacedPart, size_mm: Point, place: str) -> str:
+    side, (u, v) = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
+    # Its two pads lie along its longer side.
+    along, across = (1 - PAD_SHARE) * max(u, v), PAD_SHARE * 2 * max(u, v)
+    fields = {name: _quoted(getattr(part, name)) for name in ("package", "ref", "value")}
+    fields |= {f"tstamp_{name}": _stamp(part.ref, name) for name in ("reference", "value", "Fab", "CrtYd", 1, 2)}
+    fields |= {"tstamp": _stamp(part.ref), "side": side, "place": place, "angle": f"{part.rotation_deg:.9g}"}
+    fields["font"] = f"(effects (font (size 0.3 0.3) (thickness 0.05)){' (justify mirror)' if side == 'B' else ''})"
+    fields["corners"] = f"(start {-u:.9g} {-v:.9g}) (end {u:.9g} {v:.9g})"
+    fields["first"], fields["second"], fields["pad"] = (
+        (f"0 {-along:.9g}", f"0 {along:.9g}", f"{2 * u:.9g} {across:.9g}")
+        if v > u
+        else (f"{-along:.9g} 0", f"{along:.9g} 0", f"{across:.9g} {2 * v:.9g}")
+    )
+    return _filled("footprint.kicad", fields)
 
 
 def _quoted(text: str) -> str:

@@ -1,10 +1,11 @@
-"""Outlines of boards: lines in any order joined into a border and its holes, and room within them."""
+"""Outlines of boards: read from drawings, lines joined into a border and its holes, and the room within them."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +13,11 @@ from ...errors import InputError
 from ...io import write_text
 from ..base import Point, Polygon
 from ..rectangles import area_mm2
+from ..text_files import read_bytes
 
 if TYPE_CHECKING:
     import shapely
+    from ezdxf.document import Drawing
 
 # Ends of lines that lie closer meet; layout programs chain a board's outline with the same tolerance.
 SAME_PLACE_MM = 0.01
@@ -25,6 +28,14 @@ GRID_MM = 1e-6  # to which crossings of lines are rounded, as KiCad's own coordi
 LEAST_AREA_MM2 = 1e-3
 # Farther from its origin no board reaches, and a unit is wrong.
 FARTHEST_MM = 1e6
+# How far an arc or a spline may lie from the lines that take its place.
+FLAT_MM = 0.002
+FLAT_PART = 1e-5  # of its size, where that is more: no curve becomes more than some hundred lines
+# Things that a drawing shows, and points of their lines; a board's outline has some hundred.
+MOST_ENTITIES, MOST_POINTS = 20_000, 200_000
+# Layers to which layout programs write a board's outline.
+OUTLINE_LAYERS = ("edge.cuts", "edge_cuts", "boardoutline", "board_outline", "outline", "dimension", "profile")
+LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,80 @@ def middle(points: Sequence[Point]) -> Point:
     return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
 
+def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> list[Polygon]:
+    """The lines of a drawing's model, or of its layer for outlines, curves as short straight ones; raises InputError.
+
+    unit_mm : one drawing unit, where the drawing does not state it. [mm]
+    """
+    layers: dict[str, list[Polygon]] = {}
+    points = 0
+    try:
+        import ezdxf
+        from ezdxf import recover
+    except ImportError:
+        raise InputError(f"{path}: reading DXF needs ezdxf: pip install 'nailoptics[cad]'.") from None
+    data = read_bytes(path, "an outline")
+    try:
+        binary = data.startswith(b"AutoCAD Binary DXF")
+        drawing = ezdxf.readfile(path) if binary else recover.read(BytesIO(data))[0]
+        unit_mm = _unit_mm(drawing, path) or unit_mm
+        for count, entity in enumerate(_entities(drawing.modelspace())):
+            if count >= MOST_ENTITIES:
+                why = f"draws more than {MOST_ENTITIES} things; export the outline (Edge.Cuts) alone."
+                raise InputError(f"{path}: {why}")
+            shown = entity.dxftype() in LINES and not entity.dxf.invisible
+            if shown and (line := _flat(entity, unit_mm)):
+                layers.setdefault(str(entity.dxf.layer).lower(), []).append(line)
+                if (points := points + len(line)) > MOST_POINTS:
+                    raise InputError(f"{path}: has more than {MOST_POINTS} points; export the outline alone.")
+    except InputError:
+        raise
+    except Exception as error:  # ezdxf raises whatever a broken drawing makes its parts raise
+        why = f"is no DXF drawing that can be read ({type(error).__name__}); export it again."
+        raise InputError(f"{path}: {why}") from None
+    named = next((name for name in OUTLINE_LAYERS if name in layers), None)
+    lines = layers[named] if named else [line for layer in layers.values() for line in layer]
+    if not lines:
+        raise InputError(f"{path}: has no line, polyline, arc or spline; export the outline (Edge.Cuts) alone.")
+    return lines
+
+
+def _unit_mm(drawing: "Drawing", path: Path) -> float | None:
+    """One unit of a drawing that states it. [mm]"""
+    from ezdxf.enums import InsertUnits
+    from ezdxf.units import conversion_factor
+
+    # $MEASUREMENT says nothing: programs leave it at inches in drawings in millimetres.
+    unit = int(drawing.header.get("$INSUNITS", 0) or 0)
+    try:
+        return conversion_factor(InsertUnits(unit), InsertUnits.Millimeters) if unit else None
+    except (ValueError, TypeError):
+        raise InputError(f"{path}: its unit ($INSUNITS = {unit}) is not known; export it in millimetres.") from None
+
+
+def _entities(space: Iterable[Any]) -> Iterator[Any]:
+    """Everything in a drawing, blocks and, after each, what is in it."""
+    for entity in space:
+        yield entity
+        if entity.dxftype() == "INSERT":
+            yield from _entities(entity.multi_insert() if entity.mcount > 1 else entity.virtual_entities())
+
+
+def _flat(entity: Any, unit_mm: float) -> Polygon:
+    """An entity's points in millimetres; none if it is a mesh or has no length."""
+    from ezdxf.path import bbox, make_path
+
+    try:
+        path = make_path(entity)
+    except TypeError:  # a polyline that is a mesh
+        return ()
+    extent = bbox([path], fast=True)
+    if not extent.has_data:
+        return ()
+    far = max(FLAT_MM / unit_mm, FLAT_PART * extent.size.magnitude)
+    return tuple((point.x * unit_mm, point.y * unit_mm) for point in path.flattening(far))
+
+
 def write_outline(path: Path, outline: Outline) -> None:
     """Write an outline with its holes as a drawing in DXF R12, which every program reads; raises WriteError."""
     groups: list[tuple[int, object]] = [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
@@ -70,9 +155,7 @@ def join(lines: Iterable[Sequence[Point]], name: str, *, around: Sequence[Point]
     Where lines branch, the border goes round all the areas that they enclose together; of boards that share an edge,
     round those on which parts lie. Lines that enclose nothing, and closed lines outside or in a hole, are left out.
 
-    lines : points of each. [mm]
-    name : what the message begins with.
-    around : points of the parts, where a drawing has several boards. [mm]
+    lines, around : points of each line, and of the parts, where a drawing has several boards. [mm]
 
     Raises: InputError where nothing is closed, an open line is larger than what is, or shapely is missing.
     """
@@ -169,17 +252,13 @@ def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineStrin
         (x, y), *others = [
             line.coords[k] for line in (largest, *(line for line in loose if line is not largest)) for k in (0, -1)
         ]
-        raise InputError(
-            f"{name}: the outline is open at ({x:g}, {y:g}) mm, from where it is "
-            f"{min(math.dist((x, y), other) for other in others):.3g} mm to the next end of a line; close it."
-        )
+        next_mm = min(math.dist((x, y), other) for other in others)
+        why = f"from where it is {next_mm:.3g} mm to the next end of a line; close it."
+        raise InputError(f"{name}: the outline is open at ({x:g}, {y:g}) mm, {why}")
 
 
 def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:
-    """Whether a rectangle lies within a border and outside of its holes; it may touch their lines.
-
-    half_mm : Half its size along x and y. [mm]
-    """
+    """Whether a rectangle of half a size lies within a border and outside of its holes; it may touch their lines."""
     # Quick with many corners, and everywhere, while shapely is an extra.
     from matplotlib.path import Path as Line
     from matplotlib.transforms import Bbox

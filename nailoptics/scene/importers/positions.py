@@ -30,7 +30,6 @@ SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
 FileUnit = Literal["mm", "mil", "inch"]
 # The angle of a part on the bottom: seen from the top, as KiCad writes it, or from below, as JLCPCB and others ask for.
 BottomRotation = Literal["kicad", "assembler"]
-ASSEMBLER_HEADER = re.compile(r"designator\W.*mid\s*x", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -68,11 +67,10 @@ def read_positions(
     """Read a position file, both sides, in the order of the file.
 
     Columns may be parted by commas, semicolons, tabs or, in a .pos, blanks; lengths are in the unit that stands in the
-    cell, in the column's name, or beside the columns, else in the one given. Where no column states the side, all parts
-    are taken to lie on the top, and a warning says so.
+    cell, in the column's name, or beside the columns, else in the one given. Without a column of the side all lie on
+    the top, and a warning says so.
 
-    negate_x_on_bottom : the file was exported with "use negative X coordinates for footprints on bottom layer"; turn
-        the sign of X back on that side.
+    negate_x_on_bottom : the file has KiCad's "negative X coordinates for footprints on bottom layer": undo that.
     rotation_on_bottom : an assembler's angle on the bottom is 180 degrees less KiCad's.
 
     Raises: InputError with file, line and what is wrong.
@@ -103,51 +101,34 @@ def read_positions(
     return tuple(parts)
 
 
-def warn_of_mirrored(table: Mapping[str, Any], parts: Sequence[PlacedPart], used: Sequence[PlacedPart]) -> None:
-    """Say in a line that X of the bottom side may be negated, where the scene does not say whether it is.
+def warn_of_bottom(
+    table: Mapping[str, Any],
+    parts: Sequence[PlacedPart],
+    used: Sequence[PlacedPart],
+    oblique: Sequence[PlacedPart] = (),
+) -> None:
+    """Say in a line each how X and angles of the bottom side are read, where the scene does not say it and it matters.
 
-    table : of the scene, that names the file. parts, used : all parts of the file as they stand, and those that count.
+    table : of the scene, that names the file. parts, used : all of the file as they stand, and those that count.
+    oblique : those that do not look the same at 180 degrees less their angle.
     """
-    if "negate_x_on_bottom" in table or all(part.side == "top" for part in used):
-        return
     top, bottom = ([part.position_mm[0] for part in parts if part.side == side] for side in ("top", "bottom"))
-    as_it_stands, negated = (_share_room(top, [sign * x for x in bottom]) for sign in (1, -1))
-    if as_it_stands and not negated:
-        return
-    why = "looks negated, as KiCad may write it" if negated and not as_it_stands else "may be negated"
-    log.warning(
-        "%s: X on the bottom %s, and is read as it stands: add negate_x_on_bottom = true if it is, or the layout is "
-        "mirrored; false if it is not.",
-        table["positions"],
-        why,
-    )
 
+    def share_room(bottom: Sequence[float]) -> bool:
+        # On one board the sides overlap; of one side alone some X is positive, as on KiCad's page.
+        return min(top) < max(bottom) and min(bottom) < max(top) if top else max(bottom) > 0
 
-def warn_of_rotation(table: Mapping[str, Any], path: Path, turned_parts: Sequence[PlacedPart]) -> None:
-    """Say in a line how angles on the bottom side are read, where the scene does not say it and it matters.
-
-    turned_parts : those that do not look the same at 180 degrees less their angle.
-    """
-    refs = [part.ref for part in turned_parts if part.side == "bottom"]
-    if table.get("rotation_on_bottom") or not refs:
-        return
-    text = read_text(path, "a position file", any_encoding=True)
-    why = "its header is that of an assembler" if ASSEMBLER_HEADER.search(text) else "assemblers write it otherwise"
-    log.warning(
-        "%s: the rotation of %s on the bottom is read as KiCad writes it, but %s: set rotation_on_bottom to "
-        '"assembler" (180 degrees less the angle) or "kicad".',
-        table["positions"],
-        ", ".join(refs),
-        why,
-    )
-
-
-def _share_room(top: Sequence[float], bottom: Sequence[float]) -> bool:
-    """Whether parts of both sides may lie on one board, by their X; of one side alone, whether some X is positive, as
-    on KiCad's page."""
-    if not top:
-        return max(bottom) > 0
-    return min(top) < max(bottom) and min(bottom) < max(top)
+    if "negate_x_on_bottom" not in table and any(part.side == "bottom" for part in used):
+        as_it_stands, negated = share_room(bottom), share_room([-x for x in bottom])
+        if negated or not as_it_stands:
+            why = "may be negated" if as_it_stands or not negated else "looks negated, as KiCad may write it"
+            how = "add negate_x_on_bottom = true if it is, or the layout is mirrored; false if it is not."
+            log.warning("%s: X on the bottom %s, and is read as it stands: %s", table["positions"], why, how)
+    refs = [part.ref for part in oblique if part.side == "bottom"]
+    if refs and not table.get("rotation_on_bottom"):
+        read = f"the rotation of {', '.join(refs)} on the bottom is read as KiCad writes it, but assemblers write it"
+        how = 'set rotation_on_bottom to "assembler" (180 degrees less the angle) or "kicad".'
+        log.warning("%s: %s otherwise: %s", table["positions"], read, how)
 
 
 def _table(
@@ -172,10 +153,8 @@ def _table(
         raise InputError(f"{path}: is a spreadsheet, not a position file; save it as CSV.")
     first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
     missing = ", ".join(name for name in NEEDED if name not in first)
-    raise InputError(
-        f"{path}: is no position file: {missing} missing; its first line must be {','.join(COLUMNS)}, or as an "
-        "assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)."
-    )
+    header = f"{','.join(COLUMNS)}, or as an assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)"
+    raise InputError(f"{path}: is no position file: {missing} missing; its first line must be {header}.")
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -230,10 +209,7 @@ def _length_mm(text: str, name: str, where: str, unit_mm: float) -> float:
 
 
 def write_positions(path: Path, parts: Iterable[PlacedPart], *, negate_x_on_bottom: bool = False) -> None:
-    """Write a position file in KiCad's form; raises InputError where the place cannot be written.
-
-    A text that a spreadsheet would run as a formula stands behind an apostrophe, which `read_positions` takes away.
-    """
+    """Write a position file in KiCad's form, formulas of spreadsheets behind an apostrophe; raises WriteError."""
     lines = [",".join(COLUMNS)]
     for part in parts:
         x, y = part.position_mm

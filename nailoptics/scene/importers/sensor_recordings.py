@@ -15,7 +15,7 @@ from ...checks import Array
 from ...errors import InputError
 from ...io import make_folder, write_text
 from ..base import ARTERIAL_PA, LEAST_AREA_MM2, VENOUS_PA
-from ..oximeter import DARK
+from ..electronics import DARK
 from ..text_files import Rows, number_columns, read_rows
 
 PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
@@ -32,10 +32,10 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "arterial_pressure_pa": (*ARTERIAL_PA, "Pa"),
     "venous_pressure_pa": (*VENOUS_PA, "Pa"),
     "hand_height_m": (-1.0, 1.0, "m"),
+    **{f"{light} light": (0.0, np.inf, "counts") for light in ("red", "infrared", "ambient")},
 }
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
 UNLOADED_N = 0.05
-Columns = dict[str, tuple[float, ...]]
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # What messages call lines that come one by one.
 STDIN = "stdin"
@@ -45,16 +45,18 @@ MOST_VOLTS = 50.0
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
 
 
-def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequence[Sequence[str]]) -> Columns:
-    """Columns of a recording by name, time_s among them; others than the known ones are left out.
+def with_recording(
+    data: dict[str, Any], folder: Path | None, name: str, known: Sequence[str], *, either: Sequence[Sequence[str]]
+) -> dict[str, Any]:
+    """A table with the columns of the file that it names, if it does, time_s among them; raises InputError.
 
-    name : the field that names the file, for messages.
-    known : columns that are read where they are there.
-    either : sets of columns of which one must be whole.
-
-    Raises: InputError, one line that names the file, the line and the value.
+    name : the table's, for messages.
+    known : columns that are read where they are there. either : sets of columns of which one must be whole.
     """
-    shown = f"{name} {str(path)!r}"
+    if not isinstance(data.get("file"), str) or "recorded_time_s" in data:
+        return data
+    path = Path(folder or Path()) / data["file"]
+    shown = f"{name}.file {str(path)!r}"
     rows = read_rows(path, f"a CSV with columns time_s,{','.join(either[0])}", shown=shown)
     header = [cell.strip() for cell in next(rows, (0, []))[1]]
     if "time_s" not in header or not any(set(names) <= set(header) for names in either):
@@ -62,7 +64,7 @@ def read_columns(path: Path, name: str, known: Sequence[str], *, either: Sequenc
         raise InputError(f"{shown} needs a header with {needed}; write one, or give another file.")
     titles = ["time_s", *(title for title in known if title in header)]
     columns = _numbers(rows, header, titles, shown, gaps=False)
-    return {title: tuple(column.tolist()) for title, column in columns.items()}
+    return data | {f"recorded_{title}": tuple(column.tolist()) for title, column in columns.items()}
 
 
 def _numbers(rows: Rows, header: Sequence[str], titles: Sequence[str], name: str, **how: Any) -> dict[str, Array]:
@@ -145,10 +147,8 @@ def read_sensor_recording(path: str | Path) -> Recording:
     time_s = columns["time_s"]
     step_s = float(np.median(np.diff(time_s)))
     if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
-        raise InputError(
-            f"{name}: time_s rises in steps of {step_s:g}; give it in seconds, {LEAST_STEP_S:g} to {MOST_STEP_S:g} "
-            "from sample to sample."
-        )
+        why = f"give it in seconds, {LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
+        raise InputError(f"{name}: time_s rises in steps of {step_s:g}; {why}")
     volts = np.array([columns[title] for title in readings])
     return Recording(name, readings, time_s, volts, columns.get("force_n"), columns.get("site"))
 
@@ -171,10 +171,8 @@ def _table(
     def checked() -> Rows:
         for line, row in rows:
             if any(cell.strip() for cell in row[len(header) :]):
-                raise InputError(
-                    f"{name} line {line}: has {len(row)} cells for {len(header)} columns; write numbers with a "
-                    "decimal point."
-                )
+                why = "write numbers with a decimal point."
+                raise InputError(f"{name} line {line}: has {len(row)} cells for {len(header)} columns; {why}")
             yield line, row
 
     return name, header, checked()
@@ -187,36 +185,29 @@ def reading_columns(header: Sequence[str]) -> tuple[str, ...]:
 
 def check_header(header: Sequence[str], name: str) -> None:
     """Raise InputError unless there is time, at least one reading, no column without a title, and no title twice."""
-    if not any(header):
-        raise InputError(f"{name}: is empty; give a CSV with time_s and the readings in volts.")
-    if "\ufffd" in "".join(header):
-        raise InputError(f"{name}: is no text; give a CSV with time_s and the readings in volts.")
-    if len(header) == 1 and ";" in header[0]:
-        raise InputError(f"{name}: has semicolons between columns; write commas, and numbers with a decimal point.")
-    if "time_s" not in header:
-        raise InputError(f"{name}: has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds.")
-    if "" in header:
-        raise InputError(f"{name}: column {header.index('') + 1} has no title; name it or leave it out.")
     twice = next((title for title in header if header.count(title) > 1), None)
-    if twice is not None:
-        raise InputError(f"{name}: column {twice!r} is there twice; rename one.")
-    if not reading_columns(header):
-        raise InputError(f"{name}: has no reading; add a column of volts for each photodiode.")
+    for wrong, why in (
+        (not any(header), "is empty; give a CSV with time_s and the readings in volts"),
+        ("\ufffd" in "".join(header), "is no text; give a CSV with time_s and the readings in volts"),
+        (";" in "".join(header[:1]), "has semicolons between columns; write commas, and numbers with a decimal point"),
+        ("time_s" not in header, f"has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds"),
+        ("" in header, f"column {[*header, ''].index('') + 1} has no title; name it or leave it out"),
+        (twice is not None, f"column {twice!r} is there twice; rename one"),
+        (not reading_columns(header), "has no reading; add a column of volts for each photodiode"),
+    ):
+        if wrong:
+            raise InputError(f"{name}: {why}.")
 
 
 def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None:
     """Raise InputError unless the readings of a recording are just those of a board."""
     missing, unknown = [n for n in names if n not in titles], [n for n in titles if n not in names]
     if missing:
-        raise InputError(
-            f"{label}: has no column {missing[0]!r}; this board's readings are {', '.join(names)}; "
-            "take the recording's own board."
-        )
+        why = f"this board's readings are {', '.join(names)}; take the recording's own board."
+        raise InputError(f"{label}: has no column {missing[0]!r}; {why}")
     if unknown:
-        raise InputError(
-            f"{label}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); "
-            "rename it or leave it out."
-        )
+        why = "rename it or leave it out."
+        raise InputError(f"{label}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); {why}")
 
 
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
@@ -226,26 +217,19 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
         if not known.size:
             raise InputError(f"{label}: column {title!r} is empty; leave it out or record it.")
         if np.abs(known).max() > MOST_VOLTS:
-            raise InputError(
-                f"{label}: column {title!r} reaches {np.abs(known).max():g} V, which looks like a converter's counts; "
-                "convert it to volts."
-            )
+            why = "which looks like a converter's counts; convert it to volts."
+            raise InputError(f"{label}: column {title!r} reaches {np.abs(known).max():g} V, {why}")
         if known.size > 2 and np.ptp(known) == 0:
-            raise InputError(
-                f"{label}: column {title!r} is constant at {known[0]:g} V; check its wiring, "
-                "or lower the LED's power if the converter ends there."
-            )
+            why = "check its wiring, or lower the LED's power if the converter ends there."
+            raise InputError(f"{label}: column {title!r} is constant at {known[0]:g} V; {why}")
 
 
 def samples_by_line(lines: Iterable[str], titles: Callable[[list[str]], Sequence[str]]) -> Iterator[dict[str, float]]:
     """Samples of a recording's lines that come one by one, by title: each is given before the next line is read.
 
-    Empty lines and comments (#) are skipped; a last line that ends in its midst, as of a sensor that was unplugged, is
-    left out.
+    Empty lines, comments (#) and a last line that ends in its midst, as of a sensor that was unplugged, are left out.
 
-    titles : what is read, of the header, which is read at once; raises InputError where that is missing.
-
-    Raises: InputError for a line that is no sample.
+    titles : what is read, of the header, which is read at once. Raises: InputError for a line that is no sample.
     """
     rows = (
         (number, line)
@@ -274,16 +258,21 @@ def _cells(line: str) -> list[str]:
 def recording_csv(recording: Recording) -> str:
     """A recording as the text of its file."""
     named = {value: name for name, value in SITES.items() if np.isfinite(value)}
+    columns: dict[str, list[str]] = {"time_s": [repr(time_s) for time_s in recording.time_s.tolist()]}
+    if recording.force_n is not None:
+        columns["force_n"] = _written(recording.force_n, 6)
+    if recording.site is not None:
+        columns["site"] = [named.get(site, "even") for site in recording.site]
+    return _csv(columns | {name: _written(v, 7) for name, v in zip(recording.names, recording.volts, strict=True)})
+
+
+def _written(values: Array, digits: int) -> list[str]:
+    return ["" if np.isnan(x) else f"{x:.{digits}g}" for x in values]
+
+
+def _csv(columns: Mapping[str, Sequence[str]]) -> str:
     out = StringIO()
-    rows = csv.writer(out, lineterminator="\n")
-    site, force = recording.site, recording.force_n
-    known = [*(["force_n"] if force is not None else []), *(["site"] if site is not None else [])]
-    rows.writerow(["time_s", *known, *recording.names])
-    for k, time_s in enumerate(recording.time_s):
-        cells = [repr(float(time_s))]
-        cells += [f"{force[k]:.6g}"] if force is not None else []
-        cells += [named.get(site[k], "even")] if site is not None else []
-        rows.writerow([*cells, *("" if np.isnan(v) else f"{v:.7g}" for v in recording.volts[:, k])])
+    csv.writer(out, lineterminator="\n").writerows([[*columns], *zip(*columns.values(), strict=True)])
     return out.getvalue()
 
 
@@ -367,37 +356,21 @@ def _is_module(header: Sequence[str]) -> bool:
 
 
 def _read_module(name: str, header: Sequence[str], rows: Rows, photodiode: str, frame_hz: float) -> OximeterRecording:
-    """A module's recording: counts of red, infrared and, if there, ambient light, one photodiode's.
-
-    Its times are time_s, or timestamp in milliseconds, or frames.
-    """
+    """A module's recording: counts of red, infrared and perhaps ambient light over time_s, timestamp [ms] or frames."""
     titles = [title.lower() for title in header]
-    places = {
-        light: next((titles.index(title) for title in known if title in titles), None)
-        for light, known in MODULE_COLUMNS.items()
-    }
     clock = next((title for title in ("time_s", "timestamp") if title in titles), None)
-    columns = {light: place for light, place in places.items() if place is not None}
-    for light in ("red", "infrared"):
-        if light not in columns:
-            raise InputError(
-                f"{name}: has no column of {light} light; name one {' or '.join(MODULE_COLUMNS[light])} "
-                "(an oximeter needs both)."
-            )
+    known = [(light, title) for light, names in MODULE_COLUMNS.items() for title in reversed(names)]
+    columns = {light: titles.index(title) for light, title in known if title in titles}
+    for light in {"red", "infrared"} - columns.keys():
+        needed = f"name one {' or '.join(MODULE_COLUMNS[light])} (an oximeter needs both)"
+        raise InputError(f"{name}: has no column of {light} light; {needed}.")
     clocks = {"time_s": titles.index(clock)} if clock else {}
     # The evaluation kit ends with the time at which it stopped.
     samples = takewhile(lambda row: row[1][0].strip().lower() != "stop time", rows)
     line, read = number_columns(samples, clocks | columns, name)
-    for light in columns:
-        if (read[light] < 0).any():
-            k = int(np.argmax(read[light] < 0))
-            raise InputError(
-                f"{name} line {line[k]}: {light} light is {read[light][k]:g}; light is not negative, give what the "
-                "converter read, ambient light included."
-            )
     time_s = read["time_s"] if clock else np.arange(len(line)) / frame_hz
     time_s = 1e-3 * (time_s - time_s[:1]) if clock == "timestamp" else time_s
-    check_columns({"time_s": time_s}, name, line)
+    check_columns({"time_s": time_s} | {f"{light} light": read[light] for light in columns}, name, line)
     volts = np.array([[read["red"]], [read["infrared"]]])
     dark = read["ambient"][None] if "ambient" in read else np.zeros((1, len(line)))
     return OximeterRecording(name, (photodiode,), time_s, volts, dark, counts=True)
@@ -405,10 +378,7 @@ def _read_module(name: str, header: Sequence[str], rows: Rows, photodiode: str, 
 
 def oximeter_csv(recording: OximeterRecording, leds: tuple[str, str]) -> str:
     """A recording as the text of its file, a column for each LED, and the dark slot, on each photodiode."""
-    titles = ["time_s", *(f"{light}:{photodiode}" for light in (*leds, DARK) for photodiode in recording.photodiodes)]
-    columns = np.concatenate([recording.time_s[None], *recording.volts, recording.dark_v])
-    lines = [
-        ",".join([repr(float(time_s)), *("" if np.isnan(x) else f"{x:.9g}" for x in volts)])
-        for time_s, *volts in columns.T
-    ]
-    return "\n".join([",".join(titles), *lines]) + "\n"
+    titles = [f"{light}:{photodiode}" for light in (*leds, DARK) for photodiode in recording.photodiodes]
+    volts = (_written(column, 9) for column in (*recording.volts[0], *recording.volts[1], *recording.dark_v))
+    times = {"time_s": [repr(time_s) for time_s in recording.time_s.tolist()]}
+    return _csv(times | dict(zip(titles, volts, strict=True)))

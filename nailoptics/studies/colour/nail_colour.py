@@ -31,7 +31,7 @@ from ...light.transfer.series import ChebyshevBox
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, Viewing, as_scene
-from ...scene.viewing import Illuminant, LightFrom, Observer
+from ...scene.tracing import Illuminant, LightFrom, Observer
 from ...statistics import Array, jackknife, left_out, seed_of
 from ...variables import described, jackknifed
 from ..prior_uncertainty import only_absorbs, over_priors

@@ -9,8 +9,8 @@ import xarray as xr
 from ...errors import InputError
 from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
 from ...scene import Oximeter, Scene
+from ...scene.electronics import DARK
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
-from ...scene.oximeter import DARK
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of

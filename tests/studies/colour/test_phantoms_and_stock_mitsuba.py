@@ -6,6 +6,7 @@ import pytest
 from nail_camera import NailCamera
 from small_scenes import SMALL_FINGER_BEST
 
+from nailoptics import tissue
 from nailoptics.errors import InputError
 from nailoptics.geometry import DistanceGrid, Geometry
 from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
@@ -15,7 +16,6 @@ from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import Viewing, parse_scene
 from nailoptics.statistics import jackknife, seed_of
 from nailoptics.studies.colour.nail_colour import GROUPS, NODES, WAVELENGTHS_NM, ColourRays, Viewer, colour, walk_colour
-from nailoptics.tissue import properties
 
 SCENE = parse_scene(
     SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3") + "[board]\nopaque_reflectance = 1.0\n"
@@ -61,7 +61,7 @@ def by_adding_doubling(wavelength_nm: float, n: float) -> float:
     layers = []
     mu_a = optics.absorption(SCENE, wavelength_nm, blood_fraction=REST)[0, 0]
     for name, column in (("plate", 0), ("bed", 1)):
-        mu_s, g, _ = properties.scattering(name, wavelength_nm)
+        mu_s, g, _ = tissue.scattering(name, wavelength_nm)
         mu_s *= 0.3 if name == "plate" else 1.0
         thick = (mu_a[column] + mu_s) * THICKNESS_MM[name]
         layers.append(iadpython.Sample(a=mu_s / (mu_a[column] + mu_s), b=thick, g=g, n=n, quad_pts=24))
@@ -96,7 +96,7 @@ def test_two_halves_of_a_slab_make_the_slab():
 )
 def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backend, monkeypatch, photons, within):
     """Plate and bed of one index over black, from four walked wavelengths, dimmed and interpolated."""
-    monkeypatch.setitem(properties._INDEX, "bed", properties._INDEX["plate"])
+    monkeypatch.setitem(tissue._INDEX, "bed", tissue._INDEX["plate"])
     rays = walk_colour(FlatStack(CUT), MIDDLE, photons=photons, seed=3)
     read = rays.reflectance(REST, Viewing(lit_by="sky", gloss=True))[:, 0, 0]
     value, error = read[0], jackknife(read)

@@ -129,8 +129,8 @@ def test_files_of_oximeter_modules_give_ratio_and_beats(tmp_path):
     [
         ("time_s,red,ambient\n0,1,1\n", "has no column of infrared light; name one infrared or ir or ledc1"),
         ("timestamp,LEDC1,LEDC3\n0,1,1\n", "has no column of red light; name one red or ledc2"),
-        ("time_s,red,ir\n0,1,1\n1,2,1\n2,-3,1\n", "line 4: red light is -3; light is not negative"),
-        ("red,ir,ambient\n5,5,-1\n5,5,1\n5,5,1\n", "line 2: ambient light is -1"),
+        ("time_s,red,ir\n0,1,1\n1,2,1\n2,-3,1\n", "line 4: red light = -3 must lie in 0 to inf counts"),
+        ("red,ir,ambient\n5,5,-1\n5,5,1\n5,5,1\n", "line 2: ambient light = -1 must lie in"),
         ("timestamp,red,ir\n0,5,5\n20,5,5\n10,5,5\n", "time_s"),
         ("red,ir\n5,x\n", "infrared = 'x'"),
         ("red,ir\n", "has 0 samples"),

@@ -1,28 +1,18 @@
-"""mu_a, mu_s, g and n of every region between the board and the bone, at any wavelength from 400 to 1000 nm.
-
-And blood zones along the nail: a smooth partition of unity.
-"""
+"""BLOOD -> MEDIA: mu_a, mu_s, g and n of every region at 400 to 1000 nm, and blood zones under the nail."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import checks
-from ..errors import InputError
-from ..scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
-from ..scene.finger import DermisAbsorption
-from .spectra import (
-    Array,
-    blood_mu_a_per_mm,
-    bloodless_skin_mu_a_per_mm,
-    checked_wavelength_nm,
-    melanosome_mu_a_per_mm,
-    tabulated,
-)
+from . import checks
+from .assets import WAVELENGTH_RANGE_NM, read_table, read_toml
+from .errors import InputError
+from .scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
+from .scene.finger import DermisAbsorption
 
+Array = NDArray[np.float64]
 Region = Literal["plate", "bed", "bone", "pulp", "epidermis", "epoxy", "kapton"]
 
 REGIONS: tuple[Region, ...] = get_args(Region)
@@ -30,37 +20,70 @@ REGIONS: tuple[Region, ...] = get_args(Region)
 # Scalar in, scalar out: one wavelength gives floats, an array of them gives arrays.
 Values = float | NDArray[np.float64]
 
-# Reduced scattering a (wavelength / 500 nm)^-b. Skin, bone, fatty, other soft: Jacques 2013, Phys. Med. Biol. 58 R37,
-# table 2. Epidermis: power law through Y. Shimojo et al., J. Biomed. Opt. 25, 045002 (2020), 532-980 nm; table 2 has
-# whole skin only, which is mostly dermis and scatters 0.6 times as much.
-_REDUCED_SCATTERING_PER_MM: dict[str, tuple[float, float]] = {
-    "skin": (4.60, 1.421),
-    "bone": (2.29, 0.716),
-    "fatty": (1.84, 0.672),
-    "other_soft": (1.89, 1.286),
-    "epidermis": (7.56, 1.33),
-}
+_FACTS = read_toml("tissue.toml")
+_REDUCED_SCATTERING_PER_MM: dict[str, tuple[float, float]] = _FACTS["reduced_scattering_per_mm"]
+_INDEX: dict[str, float] = _FACTS["index"]
+_PULP_FAT: float = _FACTS["pulp"]["fat"]
+PULP_SCATTERING, PULP_SCATTERING_POWER, PULP_ABSORPTION = (
+    float(_FACTS["pulp"][name]) for name in ("scattering", "scattering_power", "absorption")
+)
 
-# Dermis 1.38, epidermis 1.43, fat 1.46, nail 1.5, epoxy 1.55: the project's physics. Pulp: dermis and fat by volume.
-# Bone 1.55: A. Ascenzi, C. Fabry, J. Biophys. Biochem. Cytol. 6, 139 (1959), about 1.556 for compact bone.
-_INDEX: dict[str, float] = {"plate": 1.50, "bed": 1.38, "bone": 1.55, "pulp": 1.40, "epidermis": 1.43, "epoxy": 1.55}
 
-# Tissue scatters forward alike at all these wavelengths, about 0.9 (Jacques 2013).
-ANISOTROPY = 0.9
+def checked_wavelength_nm(wavelength_nm: ArrayLike) -> Array:
+    """The wavelengths as an array; InputError where one lies outside the tables."""
+    wavelength = np.asarray(wavelength_nm, dtype=float)
+    low, high = WAVELENGTH_RANGE_NM
+    outside = ~((wavelength >= low) & (wavelength <= high))
+    if outside.any():
+        why = f"has no optical data; choose from {low:g} to {high:g} nm"
+        raise InputError(f"wavelength_nm = {wavelength[outside].flat[0]:g} {why}")
+    return wavelength
 
-# Water by volume: dermis about 0.65, epidermis 0.6 (Jacques 2013). The pulp is taken as dermis with 0.3 of fat by
-# volume (an assumption: it was found in no table), and fitted to the skin of ring fingers (assets/spectra/
-# fit_fingertip_skin.py) by a factor on its scattering, with a power of the wavelength over 500 nm, and one on its
-# bloodless absorption.
-_BED_WATER, _EPIDERMIS_WATER, _PULP_FAT = 0.65, 0.60, 0.30
-PULP_SCATTERING, PULP_SCATTERING_POWER, PULP_ABSORPTION = 1.297, 0.096, 0.572
 
-# mu_s' of whole blood at a haematocrit of 45 %, computed by N. Bosschaart et al., Lasers Med. Sci. 29, 453 (2014): 1.34
-# per mm at 800 nm, 1.26 to 1.47 between 450 and 1000 nm.
-BLOOD_REDUCED_SCATTERING_PER_MM = 1.34
+def tabulated(table: str, column: str, wavelength_nm: ArrayLike) -> Array:
+    """Interpolate one column of a shipped spectrum, linearly between its rows."""
+    wavelength = checked_wavelength_nm(wavelength_nm)
+    rows = read_table(f"spectra/{table}.csv")
+    return np.asarray(np.interp(wavelength, rows["wavelength_nm"], rows[column]), dtype=float)
 
-# Bone of the phalanx with the blood that it holds, no spectrum known that holds for it.
-_BONE_MU_A_PER_MM = 0.18
+
+def blood_mu_a_per_mm(wavelength_nm: ArrayLike, so2: ArrayLike) -> Array:
+    """Absorption coefficient of whole blood with 150 g/L of haemoglobin, of the broadcast shape. [mm^-1]
+
+    mu_a = ln(10) eps c / 64500 g/mol, with the molar, decadic extinction eps of Prahl's table.
+
+    wavelength_nm : array in `WAVELENGTH_RANGE_NM`. [nm]
+    so2 : array that broadcasts with it. Oxygen saturation, 0-1.
+
+    Raises: InputError for a wavelength without data or a saturation outside 0-1.
+
+    The curves of oxygenated and deoxygenated blood cross at 796.8 nm in this table; in Bosschaart's (Lasers Med.
+    Sci. 29, 453 (2014)) they cross at 820-825 nm.
+
+    References: S. Prahl, Oregon Medical Laser Center, from W. B. Gratzer and N. Kollias.
+    """
+    saturation = checks.fraction("so2", so2)
+    molar_to_per_mm = np.log(10) * 150.0 / 64500.0 / 10
+    oxy = tabulated("hemoglobin", "oxy_per_cm_per_molar", wavelength_nm)
+    deoxy = tabulated("hemoglobin", "deoxy_per_cm_per_molar", wavelength_nm)
+    return np.asarray(molar_to_per_mm * (saturation * oxy + (1 - saturation) * deoxy))
+
+
+def melanosome_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
+    """Absorption of the interior of a melanosome. [mm^-1]
+
+    References: Jacques 2013, Phys. Med. Biol. 58 R37: 519 (wavelength / 500 nm)^-3 per cm.
+    """
+    return np.asarray(51.9 * (checked_wavelength_nm(wavelength_nm) / 500) ** -3.0)
+
+
+def bloodless_skin_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
+    """Absorption of skin without blood, melanin and water: the baseline. [mm^-1]
+
+    References: I. S. Saidi, thesis, Rice University (1992), as given by S. L. Jacques:
+    0.244 + 85.3 exp(-(wavelength - 154 nm) / 66.2 nm) per cm, from bloodless neonatal skin.
+    """
+    return np.asarray(0.0244 + 8.53 * np.exp(-(checked_wavelength_nm(wavelength_nm) - 154) / 66.2))
 
 
 @dataclass(frozen=True)
@@ -117,19 +140,19 @@ def _base_per_mm(region: Region, wavelength: Array, melanin: Array, dermis_absor
     baseline = bloodless_skin_mu_a_per_mm(wavelength)
     match region:
         case "bed" if dermis_absorption == "jacques_baseline":
-            return baseline + _BED_WATER * water
+            return baseline + _FACTS["water"]["bed"] * water
         case "bed":
             return tabulated(f"dermis_{dermis_absorption}", "mu_a_per_mm", wavelength)
         case "pulp":
             fat = tabulated("fat", "mu_a_per_mm", wavelength)
-            return PULP_ABSORPTION * ((1 - _PULP_FAT) * (baseline + _BED_WATER * water) + _PULP_FAT * fat)
+            return PULP_ABSORPTION * ((1 - _PULP_FAT) * (baseline + _FACTS["water"]["bed"] * water) + _PULP_FAT * fat)
         case "epidermis":
-            clear = baseline + _EPIDERMIS_WATER * water
+            clear = baseline + _FACTS["water"]["epidermis"] * water
             return (1 - melanin) * clear + melanin * melanosome_mu_a_per_mm(wavelength)
         case "plate":
             return tabulated("nail_plate", "mu_a_per_mm", wavelength)
         case "bone":
-            return np.full_like(wavelength, _BONE_MU_A_PER_MM)
+            return np.full_like(wavelength, _FACTS["bone_mu_a_per_mm"])
         case "epoxy":
             return np.zeros_like(wavelength)
         case "kapton":
@@ -154,7 +177,7 @@ def scattering(region: Region, wavelength_nm: ArrayLike) -> tuple[Values, Values
         a, b = _REDUCED_SCATTERING_PER_MM[tissue]
         return np.asarray(a * (wavelength / 500) ** -b)
 
-    g = ANISOTROPY
+    g: float = _FACTS["anisotropy"]
     match region:
         case "bed":
             reduced = power_law("skin")
@@ -181,7 +204,7 @@ def blood_scattering_contrast(wavelength_nm: float, *, bed_scattering: float = 1
     Below 0, as dermis scatters more than blood: at 800 nm 2.36 against 1.34 per mm.
     """
     mu_s, g, _ = scattering("bed", wavelength_nm)
-    return BLOOD_REDUCED_SCATTERING_PER_MM / (bed_scattering * float(mu_s * (1 - g))) - 1
+    return _FACTS["blood_reduced_scattering_per_mm"] / (bed_scattering * float(mu_s * (1 - g))) - 1
 
 
 def _plain(value: ArrayLike) -> Values:
@@ -204,26 +227,11 @@ class BloodZones:
 
     Zone 0 is the most proximal, zone K - 1 reaches the tip (v grows towards the tip). Around each edge the weight
     passes from one zone to the next over `width_mm`, with a continuous slope (cubic smoothstep).
-
-    Raises: InputError when the edges do not rise, or lie closer together than `width_mm`.
+    `[blood]` sees to it that edges rise, by at least that width.
     """
 
     edges_mm: tuple[float, ...] = (0.0,)
     width_mm: float = 2.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "edges_mm", tuple(float(edge) for edge in self.edges_mm))
-        if not np.isfinite(self.edges_mm).all():
-            raise InputError(f"zones.edges_mm = {list(self.edges_mm)} must be finite numbers; correct them")
-        if not (np.isfinite(self.width_mm) and self.width_mm > 0):
-            raise InputError(f"zones.width_mm = {self.width_mm:g} must be above 0; a zone's edge is smooth, not a step")
-        for first, second in pairwise(self.edges_mm):
-            # Closer, three zones would overlap and a weight could turn negative.
-            if second - first < self.width_mm:
-                raise InputError(
-                    f"zones.edges_mm {first:g} and {second:g} lie closer than width_mm = {self.width_mm:g}; "
-                    "move them apart (in rising order) or narrow the width"
-                )
 
     @property
     def count(self) -> int:

@@ -1,24 +1,24 @@
-"""A finger for MCX, the voxel Monte Carlo: label volume, sessions with media, source and detectors, and a runner."""
+"""A finger for MCX, the voxel Monte Carlo, and MMC, the mesh Monte Carlo: volume or mesh, sessions, and a runner."""
 
-from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
 from ..geometry import Face, Geometry, build
-from ..geometry.grid import Array
+from ..geometry.grid import Array, Indices
 from ..light import optics
 from ..scene import Scene
 from ..scene.rectangles import turned
 from . import compatibility
-from .run_session import MCX_PHOTONS
+from .run_session import MCX_PHOTONS, MMC_PHOTONS
 
 USUAL_VOXEL_MM = 0.1
 LABELS = "labels.bin"
-# Light that has propagated for so long has been absorbed. [s]
-LONGEST_S = 1e-8
+# Light that has propagated for so long has been absorbed; of MCX and of MMC. [s]
+MCX_LONGEST_S, MMC_LONGEST_S = 1e-8, 1e-7
 # What ends photons has the index of the epoxy and this share of it more, which reflects some 1e-11 of light that comes
 # straight. Where both are alike, MCX for OpenCL lets photons go on through label 0, and crashes if it keeps paths.
 INDEX_STEP = 1e-5
@@ -30,16 +30,20 @@ DIE_BACK, FACE_DEPTH = 0.87, 3.0
 # Voxels whose middle lies on the edge between two quads of a face, but for rounding, belong to it. [voxels]
 EDGE = 1e-6
 MOST_VOXELS = 200_000_000
+# Cones that stand for a die: each is another run, which takes 0.3 s before its first photon.
+CONES = 64
+# Steps of the lattice across the die and along it, per step of the angle: odd, as the cones are a power of two.
+LATTICE = (19, 41)
+# Sources start so far below their die, so that they surely lie in the epoxy; MMC counts in float32. [mm]
+BELOW_DIE_MM = 1e-4
+# Detectors reach so much beyond the corners of their photodiode; what they catch beside it is sorted out.
+MARGIN = 1.01
+# Six times the volume of a tetrahedron that counts as flat: rounding of cells that have collapsed. [mm^3]
+FLAT_MM3 = 1e-14
 
 
-@dataclass(frozen=True)
-class Voxels:
-    """Cubes of one region each, x first.
-
-    region : (nx, ny, nz) int. As the geometry counts them; air around the finger.
-    origin_mm : (3,) float. Lowest corner. [mm]
-    side_mm : Side of a voxel. [mm]
-    """
+class Voxels(NamedTuple):
+    """Cubes of one region each, (nx, ny, nz) int as the geometry counts them, from a lowest corner, (3,) float. [mm]"""
 
     region: np.ndarray
     origin_mm: Array
@@ -51,16 +55,13 @@ class Voxels:
 
 
 def voxels(geometry: Geometry, side_mm: float) -> Voxels:
-    """Cut a geometry into voxels, each of the region at its middle; the faces of dies and photodiodes are kept whole.
-
-    Raises: InputError where that would be too many, or too few for the plate.
-    """
+    """Cut a geometry into voxels of the region at their middle, faces of dies and photodiodes whole; InputError if too
+    many, or too few for the plate."""
     low, high = geometry.bounds_mm + [[-1.5 * side_mm], [1.5 * side_mm]]
     count = np.ceil((high - low) / side_mm).astype(int) if 0 < side_mm < np.inf else np.zeros(3, int)
     if not 0.01 <= side_mm <= 0.5 or np.prod(count.astype(float)) > MOST_VOXELS:
-        raise InputError(
-            f"voxel_mm = {side_mm:g}: must be between 0.01 and 0.5, and the finger at most {MOST_VOXELS:.0e} voxels."
-        )
+        why = f"must be between 0.01 and 0.5, and the finger at most {MOST_VOXELS:.0e} voxels."
+        raise InputError(f"voxel_mm = {side_mm:g}: {why}")
     x, y, z = (low[k] + side_mm * (np.arange(count[k]) + 0.5) for k in range(3))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     region = geometry.columns(places, z).reshape(count)
@@ -76,8 +77,7 @@ def voxels(geometry: Geometry, side_mm: float) -> Voxels:
 def _paint(made: Voxels, face: Face, epoxy: int, *, back: float, beside: float) -> None:
     """Put epoxy before a part's face and the part in whole voxels behind it.
 
-    back : how far the face lies behind its true plane. [voxels]
-    beside : how far the epoxy reaches beyond the face's edges. [voxels]
+    back, beside : how far the face lies behind its true plane, and the epoxy reaches beyond its edges. [voxels]
     """
     for quad, normal in zip(face.quads, face.normal, strict=True):
         reach = (FACE_DEPTH + 1) * made.side_mm
@@ -113,12 +113,12 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         folder,
         exported,
         [mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))],
-        rows=compatibility.rows(scene, geometry, own=own),
+        rows=compatibility.rows(scene, own=own),
         binary={LABELS: labels(exported, geometry, made).tobytes(order="F")},
         shape=" x ".join(map(str, made.region.shape)),
         side_mm=f"{made.side_mm:g}",
         about="a session of one LED; coefficients in 1/mm, places in voxels",
-        media=compatibility.numbered(("opaque", *optics.absorbers(scene), "air")),
+        media=", ".join(f"{k} {name}" for k, name in enumerate(("opaque", *optics.absorbers(scene), "air"))),
         photons=MCX_PHOTONS,
     )
 
@@ -150,7 +150,7 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
         scene,
         led,
         photons=MCX_PHOTONS,
-        longest_s=LONGEST_S,
+        longest_s=MCX_LONGEST_S,
         # Air is a medium of its own.
         media=[*compatibility.media_table(scene, geometry, led, index_step=INDEX_STEP), [0.0, 0.0, 1.0, 1.0]],
         origin_mm=made.origin_mm.tolist(),
@@ -171,3 +171,92 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
         ],
     }
     return session
+
+
+class TetMesh(NamedTuple):
+    """Tetrahedra that share whole faces or none: nodes (n, 3) [mm], those of each (m, 4), and its region (m,)."""
+
+    nodes: Array
+    tetrahedra: Indices
+    region: Indices
+
+
+def tetrahedra(geometry: Geometry) -> TetMesh:
+    """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
+    corners, region = geometry.grid.tetrahedra()
+    solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
+    nodes, number = np.unique(corners[solid].reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
+    return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])
+
+
+def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
+    """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
+    exported = compatibility.as_seen(scene, reflecting=False)
+    geometry = build(exported)
+    mesh = tetrahedra(geometry)
+    there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
+    own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
+    return compatibility.write_folder(
+        "mmc",
+        folder,
+        exported,
+        [mmc_session(exported, geometry, mesh, i) for i in range(len(exported.leds))],
+        rows=compatibility.rows(scene, own=own),
+        tetrahedra=len(mesh.tetrahedra),
+        nodes=len(mesh.nodes),
+        about="a session of one LED, mesh included; coefficients in 1/mm",
+        media=", ".join(f"{k} {name}" for k, name in enumerate(("opaque", *optics.absorbers(scene)))),
+        photons=MMC_PHOTONS,
+    )
+
+
+def mmc_session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> dict[str, Any]:
+    """A session for one LED, as JSON, which the runner gives to pmmc cone by cone."""
+    die = geometry.leds[led]
+    label = compatibility.absorber_of(scene, geometry, mesh.nodes[mesh.tetrahedra].mean(axis=1), mesh.region)
+    places, angles = cones(die, CONES)
+    made = compatibility.session_of(
+        scene,
+        led,
+        photons=MMC_PHOTONS,
+        longest_s=MMC_LONGEST_S,
+        # Tetrahedra of medium 0 end photons. They have the epoxy's index, so that nothing is reflected where they meet
+        # it; outside the mesh lies air.
+        media=compatibility.media_table(scene, geometry, led),
+        sources=[
+            {"position_mm": p, "half_angle_rad": a} for p, a in zip(places.tolist(), angles.tolist(), strict=True)
+        ],
+        photodiode_elements=[(np.flatnonzero(mesh.region == f.region) + 1).tolist() for f in geometry.photodiodes],
+    )
+    normal = die.normal.mean(axis=0)
+    source = {"Dir": (normal / np.linalg.norm(normal)).tolist()}
+    # Around all corners of a face, out to where light may leave into its sides.
+    spheres = [
+        (f.center_mm, MARGIN * np.linalg.norm(f.quads - f.center_mm, axis=-1).max() + math.sqrt(f.area_mm2) / 10)
+        for f in geometry.photodiodes
+    ]
+    made["Optode"] = {"Source": source, "Detector": [{"Pos": p.tolist(), "R": float(r)} for p, r in spheres]}
+    made["Mesh"] = {
+        "MeshNode": np.round(mesh.nodes, 7).tolist(),
+        "MeshElem": np.column_stack([mesh.tetrahedra + 1, label]).tolist(),
+    }
+    return made
+
+
+def cones(die: Face, count: int) -> tuple[Array, Array]:
+    """Cones of light that together are a Lambertian die: where each starts, (count, 3) [mm], and its half angle [rad].
+
+    A Lambertian emitter is a mixture of cones of equal brightness inside, whose 1 - cos of the half angle is the
+    square root of a number spread evenly over 0-1. Of finitely many, each takes the middle of its step; angles and
+    places, which fill the die, lie on a lattice, so that no place goes with wide cones more than another.
+    """
+    step = np.arange(count)
+    u, v = ((step * factor % count + 0.5) / count for factor in LATTICE)
+    quads = die.quads
+    share = die.areas_mm2 / die.areas_mm2.sum()
+    ends = np.cumsum(share)
+    facet = np.minimum(np.searchsorted(ends, u, side="right"), len(quads) - 1)
+    u, v = ((u - (ends - share)[facet]) / share[facet])[:, None], v[:, None]
+    a, b, c, d = quads[facet].swapaxes(0, 1)
+    places = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c) + BELOW_DIE_MM * die.normal[facet]
+    return places, np.arccos(1 - np.sqrt((step + 0.5) / count))
