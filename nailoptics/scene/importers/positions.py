@@ -153,8 +153,8 @@ def _table(
         raise InputError(f"{path}: is a spreadsheet, not a position file; save it as CSV.")
     first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
     missing = ", ".join(name for name in NEEDED if name not in first)
-    header = f"{','.join(COLUMNS)}, or as an assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)"
-    raise InputError(f"{path}: is no position file: {missing} missing; its first line must be {header}.")
+    usual = f"{','.join(COLUMNS)}, or as an assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)"
+    raise InputError(f"{path}: is no position file: {missing} missing; its first line must be {usual}.")
 
 
 def _cells(line: str, separator: str) -> list[str]:
