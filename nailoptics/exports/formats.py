@@ -77,4 +77,4 @@ def export(
     more: dict[str, Any] = {**requested} if voxel_mm is None else {"voxel_mm": voxel_mm}
     if name == "kicad_pcb":
         more["folder"] = Path(folder or ".")
-    return write(scene, path, **more)  # type: ignore[no-any-return]
+    return write(scene, path, **more)
