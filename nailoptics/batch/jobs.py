@@ -204,6 +204,8 @@ def _study(job: Job, settings: Settings) -> str:
     path = folder.result(job.digest)
     if path.is_dir():
         raise InputError(f"{path}: is a folder where a result is to be written; remove it")
+    if not path.parent.is_dir():  # it was removed meanwhile, with what was done before
+        raise WriteError(f"{path.parent}: is gone; run again to make all scenes anew")
     write_bytes(path, pack({"digest": job.digest, "made": made.model_dump()} | header, arrays))
     folder.failure(job.digest).unlink(missing_ok=True)
     return "done" if header["reached"] else "unmet"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Geometry
-from ..io import make_folder, write_bytes, write_text
+from ..io import write_bytes, write_text
 from ..light import optics
 from ..scene import Scene, to_toml
 
@@ -126,7 +126,6 @@ def write_folder(
     program : names the README's template; values are what else that holds.
     of_leds : bytes of XML, or sessions, which become JSON; about : what one of these files is.
     """
-    make_folder(folder)
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
     names = [led_file(scene, i, ".xml" if isinstance(one, bytes) else ".json") for i, one in enumerate(of_leds)]
     for k, (name, content) in enumerate(zip(names, of_leds, strict=True), start=1):

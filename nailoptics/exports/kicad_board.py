@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..io import make_folder, write_text
+from ..io import write_text
 from ..scene import Led, Photodiode, Scene
 from ..scene.base import Point
 from ..scene.importers.board_files import View, read_board_file
@@ -27,7 +27,6 @@ def write_kicad_pcb(scene: Scene, path: Path, *, folder: Path | None = None) -> 
 
     Raises: WriteError; InputError where the own board cannot be read, or a footprint not be moved.
     """
-    make_folder(path.parent)
     if is_own(scene):
         write_text(path, own_board(scene, folder or Path())[1])
     else:

@@ -35,7 +35,6 @@ def write_mesh(scene: Scene, path: Path) -> dict[str, Path]:
 
     Raises: WriteError where the file cannot be written.
     """
-    make_folder(path.parent)
     write = {".glb": _glb, ".ply": _ply}[path.suffix.lower()]
     write_bytes(path, write(build(scene)))
     return {"mesh": path}

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import as_far_as_reached
-from ..io import make_folder, write_text
+from ..io import write_text
 from ..options import Requested
 from ..scene import Led, Scene
 from ..sensor import electronics
@@ -38,7 +38,6 @@ def write_spice(scene: Scene, path: Path, **requested: Unpack[Requested]) -> dic
     result, unmet = as_far_as_reached(simulate, certain, **requested)
     if unmet:
         log.warning("%s", unmet)
-    make_folder(path.parent)
     write_text(path, netlist(scene, result))
     return {"circuit": path}
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import checks
-from ..io import make_folder, write_text
+from ..io import write_text
 
 # Regressions of force on readings are worth the touches that they are trained on: varied ones below closure teach them
 # more in a minute than slow cycles in three. All figures are judgement, within what fingers do in daily touches.
@@ -38,7 +38,6 @@ class Protocol(NamedTuple):
         time_s = np.arange(0.0, self.time_s[-1], 1.0 / float(checks.positive("sample_rate_hz", sample_rate_hz)))
         columns = [np.interp(time_s, self.time_s, values) for values in self[1:]]
         rows = (f"{t:.6g},{n:.4f},{p:.4f}" for t, n, p in zip(time_s.tolist(), *columns, strict=True))
-        make_folder(Path(path).parent)
         write_text(Path(path), "\n".join(["time_s,force_n,proximal_share", *rows]) + "\n")
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import Array
 from ...errors import InputError
-from ...io import make_folder, write_text
+from ...io import write_text
 from ..base import ARTERIAL_PA, LEAST_AREA_MM2, VENOUS_PA
 from ..electronics import DARK
 from ..text_files import Rows, number_columns, read_rows
@@ -128,7 +128,6 @@ class Recording:
 
     def save(self, path: str | Path) -> None:
         """Write the recording as a CSV, which `calibrate` and `predict` read; raises WriteError."""
-        make_folder(Path(path).parent)
         write_text(Path(path), recording_csv(self))
 
 
