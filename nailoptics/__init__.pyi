@@ -35,6 +35,7 @@ from .studies.placement.place import place as place
 from .studies.scene_check import check as check
 from .studies.simulate import simulate as simulate
 from .studies.validation.validate import validate as validate
+from .terminal import show_progress as show_progress
 from .version import __version__ as __version__
 
 __all__: list[str]

@@ -1,10 +1,11 @@
 """What can be requested of every command and function that traces light, beside the scene: one object, passed whole."""
 
+import difflib
 import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, TypedDict, cast, get_args, get_type_hints
+from typing import Any, Literal, Self, TypedDict, cast, get_args, get_type_hints
 
 from . import checks
 from .errors import InputError
@@ -46,6 +47,12 @@ class TraceOptions:
     """Photons per LED, in place of a tolerance."""
     store: bool = True
     """Keep what is traced on disk, and take what was traced before: same seed, same bits."""
+
+    def __new__(cls, **fields: Any) -> Self:
+        for name in fields.keys() - cls.__dataclass_fields__.keys():
+            nearest = difflib.get_close_matches(name, cls.__dataclass_fields__, n=1, cutoff=0)[0]
+            raise InputError(f"{name} = {fields[name]!r} is no option here; did you mean {nearest}?")
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         checks.seed(self.seed)

@@ -169,30 +169,46 @@ def trace_progress() -> "Iterator[Callable[[TraceProgress], None]]":
     with _display() as show, interruptible() as check:
 
         def report_progress(p: "TraceProgress") -> None:
-            form = "{:.2g} " + p.unit if p.unit else "{:.2%}"
-            known = p.relative_error < (math.inf if p.unit else 1)
-            error = f"error {form.format(p.relative_error)}" if known else "error not known yet"
-            target = f" ({form.format(p.target)} requested)" if p.target else ""
-            name, text = (p.led if p.is_stage else f"LED {p.led}"), error + target
-            if p.is_stage and not (known or p.target):
-                text = f"{p.fraction_done:.0%} done"
-            show(name, text, p.fraction_done, p.seconds, p.seconds_left, "")
+            show(*_trace_shown(p))
             check()
 
         yield report_progress
+
+
+def _trace_shown(p: "TraceProgress") -> tuple[str, str, float, float, float | None, str]:
+    form = "{:.2g} " + p.unit if p.unit else "{:.2%}"
+    known = p.relative_error < (math.inf if p.unit else 1)
+    error = f"error {form.format(p.relative_error)}" if known else "error not known yet"
+    target = f" ({form.format(p.target)} requested)" if p.target else ""
+    name, text = (p.led if p.is_stage else f"LED {p.led}"), error + target
+    if p.is_stage and not (known or p.target):
+        text = f"{p.fraction_done:.0%} done"
+    return name, text, p.fraction_done, p.seconds, p.seconds_left, ""
 
 
 @contextmanager
 def batch_progress() -> "Iterator[Callable[[BatchProgress], None]]":
     """A callback that shows how many scenes of a batch are done, and its news as it comes."""
     with _display() as show:
+        yield lambda p: show(*_batch_shown(p))
 
-        def report_progress(p: "BatchProgress") -> None:
-            failed = f", {p.failed} failed" if p.failed else ""
-            text, fraction = f"{p.done} of {p.total} scenes{failed}", (p.done + p.failed) / max(p.total, 1)
-            show("batch", text, fraction, p.seconds, p.seconds_left, p.news)
 
-        yield report_progress
+def _batch_shown(p: "BatchProgress") -> tuple[str, str, float, float, float | None, str]:
+    failed = f", {p.failed} failed" if p.failed else ""
+    text, fraction = f"{p.done} of {p.total} scenes{failed}", (p.done + p.failed) / max(p.total, 1)
+    return "batch", text, fraction, p.seconds, p.seconds_left, p.news
+
+
+def show_progress(p: "TraceProgress | BatchProgress") -> None:
+    """Show how far a study is, in one line on stderr that is written anew: `simulate(scene, progress=show_progress)`.
+
+    p : what every study passes to its `progress`, and `sweep` with the scenes that are done.
+    """
+    from .light import TraceProgress
+
+    name, text, fraction, _, left_s, _ = _trace_shown(p) if isinstance(p, TraceProgress) else _batch_shown(p)
+    line, ends = f"{name}, {text}{_left(fraction, left_s)}", fraction >= 1 and "not known" not in text
+    print(f"\r{line:<70}", end="\n" if ends else "", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,9 +18,11 @@ from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics
 from nailoptics import cli
+from nailoptics.batch.run import BatchProgress
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.light import Transfer, backend
+from nailoptics.light import TraceProgress, Transfer, backend
+from nailoptics.terminal import show_progress
 from nailoptics.version import commit
 
 ROOT = Path(nailoptics.__file__).parents[1]
@@ -552,6 +555,18 @@ def test_progress_is_plain_lines_in_a_log_and_a_bar_on_a_terminal(folder):
     assert len(logged.splitlines()) == 1
     shown = on_terminal(arguments)
     assert "LED beam" in shown and "\x1b[" in shown and "━" in shown and "Traceback" not in shown
+
+
+def test_python_shows_progress_in_one_line_that_is_written_anew(capsys):
+    of_led = TraceProgress("ir", 1000, 0.031, 0.02, 0.4, 2.0)
+    for p in (of_led, replace(of_led, fraction_done=1.0, relative_error=0.02)):
+        show_progress(p)
+    show_progress(BatchProgress(3, 4, 1, 9.0, 0.0))
+    shown, lines = capsys.readouterr(), []
+    lines = [line.strip() for line in shown.err.split("\r")[1:]]
+    assert not shown.out and lines[:1] == ["LED ir, error 3.10% (2.00% requested), 3 s left"]
+    assert lines[1] == "LED ir, error 2.00% (2.00% requested)" and shown.err.count("\n") == 2
+    assert lines[2] == "batch, 3 of 4 scenes, 1 failed"
 
 
 def on_terminal(arguments: list[str]) -> str:

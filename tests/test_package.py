@@ -155,7 +155,7 @@ def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
         text = nail.to_toml(nail.load_scene(sys.argv[1]))
         scene = nail.parse_scene(text)
         assert nail.to_toml(scene) == text
-        mistakes = {"seed": -1, "photons": 0, "relative_error": 5, "max_seconds": "1", "backend": "gpu"}
+        mistakes = {"seed": -1, "photons": 0, "relative_error": 5, "max_seconds": "1", "backend": "gpu", "photon": 3}
         for study in (nail.trace, nail.simulate, nail.compare, nail.explain, nail.tradeoff, nail.place):
             for name, value in mistakes.items():
                 try:

@@ -116,6 +116,8 @@ def _label_parts(axes: "style.Axes", scene: Scene, half_v: float) -> tuple[int, 
 
     Returns: the longest name on the left and on the right, in letters.
     """
+    from matplotlib.patheffects import withStroke
+
     layout = scene.layout
     right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
@@ -139,6 +141,7 @@ def _label_parts(axes: "style.Axes", scene: Scene, half_v: float) -> tuple[int, 
     for group, side, bound, ha, fontsize in ((left, -1, "u_min", "right", 8.0), (right, 1, "u_max", "left", size)):
         edge = getattr(layout.outline, bound)
         look: dict[str, Any] = {"color": style.DARK_INK, "fontsize": fontsize, "ha": ha, "va": "center", "zorder": 6}
+        look["path_effects"] = [withStroke(linewidth=2, foreground=NAIL)]  # where it crosses the nail's edge
         for (r, name), place in zip(group, style.spread([r.center_mm[1] for r, _ in group], gap), strict=True):
             v, u = r.center_mm[1], [getattr(r, bound), edge, edge + side * 0.37]
             axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=6)

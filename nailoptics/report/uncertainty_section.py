@@ -11,6 +11,8 @@ from .numbers import cells, estimated, plain, range_of
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
 KINDS, TEXTS = ("reading", "change", "resolution"), texts("uncertainty")
+# A standard deviation of no effect.
+NO_EFFECT = 1e-4
 
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -115,6 +117,7 @@ def spread_section(result: xr.Dataset) -> str:
         {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])} | cells(row, columns)
         for row in rows
         if row["how"] != "not traced"
+        and not all(row[k] <= NO_EFFECT or row[k] < row[f"{k}_stderr"] < np.inf for k, *_ in columns.values())
     ]
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
     opened = details("Sources of the ranges", sources)

@@ -7,9 +7,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
-from .base import LEAST_AREA_MM2, USUAL_CONTACT_AREA_MM2, FilledTable, Fraction, NonNegative, Positive, Table
+from .base import (
+    LEAST_AREA_MM2,
+    MOST_FORCE_N,
+    USUAL_CONTACT_AREA_MM2,
+    FilledTable,
+    Fraction,
+    NonNegative,
+    Positive,
+    Table,
+)
 from .importers.sensor_recordings import PRESSURES, check_columns, with_recording
 from .protocol import protocol
 
@@ -22,7 +32,13 @@ CORNERS_PER_PERIOD = 256
 LAST_STEP_S = 2.0
 
 
-Force = Annotated[float, Field(ge=0, le=100)]
+def _in_newtons(force_n: float) -> float:
+    if force_n > MOST_FORCE_N:
+        raise PydanticCustomError("force", f"be at most {MOST_FORCE_N:g} N; divide grams by 102")
+    return force_n
+
+
+Force = Annotated[float, Field(ge=0, json_schema_extra={"maximum": MOST_FORCE_N}), AfterValidator(_in_newtons)]
 Area = Annotated[float, Field(ge=LEAST_AREA_MM2)]
 # Columns that may stand beside a recorded force.
 BESIDE_FORCE = ("shear_n", "contact_area_mm2", "proximal_share")

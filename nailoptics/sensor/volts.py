@@ -140,8 +140,13 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
         per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
         volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
         change[i, j] = read.volts - read.volts[0]
-        volts_stderr[i, j] = stderr[i, j] * per_fraction_v
-        change_stderr[i, j] = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
+        of_change = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
+        # At its limit a reading is known, and its change as well as the other of the two is.
+        full = read.saturated
+        volts_stderr[i, j] = np.where(full, 0.0, stderr[i, j] * per_fraction_v)
+        change_stderr[i, j] = np.where(
+            full | full[0], np.where(full, volts_stderr[i, j, 0], volts_stderr[i, j]), of_change
+        )
         responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
     data = ambient | about_motion
     data |= described(

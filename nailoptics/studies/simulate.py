@@ -1,5 +1,6 @@
 """The main job: touch, blood, traced light, volts, beside the paper's Beer-Lambert (8) and Taylor (9)."""
 
+import logging
 import time
 from typing import Unpack
 
@@ -14,6 +15,8 @@ from ..paper.reduced_optics import evenly_apart, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
 from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
 from .prior_uncertainty import readings_over_priors
+
+log = logging.getLogger(__name__)
 
 COORDINATES = {
     "time": "time from the start of the simulation",
@@ -55,6 +58,9 @@ def simulate(
         # A trace that was cut short is followed by none.
         own_traces = scene.priors.own_traces is not False and not unmet
         result = result.merge(_spread(course, transfer, options, progress, own_traces=own_traces))
+    if (full := result.saturated.any(("led", "time")).values).any():
+        how = 'lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it)'
+        log.warning("saturated: %s; %s.", ", ".join(result.photodiode.values[full]), how)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return unless_cut_off(result, unmet)
 
@@ -67,7 +73,8 @@ def simulate_from(light: WornLight, *, course: xr.Dataset, seed: int) -> xr.Data
     result = result.merge(fit_reduced_optics(result, few, replicates))
     if light.ambient_a is not None:
         volts_stderr = result.volts_stderr.values
-        np.hypot(volts_stderr, result.ambient_left_v_stderr.values[:, None], out=volts_stderr)
+        of_ambient = np.where(result.saturated, 0.0, result.ambient_left_v_stderr.values[:, None])
+        np.hypot(volts_stderr, of_ambient, out=volts_stderr)
     for name, text in COORDINATES.items():
         result[name].attrs = {"long_name": text} | result[name].attrs
     result.attrs = light.in_place.attributes | {

@@ -93,6 +93,7 @@ UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
         (lambda s: s.with_(**{"blood.so2": 97}), "blood.so2 = 97: must be less than or equal to 1"),
         (lambda s: s.with_(**{"blood.so2.x": 1}), "blood.so2"),
         (lambda s: s.with_(leds=[]), "leds = .*at least 1 item"),
+        (lambda s: s.with_({"touch.force_n": 50}), "touch.force_n = 50.*: must be at most 30 N; divide grams by 102"),
         (lambda s: nail.Scene(finger={}, leds=s.leds), "photodiodes: a finger scene needs at least one"),
         (lambda s: nail.Scene(schema_version=2, finger={}, leds=s.leds), "schema_version = 2"),
         (lambda s: Led(name="ir", wavelength_nm="red"), 'wavelength_nm = "red": must be a valid number'),
@@ -104,6 +105,12 @@ UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
 def test_an_edit_that_makes_no_scene_says_which_field_and_rule(scene, edit, message):
     with pytest.raises(nail.InputError, match=message):
         edit(scene)
+
+
+def test_a_field_that_is_assigned_says_how_to_change_it(scene):
+    for table, field in ((scene, "leds"), (scene.touch, "force_n")):
+        with pytest.raises(AttributeError, match=rf"^{field} cannot be assigned: .* scene.with_\(\.\.\.\) returns"):
+            setattr(table, field, 1.0)
 
 
 def test_an_edit_without_effect_is_refused(tmp_path, scene):

@@ -67,6 +67,11 @@ def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, text: str, mes
     assert "\n" not in str(caught.value)
 
 
+def test_a_recording_prints_itself_in_a_line(tmp_path: Path) -> None:
+    read = _read(tmp_path, "time_s,force_n,a\n0,0,1\n1,1.5,2\n")
+    assert repr(read).endswith("recording.csv: 1 readings, 2 samples in 1 s>")
+
+
 def test_times_of_a_clock_keep_all_their_digits(tmp_path: Path) -> None:
     file = tmp_path / "recording.csv"
     time_s = 1763900000.0 + np.arange(3) / 1000

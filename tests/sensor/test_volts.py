@@ -86,7 +86,7 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
 
 
 @pytest.mark.jit
-def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, store):
+def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, store, caplog):
     touch = "[touch]\nduration_s = 1.0\nsample_rate_hz = 20.0\nstart_s = 0.2\nrelease_s = 0.8\n"
     still = parse_scene(SMALL_FINGER + touch + "[electronics]\nfeedback_ohm = 1e5\n[priors]\nspread = false\n")
     body = Body(seed=2, drift=Drift(led_per_rt_min=0.1), motion=Motion(lift_um=50.0, slide_um=0.0))
@@ -100,6 +100,13 @@ def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, store):
     assert not plain.saturated.any() and np.abs(moved.volts / plain.volts - 1).max() > 5e-3
     assert np.abs(by_lift - 1).max() > 4e-3 and np.abs(drift - 1).max() > 4e-3
     assert float(moved.lift_per_um_stderr.max()) > 0
+    # Where the converter is at its limit nothing is unknown of volts, and of changes what is of the other reading.
+    mid_v = float(plain.volts.min() + plain.volts.max()) / 2
+    full = simulate(still.with_({"electronics.feedback_ohm": 1e5 * 5.0 / mid_v}), photons=1 << 16, seed=4)
+    at_limit, stderr = full.saturated.values[0, 0], full.volts_stderr.values[0, 0]
+    assert at_limit.any() and not at_limit[0] and "saturated: pd; lower leds.flux_mw or" in caplog.text
+    assert (stderr[at_limit] == 0).all() and (stderr[~at_limit] > 0).all()
+    assert (full.volts_change_stderr.values[0, 0, at_limit] == stderr[0]).all()
     # One seed, one course.
     again = simulate(still.model_copy(update={"body": body}), photons=1 << 16, seed=4)
     assert np.array_equal(again.volts, moved.volts)

@@ -100,7 +100,7 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
             raise InputError(f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; {hint}.")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Readings over time.
 
@@ -118,6 +118,10 @@ class Recording:
     volts: Array
     force_n: Array | None
     site: Array | None
+
+    def __repr__(self) -> str:
+        samples = f"{len(self.time_s)} samples in {np.ptp(self.time_s):.4g} s"
+        return f"<Recording {self.name}: {len(self.names)} readings, {samples}>"
 
     def of(self, names: Sequence[str]) -> "Recording":
         """The same with these readings, in this order; raises InputError unless it has just these, in volts."""

@@ -16,6 +16,7 @@ from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene, digest, to_toml
+from ...scene.base import MOST_FORCE_N
 from ...scene.importers.sensor_recordings import Recording, read_sensor_recording
 from ...scene.protocol import CLOSING_N, FIRST_REST_S, LEAST_TOUCHES, LEVEL_N, SIDE_S
 from ...sensor import electronics
@@ -196,8 +197,8 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
 
 # Least rest before the first touch of a recording [s], and its largest force, at least and at most [N].
 REST_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 0.2, 20.0
-# A touch reaches this force before the finger rests again [N]; forces above the second are in grams.
-TOUCHED_N, GRAMS = 0.1, 30.0
+# A touch reaches this force before the finger rests again [N]
+TOUCHED_N = 0.1
 # Rates of all recordings, of each in so many parts, differ by less than this part.
 RATE_PARTS, SAME_RATE = 5, 0.2
 # Longest usual step from sample to sample, and longest pause. [s]
@@ -240,7 +241,7 @@ def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
     usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
     first_rest_s = _first_rest_s(recording)
     faults = {
-        f"force_n reaches {most_n:.3g}: that is in grams; divide it by 102.": most_n > GRAMS,
+        f"force_n reaches {most_n:.3g}: that is in grams; divide it by 102.": most_n > MOST_FORCE_N,
         f"force_n is constant at {force_n[0]:g} N; press the finger.": np.ptp(force_n) == 0,
         f"force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, and give it in "
         "newtons.": not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N,
