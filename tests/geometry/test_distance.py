@@ -84,6 +84,12 @@ def test_planes_hold_in_the_plate_and_tell_more_than_centres(geometry, spacing, 
     assert (true - plane.clip(0))[near & has_plane].mean() < 0.5 * (true - center)[near & has_plane].mean()
 
 
+@pytest.mark.parametrize("spacing, planes", [(0.25, True), (0.4, False)])
+def test_coarse_cells_have_no_planes(geometry, spacing, planes):
+    grid = distance_grid(geometry, spacing_mm=spacing, bounds_mm=np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]]))
+    assert grid.slack_steps.any() == planes and (grid.distance_mm > 0).any()
+
+
 @pytest.mark.jit
 @pytest.mark.parametrize("barrier", [True, False])
 def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, barrier):
