@@ -33,13 +33,15 @@ log = logging.getLogger(__name__)
 
 # Photons per LED and finger for every place of the LED, in one batch, and for those of the best sites, whose
 # photodiodes are chosen once more: the photons' noise adds to the information of positions, most where little light
-# comes. On the shipped scene twice as many of either found no better layout.
+# comes. On the shipped scene many layouts are equally good, and more photons find none better by more than 1 %.
 FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 15, 1 << 17
 # Cells of the distances that the walk asks for: few photons for each of many boards pay for no finer ones. Such cells
 # take half the time of those of 0.2 mm to make, a place of the LED with its first photons four fifths. [mm]
 DISTANCE_MM = 0.4
 # First photodiodes from which those of the best sites are chosen once more.
 LAST_STARTS = 8
+# Part of the score in which regular photodiodes are as good as the best.
+AS_GOOD = 5e-3
 # Part of the time for the search.
 SEARCH_SHARE = 0.55
 # Searched layouts that are evaluated with photons of their own beside given ones, and sites for regular ones.
@@ -192,7 +194,8 @@ class RowDesign:
         return self._site(leds, chosen, information[:, chosen].sum(1) + staying) if np.isfinite(score) else None
 
     def regular(self, leds: LedPlaces) -> list[SearchedSite]:
-        """The best photodiodes in one straight row, and in equal rows, that are symmetric about the LEDs' middle."""
+        """Photodiodes in one straight row, and in equal rows, symmetric about the LEDs' middle: of those that are as good
+        as the best of their kind the most spread."""
         if self.sites.rules.wire or not self.places.free or not self.count:
             return []
         axis = SIDES[self.row.side or "left"][0]
@@ -205,7 +208,8 @@ class RowDesign:
         for straight in (True, False):
             among = [k for k, chosen in enumerate(every) if self.places.is_straight(chosen) == straight]
             if among:
-                k = min(among, key=scores.__getitem__)
+                least = min(scores[k] for k in among)
+                k = next(k for k in among if scores[k] <= least * (1 + AS_GOOD))
                 best.append(replace(self._site(leds, every[k], totals[:, k]), form="row" if straight else "rows"))
         return best
 

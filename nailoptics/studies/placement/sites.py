@@ -19,7 +19,7 @@ from . import boards
 LEAST_ROOM = 0.4
 ROUNDING_MM = 1e-9
 # Parts of the room that regular photodiodes take.
-PARTS = (1 / 3, 2 / 3, 1.0)
+PARTS = (1.0, 2 / 3, 1 / 3)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class PhotodiodePlaces:
         found = []
         for columns in (n for n in range(1, count + 1) if count % n == 0):
             rows = count // columns
-            for part, of_aside, start, less in product(PARTS, PARTS, (0.0, 0.5, 1.0), (0, 1)):
+            for part, of_aside, start, less in product(PARTS, PARTS, (0.5, 0.0, 1.0), (0, 1)):
                 # Of rows that are an even number only every other distance has them on places.
                 steps = int(part * most / max(columns - 1, 1)), int(of_aside * half / max(rows - 1, 1)) - less
                 close = step_mm * np.array(steps) < spacing - 1e-9
