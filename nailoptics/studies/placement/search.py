@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 # Photons per LED and finger for every place of the LED, in one batch, and for those of the best sites, whose
 # photodiodes are chosen once more: the photons' noise adds to the information of positions, most where little light
-# comes. On the shipped scene many layouts are equally good, and more photons find none better by more than 1 %.
+# comes. With twice the latter the shipped scene's best came to 0.4(2) % above the bound of all layouts.
 FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 15, 1 << 17
 # Cells of the distances that the walk asks for: few photons for each of many boards pay for no finer ones. Such cells
 # take half the time of those of 0.2 mm to make, a place of the LED with its first photons four fifths. [mm]
@@ -194,8 +194,8 @@ class RowDesign:
         return self._site(leds, chosen, information[:, chosen].sum(1) + staying) if np.isfinite(score) else None
 
     def regular(self, leds: LedPlaces) -> list[SearchedSite]:
-        """Photodiodes in one straight row, and in equal rows, symmetric about the LEDs' middle: of those that are as good
-        as the best of their kind the most spread."""
+        """Photodiodes in one straight row, and in equal rows, symmetric about the LEDs' middle: of those that are as
+        good as the best of their kind the most spread."""
         if self.sites.rules.wire or not self.places.free or not self.count:
             return []
         axis = SIDES[self.row.side or "left"][0]
