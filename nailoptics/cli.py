@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import terminal
-from .errors import (
-    InputError,
-    NotReachedError,
-    RequirementError,
-    WriteError,
-    as_far_as_reached,
-    exit_message,
-)
+from .errors import InputError, NotReachedError, RequirementError, WriteError, as_far_as_reached, exit_message
 from .io import check_writable, leave_dask_out, to_json, write_text
 from .options import TraceOptions
 from .terminal import say
@@ -708,8 +701,7 @@ def doctor(*, json_: Json = False) -> None:
         engines = ", ".join(f.engines) or "not usable"
         lines.append(f"  {f.name:<7} {engines:<17} {selected:<9}{f.library or ''} {f.why}".rstrip())
     summary: dict[str, Any] = {"backend": chosen.name, "library": chosen.library, "advice": chosen.advice}
-    summary["engines"] = {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}
-    summary["findings"] = rows
+    summary |= {"engines": {"photons": chosen.name if chosen.jit else None, "volpath": stock.name}, "findings": rows}
     photons = f"photons runs on {chosen.name}" if chosen.jit else "photons cannot run here"
     lines = [
         f"{photons}: the engine of every command",

@@ -150,9 +150,8 @@ def rest_lines(rest: RestReadings) -> list[str]:
     """The readings of a trace, and where its light went."""
     names, lines = [f"{row['led']}  {row['photodiode']}" for row in rest.readings], []
     for name, row in zip(names, rest.readings, strict=True):
-        error = _plus_minus(row["stderr"], ".1e")
-        if "upper_limit_95" in row:
-            error = f"below {row['upper_limit_95']:.1e} (95 %)"
+        limit = row.get("upper_limit_95")
+        error = _plus_minus(row["stderr"], ".1e") if limit is None else f"below {limit:.1e} (95 %)"
         lines.append(f"{name:<{max(map(len, names))}}  {row['detected_fraction']:.4e} {error}")
     for part, share in (rest.energy or {}).items():
         lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")

@@ -49,8 +49,7 @@ def page(exploration: Exploration) -> str:
     for one in TEXTS["libraries"]:
         scripts.append(Script(one.get("opening", "") + file_text(one["file"]) + one.get("closing", "")))
         licences += [subheading(one["name"]), small(one["address"]), preformatted(file_text(one["licence"]))]
-    made_with = details("Licences of the libraries in this page", *licences)
-    made_with = section("Made with", TEXTS["made_with"], made_with)
+    made_with = section("Made with", TEXTS["made_with"], details("Licences of the libraries in this page", *licences))
     body = [Html(style + file_text("pages/explore/workbench.html")), made_with, Html(data), *scripts, Script(code)]
     return document(**TEXTS["page"], body=body, attributes=exploration.attributes)
 

@@ -120,10 +120,7 @@ def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
 
 @style.drawing()
 def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
-    """Draw the figures that a set shows and return their paths: hemodynamics_<name>_fig10.png, 11, 12 and 15_to_18.
-
-    name : Of the set, for titles and file names.
-    """
+    """Draw the figures that a set of this name shows: hemodynamics_<name>_fig10.png, 11, 12, 15_to_18; their paths."""
     figures = {
         "10": ("Fig. 10: vessels under steps of proximal pressure", _figure_10),
         "11": ("Fig. 11: readings under steps of both pressures", _figure_11),
@@ -263,10 +260,7 @@ def crossing_nm() -> float:
 
 @style.drawing()
 def draw_haemoglobins(directory: Path) -> Path:
-    """Draw the absorption of whole blood with and without oxygen and the shipped LEDs' lines into a folder.
-
-    Returns the path, haemoglobin_fig4.png.
-    """
+    """Draw the absorption of blood and the lines of the shipped LEDs into a folder: haemoglobin_fig4.png; its path."""
     figure, axes = style.panels(9.5, 4.4)
     wavelength = np.linspace(600.0, tissue.WAVELENGTH_RANGE_NM[1], 401)
     for so2, colour, label in ((1.0, "#c0303b", "oxygenated"), (0.0, "#3a55b0", "deoxygenated")):

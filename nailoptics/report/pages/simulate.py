@@ -15,13 +15,7 @@ from .. import maps, style
 from ..files import Report
 from ..html import Html, document, escaped, figure, section, small, subheading, table, texts
 from ..numbers import estimated, prefix, quantity, significant, with_error
-from ..readings import (
-    disturbance_lines,
-    photodiode_readings,
-    reading_rows,
-    simulation_lines,
-    simulation_summary,
-)
+from ..readings import disturbance_lines, photodiode_readings, reading_rows, simulation_lines, simulation_summary
 from ..scene_description import blood_words, body_words, touch_words
 from ..uncertainty_section import spread_section
 

@@ -143,10 +143,7 @@ WIDTH, WORDS = 1.5, 1.9
 
 @style.drawing()
 def contact_sheet(results: xr.Dataset) -> "style.Figure":
-    """Photographs of up to 48 scenes in the order of the sweep; what is not done is black.
-
-    results : what `batch.open_results` returns for a sweep of colours.
-    """
+    """Photographs of up to 48 scenes of a sweep of colours, in its order; what is not done is black."""
     if "photograph" not in results:
         raise InputError('figure = "photographs" needs a sweep of study = "colour".')
     places = list(np.ndindex(*results.state.shape))[:MOST_SCENES]

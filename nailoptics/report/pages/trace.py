@@ -47,9 +47,8 @@ def draw(result: Transfer | xr.Dataset) -> "style.Figure":
 def _readings(result: Transfer | xr.Dataset) -> xr.Dataset:
     """Readings over state, led and photodiode."""
     readings = result.at() if isinstance(result, Transfer) else result
-    if "state" in readings.dims:
-        return readings
-    return readings.assign({name: readings[name].expand_dims("state") for name in NAMES})
+    one = {} if "state" in readings.dims else {name: readings[name].expand_dims("state") for name in NAMES}
+    return readings.assign(one)
 
 
 def _records(result: Transfer | xr.Dataset) -> list[dict[str, Any]]:
