@@ -260,7 +260,7 @@ def crossing_nm() -> float:
 
 @style.drawing()
 def draw_haemoglobins(directory: Path) -> Path:
-    """Draw the absorption of blood and the lines of the shipped LEDs into a folder: haemoglobin_fig4.png; its path."""
+    """Draw the absorption of blood and the lines of the shipped LEDs into a folder; returns the path of the figure."""
     figure, axes = style.panels(9.5, 4.4)
     wavelength = np.linspace(600.0, tissue.WAVELENGTH_RANGE_NM[1], 401)
     for so2, colour, label in ((1.0, "#c0303b", "oxygenated"), (0.0, "#3a55b0", "deoxygenated")):
