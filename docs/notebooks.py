@@ -1,7 +1,8 @@
 """Pages whose code is run when they are built: with how many photons, their downloads, thumbnails of their pictures.
 
 A page is run in a folder of its own by myst-nb. With NAILOPTICS_DOCS=quick in the environment, as tests build them,
-commands and functions that trace light take few photons, and pages that say `quick: false` on top are not run.
+commands and functions that trace light take few photons, recordings few samples, and pages that say `quick: false` on
+top are not run.
 """
 
 import hashlib
@@ -23,24 +24,48 @@ from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
 PHOTONS = 20_000
-CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
-TRACING = re.compile(
-    r"^(nailoptics (?:simulate|trace|compare|oximeter|colour|place|tradeoff|explain|explore)\b.*)$", re.M
-)
-LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
 # On top of a page that is not run, whose language no kernel says.
 UNEXECUTED = '\nmystnb:\n  execution_mode: "off"\nlanguage_info:\n  name: python\n  pygments_lexer: ipython3\n---\n'
+# Shipped scenes that pages record, and what makes a recording of them cheap.
+SHORT = {
+    "calibration": {"touch.sample_rate_hz": 2.5, "priors.spread": False},
+    "dynamic_proximal": {"priors.spread": False},
+}
+CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
+TRACING = re.compile(
+    r"^(nailoptics (?:simulate|trace|compare|calibrate|oximeter|colour|place|tradeoff|explain|explore)\b.*)$", re.M
+)
+LIMIT = re.compile(r" --(?:relative-error|max-seconds|photons) \S+")
 LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons)( ?= ?)[\d_.]+")
 
 
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
-    """Before a page is read: what it runs takes few photons, or is not run, where pages are only tried."""
+    """Before a page is read: what it runs takes few photons and samples, or is not run, where pages are only tried."""
     page = source[0]
     if not QUICK or not page.startswith("---\nfile_format: mystnb"):
         return
     if "\nquick: false\n" in page.partition("\n---\n")[0] + "\n":
         page = page.replace("\n---\n", UNEXECUTED, 1)
-    source[0] = CELL.sub(lambda cell: with_limit(cell[0], PHOTONS), page)
+    source[0] = CELL.sub(lambda cell: with_short_scenes(app, with_limit(cell[0], PHOTONS)), page)
+
+
+def with_short_scenes(app: Any, cell: str) -> str:
+    """A cell that records the short scenes, which lie in files beside the pages."""
+    for name in SHORT:
+        cell = re.sub(rf'(?<=simulate ){name}\b|(?<=simulate\("){name}\b', str(short_scene(app, name)), cell)
+    return cell
+
+
+def short_scene(app: Any, name: str) -> Path:
+    """The file of a short scene."""
+    return Path(app.outdir).resolve().parent / "short" / f"{name}.toml"
+
+
+def write_short_scenes(app: Any) -> None:
+    """Before the pages are read: files of the short scenes."""
+    for name, changes in SHORT.items() if QUICK else ():
+        short_scene(app, name).parent.mkdir(parents=True, exist_ok=True)
+        short_scene(app, name).write_text(nailoptics.to_toml(nailoptics.scene(name).with_(changes)), encoding="utf-8")
 
 
 def with_limit(cell: str, photons: int) -> str:
@@ -163,6 +188,7 @@ def setup(app: Any) -> None:
     app.add_config_value("package_digest", package_digest(), "env")
     app.add_directive("thumbnails", Thumbnails)
     app.add_node(thumbnails)
+    app.connect("builder-inited", write_short_scenes)
     app.connect("source-read", with_few_photons)
     app.connect("doctree-resolved", fill_thumbnails)
     app.connect("html-page-context", offer_download)
