@@ -39,7 +39,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, Touch, digest, load_scene, to_toml
 from nailoptics.scene.importers.sensor_recordings import Recording
 from nailoptics.sensor.ambient import scene_ambient_a
-from nailoptics.sensor.worn_light import WornLight, with_fitted_resistors
+from nailoptics.sensor.volts import WornLight, with_fitted_resistors
 from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.simulate import simulate_from
 

@@ -81,7 +81,7 @@ def test_the_error_of_a_ratio_is_that_of_slopes_of_noisy_pulses():
         ('light = "infrared"', 'light = "green"', "is unknown"),
         ('light = "infrared"', 'light = "red"', "is used twice"),
         ('    { light = "infrared", start_ms = 2.5, length_ms = 2.0 },\n', "", "two LEDs"),
-        ('part = "led_940"', 'part = "led_660"', "wavelength"),
+        ('part = "led_940"', 'part = "led_660"', "see the same blood"),
     ],
 )
 def test_impossible_schedules_are_the_scenes_own_error(old, new, words):

@@ -134,7 +134,8 @@ class PhotonMapCache:
         off the nail; tracers of many people would fill the memory.
         """
         held = self.of(board)
-        for key, case in {case.digit: case for case in (*self.people, *self.cases)}.items():
+        cases: list[FingerCase | Person] = [*self.people, *self.cases]
+        for key, case in {case.digit: case for case in cases}.items():
             is_person, worn = isinstance(case, Person), boards.worn_on(board, case, light_only=True)
             if (is_person and not boards.fits(worn)) or (key not in held.tracers and self.stop()):
                 continue

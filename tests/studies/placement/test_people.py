@@ -160,7 +160,8 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     error = np.hypot(float(board.tolerance_ranking_stderr), float(jackknife(fresh)))
     assert abs(float(board.tolerance_ranking) - (fresh[0] - 1)) < 4 * error and error < 0.3
     turned = found.tolerance_ranking.sel(toleranced_part="board", deviation=["clockwise", "counterclockwise"])
-    assert np.isfinite(turned).all() and np.isnan(led.tolerance_ranking.sel(deviation="left"))
+    assert np.isfinite(turned).all() and np.isfinite(led.tolerance_ranking.sel(deviation="left"))
+    assert np.isnan(led.tolerance_ranking.sel(deviation="clockwise"))
 
 
 @pytest.mark.slow

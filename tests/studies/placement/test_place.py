@@ -456,10 +456,10 @@ def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, sce
     bloodier = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.04})})
     condition = place.finger_condition(bloodier, FingerCase(name="one"), boards.rules(bloodier))
     board = place.given(boards.base_board(bloodier), boards.rules(bloodier))[0].board
+    of_ranking = {"seed": 1, "stream": 1, "backend": "auto", "blocks": place.BLOCKS, "distance_mm": place.DISTANCE_MM}
     with fewer_photons():
         caches = [
-            photon_maps.PhotonMapCache([condition], seed=1, stream=1, backend="auto", blocks=place.BLOCKS, store=store)
-            for store in (None, LightStore.of_user())
+            photon_maps.PhotonMapCache([condition], **of_ranking, store=store) for store in (None, LightStore.of_user())
         ]
         caches[0].extend(board, 1 << 18)
         monkeypatch.setattr(FingerTracer, "walk", None)
