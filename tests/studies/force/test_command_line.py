@@ -55,7 +55,7 @@ def test_a_person_is_recorded_calibrated_and_predicted(
     # A trace that falls short of what is required is followed by its fit all the same.
     late, short = tmp_path / "late.toml", ["--relative-error", "1e-4", "--max-seconds", "1", "--seed", "1"]
     assert run(["calibrate", str(tmp_path / "one.toml"), *recordings, "-o", str(late), *short]) == 3
-    assert f"What was reached is in {late}." in capsys.readouterr().err and load_subject(late).rms_n < 1.0
+    assert f"What was reached is in {late}." in capsys.readouterr().err and load_subject(late).quality.rms_n < 1.0
     told = _json(capsys, ["predict", str(subject), str(tmp_path / "touch.csv"), "-o", str(tmp_path / "told")])
     assert told["rms_n"] < 0.1 and told["coverage_95"] > 0.8 and told["consistent"]
     assert [event["kind"] for event in told["events"]] == ["press", "release"]

@@ -67,7 +67,8 @@ def test_a_tolerance_holds_with_other_seeds_and_ten_times_the_photons(studied):
     for level, tolerances in named.items():
         far = off(by_name[level], scene, base, tracer)
         for tolerance in tolerances:
-            for what, (values, errors, _) in far._asdict().items():
+            for what, estimates in far._asdict().items():
+                values, errors = estimates.value, estimates.stderr
                 worst, error = np.abs(values).max(), np.max(errors)
                 print(f"{name}: {level}, {what} within {tolerance:g}: {worst:.2%} +- {error:.2%}")
                 assert (np.abs(values) - 3 * errors <= tolerance).all() and error < tolerance
