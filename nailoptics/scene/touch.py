@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
-from pydantic_core import PydanticCustomError
 
 from .base import (
     LEAST_AREA_MM2,
@@ -34,7 +33,7 @@ LAST_STEP_S = 2.0
 
 def _in_newtons(force_n: float) -> float:
     if force_n > MOST_FORCE_N:
-        raise PydanticCustomError("force", f"be at most {MOST_FORCE_N:g} N; divide grams by 102")
+        raise ValueError(f"{force_n:g} N must be at most {MOST_FORCE_N:g} N; divide grams by 102")
     return force_n
 
 

@@ -16,6 +16,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.studies.placement import boards, place, verification
+from nailoptics.studies.placement.tolerances import tolerances
 
 SCENE = parse_scene(TWO_LAYOUTS)
 
@@ -87,6 +88,7 @@ def test_ratios_and_their_z_are_those_of_the_readings(monkeypatch, factor, z):
 
 @pytest.mark.long
 def test_page_and_terminal_state_the_ratio_and_an_interrupt(chosen_jit, fewer_photons, monkeypatch, tmp_path):
+    monkeypatch.setattr(place, "tolerances", lambda *of, stop: tolerances(*of, stop=lambda: True))
     quiet = SCENE.with_(**{"priors.spread": False})
 
     def placed(**how):
