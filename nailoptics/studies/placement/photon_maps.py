@@ -82,7 +82,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
-    batch_photons : of one batch; as the tracer's if not given.
+    batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED in search and tolerances.
     store : the cache of traced light.
     stop : whether nothing more is to be traced, tested before every batch.
     """
@@ -94,6 +94,7 @@ class PhotonMapCache:
     blocks: int
     distance_mm: float = SPACING_MM
     batch_photons: int | None = None
+    most_photons: int | None = None
     store: LightStore | None = None
     stop: Callable[[], bool] = lambda: False
     photons: int = field(default=0, init=False)

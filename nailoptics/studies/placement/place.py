@@ -54,7 +54,7 @@ def place(
 
     verify_with_mitsuba : also read the best layout by stock Mitsuba, for minutes past max_seconds; what an interrupted
         run has traced of this is taken from the store.
-    photons : per layout, LED and finger, in place of a tolerance.
+    photons : per layout, LED and finger, in place of a tolerance; the search and the tolerances take no more, either.
     relative_error : the evaluation ends when the best is distinguished from all others or every score is known so
         well; 0.02 if nothing is requested.
     max_seconds : wall time after which it ends in any case; 480 if nothing is requested. [s]
@@ -81,6 +81,7 @@ def place(
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     store = LightStore.of_user() if options.store else None
     ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
+    ranking.most_photons = photons
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)

@@ -377,6 +377,7 @@ class Search:
         walls = self.sites.board_at(0, places[0][0], row).layout.barriers
         fixed = [self.sites.die(i, self.sites.place_of(i)) for i in leds if self.sites.is_fixed[i]]
         beside = self.sites.photodiode_places(walls, fixed)
+        photons = min(photons, self.cache.most_photons or photons)
         return RowDesign(self.sites, self.objective, row, beside, [{} for _ in leds], photons, starts)
 
     def _trace(self, design: RowDesign, places: list[list[Point]], report_progress: StageProgress) -> Iterable[float]:

@@ -45,14 +45,16 @@ def tolerances(
     objective = replace(objective, filter_groups=GROUPS)
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
     fingers = cache.conditions[: len(objective.points)]
-    elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, stop=stop)
+    photons = min(PHOTONS, cache.most_photons or PHOTONS)
+    how: dict[str, Any] = {"distance_mm": PERSON_DISTANCE_MM, "batch_photons": photons, "stop": stop}
+    elsewhere = replace(cache, conditions=fingers, **how)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, changes = {led.name for led in scene.leds}, dict[tuple[str, str], Array]()
     for part, kind, vary in _varied(scene):
         try:
             if part == "board" or (kind in MOVED and part in leds):
                 moved, light = candidates.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
-                light.extend(moved.board, PHOTONS)
+                light.extend(moved.board, photons)
             else:
                 moved, light = replace(layout, scene=vary()), cache
                 candidates.check(moved.scene, layout.name)
