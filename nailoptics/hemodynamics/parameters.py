@@ -89,7 +89,9 @@ class Parameters:
             object.__setattr__(self, field.name, value)
 
     def replace(self, **changes: Any) -> "Parameters":
-        """A copy with some values changed, checked like a new set; TypeError for an unknown name."""
+        """A copy with some values changed, checked like a new set; InputError also for an unknown name."""
+        if unknown := sorted(set(changes) - set(vars(self))):
+            raise InputError(f"{unknown[0]} is not a parameter; use one of {', '.join(vars(self))}.")
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled; the model with mass."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
@@ -19,7 +20,7 @@ from .zones import PAPER_ZONES, Zones
 if TYPE_CHECKING:
     import xarray
 
-Model = Literal["massless", "inertial"]
+Model = Literal["massless", "inertial", "printed"]
 # Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]
 _CONTACT_OVER_WALL = 1e6
 # Steps of the differences for the Jacobian: in diameters over the listed ones, and in speeds over those per second.
@@ -44,7 +45,7 @@ def respond(
     start : At time_s[0] the vessels are in balance with no touch ("untouched": a pressure there is a step at that
         instant) or with the first pressures ("steady"; before a waveform's jump, if it has one there).
     model : "massless" walls are the tool; "inertial" is the paper's six-state model (2 N + 2 states for N units), the
-        check: it agrees within 1e-5 um and takes many times as long.
+        check: it agrees within 1e-5 um and takes many times as long; "printed" lets its walls pass through each other.
     rtol : Allowed error of a step, relative to a diameter. With noisy records 1e-4 is several times as fast. [1]
     only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
     pressures : as in `Pressures`, in which samples (T,) are linear between times; a waveform has knots of its own and
@@ -78,7 +79,8 @@ def respond(
     high, low, *outside = to_channels(first)
     begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     inputs = None if only_diameters and model == "massless" else to_channels(over_time)
-    integrate: Any = massless.integrate if model == "massless" else integrate_with_mass
+    with_mass = partial(integrate_with_mass, contact=model != "printed")
+    integrate: Any = massless.integrate if model == "massless" else with_mass
     run = integrate(walls, drive, time, begin, inputs, rtol=rtol)
     attributes = {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()}
     return _dataset(zones, time, run, None if only_diameters else over_time).assign_attrs(attributes)
@@ -89,7 +91,7 @@ def _checked(time_s: ArrayLike, model: str, start: str, rtol: float) -> np.ndarr
     if not 1e-13 <= rtol <= 0.1:
         raise InputError(f"rtol must lie between 1e-13 and 0.1, got {rtol}; 1e-6 is usual.")
     if model not in get_args(Model):
-        raise InputError(f"model must be 'massless' or 'inertial', got {model!r}.")
+        raise InputError(f"model must be 'massless', 'inertial' or 'printed', got {model!r}.")
     if start not in ("untouched", "steady"):
         raise InputError(f"start must be 'untouched' or 'steady', got {start!r}.")
     time = finite("time_s", time_s)
@@ -125,11 +127,12 @@ def _dataset(
 
 
 def integrate_with_mass(
-    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: Any, *, rtol: float
+    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: Any, *, rtol: float, contact: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `massless.integrate`, of walls with mass, the paper's six-state model, by scipy's Radau.
 
-    Walls push back once closed (a spring a million times as stiff as the wall, with its damping).
+    contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
+        they pass through each other, as printed in the paper.
     """
     from scipy.integrate import solve_ivp
 
@@ -138,9 +141,10 @@ def integrate_with_mass(
     def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
         width, speed = state[:n] * rest, state[n:] * rest
         inputs = drive.at(time, *pieces)
-        pressure = inertial_pressures(walls, np.maximum(width, closed), speed, inputs[0], inputs[1])
+        open_width = np.maximum(width, closed) if contact else width
+        pressure = inertial_pressures(walls, open_width, speed, inputs[0], inputs[1])
         force = walls.area * (pressure - inputs[2:]) - walls.stiffness * (width - rest) - walls.damping * speed
-        force += _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - width, 0.0)
+        force += contact * _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - width, 0.0)
         return np.concatenate([speed, force / walls.mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
@@ -165,6 +169,6 @@ def integrate_with_mass(
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
     width, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)
-    touching = width <= closed[:, None]
-    width = np.maximum(width, closed[:, None])
+    touching = contact & (width <= closed[:, None])
+    width = np.maximum(width, closed[:, None]) if contact else width
     return width, inertial_pressures(walls, width, speed, *inputs[:2]), touching

@@ -7,7 +7,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import finite, not_negative
+from ..checks import finite, fraction, not_negative, positive
 from ..errors import InputError
 from ..scene import Scene, Touch
 from ..scene.base import USUAL_CONTACT_AREA_MM2
@@ -45,6 +45,12 @@ class Contact:
     distal_area_mm2: ArrayLike | None = None
     contact_force_n: float | None = None
     distal_onset_n: float = 0.0
+
+    def __post_init__(self) -> None:
+        fraction("proximal_share", self.proximal_share)
+        for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2", "contact_force_n"):
+            if getattr(self, name) is not None:
+                positive(name, getattr(self, name))
 
     def side_areas_mm2(self, proximal_share: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Areas on which the touch presses the proximal and the distal pulp, by another share if given. [mm^2]"""

@@ -86,6 +86,8 @@ def test_1_n_on_one_side_is_1_n_per_cm2_there_unless_its_area_is_stated():
     ("arguments", "name"),
     [
         ((-1.0,), "force_n"),
+        ((1.0, 0.0), "contact_area_mm2"),
+        ((1.0, 100.0, 1.1), "proximal_share"),
         ((np.nan,), "force_n"),
     ],
 )
