@@ -13,6 +13,7 @@ from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
 from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_bottom
 from .parts import BoardFile, Led, Photodiode, Rotation
+from .text_files import read_text
 
 # What layouts can be ranked by, and which of these may be combined.
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
@@ -64,7 +65,8 @@ class Candidate(BoardFile, FilledTable):
         used = [*groups["leds"], *groups["photodiodes"]]
         # Fiducials and holes, which nobody asks for, may share one.
         check_unique([part.ref for part in used], f"{path}: Ref")
-        warn_of_bottom(data, parts, used, [part for part in used if part.rotation_deg % 90])
+        text = read_text(path, "a position file", any_encoding=True)
+        warn_of_bottom(data, parts, used, [part for part in used if part.rotation_deg % 90], text)
         view = view_of(data, used, data.get("faces_nail")) if used else View()
         filled = {f"{name}_mm": tuple(view.place(p.position_mm) for p in group) for name, group in groups.items()}
         filled |= {f"{name}_deg": tuple(view.angle(p.rotation_deg) for p in group) for name, group in groups.items()}

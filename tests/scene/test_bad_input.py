@@ -99,7 +99,6 @@ def test_an_unknown_field_is_named_with_what_it_may_mean(text, words):
         (FINGER + "[blood]\nrest_blood_fraction = -0.01", "blood.rest_blood_fraction", "-0.01"),
         (FINGER + "[board]\nkapton_um = 0.025", "board.kapton_um", "0.025"),
         (FINGER + "[board]\nopaque_reflectance = 4.0", "board.opaque_reflectance", "4.0"),
-        (FINGER + "[touch]\nforce_n = 1000.0", "touch.force_n", "1000.0"),
         (FINGER + "[touch]\nproximal_share = 50", "touch.proximal_share", "50"),
         (FINGER + "[touch]\ncontact_area_mm2 = 0", "touch.contact_area_mm2", "0"),
         (FINGER + "[touch]\ncontact_area_mm2 = 1e-296", "touch.contact_area_mm2", "1e-296"),

@@ -124,7 +124,7 @@ def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
     text = "Designator,Mid X,Mid Y,Layer,Rotation\nD1,-3mm,1mm,Bottom,90\nPD1,1mm,-1mm,Bottom,150\n"
     board, path = load_scene(write(tmp_path)), write_positions(tmp_path, text)
     assert load_scene(path).photodiodes[0].rotation_deg == 150
-    said = "the rotation of PD1 on the bottom is read as KiCad writes it, but assemblers write it"
+    said = "the rotation of PD1 on the bottom is read as KiCad writes it, but its header is"
     assert caplog.text.count(said) == 1
     path.write_text(path.read_text().replace("barrier", 'rotation_on_bottom = "assembler"\nbarrier'))
     scene = load_scene(path)

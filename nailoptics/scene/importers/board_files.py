@@ -13,7 +13,7 @@ from ...errors import InputError
 from ..base import Point
 from ..catalogue import ModulePart, load_part
 from ..rectangles import area_mm2, turned
-from ..text_files import number_columns, read_rows
+from ..text_files import number_columns, read_rows, read_text
 from .kicad import KicadBoard, read_board
 from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, dxf_lines, is_number, is_point, join, middle
 from .positions import READING, PlacedPart, read_positions, warn_of_bottom
@@ -97,7 +97,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     mapped = _mapped(placed, uses, name)
     if board is None:
         oblique = [part for part in mapped if _looks_turned(part, uses[part.ref], folder)]
-        warn_of_bottom(table, placed, mapped, oblique)
+        warn_of_bottom(table, placed, mapped, oblique, read_text(path, "a position file", any_encoding=True))
     whole = None
     if board is not None and board.edges:  # a file may hold several boards: the outline around the parts
         whole = join(board.edges, name, around=[part.position_mm for part in mapped])

@@ -106,11 +106,12 @@ def warn_of_bottom(
     parts: Sequence[PlacedPart],
     used: Sequence[PlacedPart],
     oblique: Sequence[PlacedPart] = (),
+    text: str = "",
 ) -> None:
     """Say in a line each how X and angles of the bottom side are read, where the scene does not say it and it matters.
 
     table : of the scene, that names the file. parts, used : all of the file as they stand, and those that count.
-    oblique : those that do not look the same at 180 degrees less their angle.
+    oblique : those that do not look the same at 180 degrees less their angle. text : of the file.
     """
     top, bottom = ([part.position_mm[0] for part in parts if part.side == side] for side in ("top", "bottom"))
 
@@ -126,9 +127,11 @@ def warn_of_bottom(
             log.warning("%s: X on the bottom %s, and is read as it stands: %s", table["positions"], why, how)
     refs = [part.ref for part in oblique if part.side == "bottom"]
     if refs and not table.get("rotation_on_bottom"):
-        read = f"the rotation of {', '.join(refs)} on the bottom is read as KiCad writes it, but assemblers write it"
+        is_assemblers = re.search(r"designator\W.*mid\s*x", text, re.IGNORECASE)
+        why = "its header is that of an assembler" if is_assemblers else "assemblers write it otherwise"
+        read = f"the rotation of {', '.join(refs)} on the bottom is read as KiCad writes it, but {why}"
         how = 'set rotation_on_bottom to "assembler" (180 degrees less the angle) or "kicad".'
-        log.warning("%s: %s otherwise: %s", table["positions"], read, how)
+        log.warning("%s: %s: %s", table["positions"], read, how)
 
 
 def _table(
