@@ -15,6 +15,7 @@ from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.placement import place
+from nailoptics.studies.placement.tolerances import tolerances
 from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate
 
@@ -45,6 +46,7 @@ def test_every_file_of_place_is_read(
 ):
     """Few photons rank layouts badly, and are enough to write them."""
     monkeypatch.setattr(place, "BLOCKS", 8)
+    monkeypatch.setattr(place, "tolerances", lambda *of, stop: tolerances(*of, stop=lambda: True))
     scene = SCENES[name].with_(**{"priors.own_traces": False})
     if not search:
         given = {"search": False, "candidates": (IN_A_ROW,), "fingers": ()}

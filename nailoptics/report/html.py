@@ -24,6 +24,9 @@ class Html(str):
 class Script(str):
     """JavaScript that runs at the end of a page; no other does, nor does a page load anything unless it is served."""
 
+    is_served = False
+    """Whether it may read from the server that its page comes from."""
+
 
 def texts(page: str) -> dict[str, Any]:
     """The longer texts and the tables of words of a page, by their names in texts.toml."""
@@ -50,13 +53,11 @@ def document(
     attributes: Mapping[str, Any],
     warnings: str | Iterable[str] = (),
     cards: Sequence[tuple[str, str]] = (),
-    is_served: bool = False,
 ) -> str:
     """A whole page as text; body is HTML and scripts, everything else plain words.
 
     attributes : of the result, from which the page says what makes it again, and whether it was cut off.
     cards : figures in large type, each with what it is.
-    is_served : whether its scripts may read from the server that it comes from.
     """
     template, css = (file_text(f"page.{kind}") for kind in ("html", "css"))
     body = list(body)
@@ -76,15 +77,15 @@ def document(
         *(f"<script>{script}</script>" for script in scripts),
     ]
     main = "\n".join(part for part in parts if part)
-    return template.format(policy=_policy(scripts, is_served), title=escaped(title), css=css, main=main)
+    return template.format(policy=_policy(scripts), title=escaped(title), css=css, main=main)
 
 
-def _policy(scripts: Iterable[str], is_served: bool) -> str:
+def _policy(scripts: Sequence[Script]) -> str:
     """What a browser may do on a page: run these scripts, show what is in the page itself, and read from its server."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     inside = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
-    inside += "; connect-src 'self'" if is_served else ""
+    inside += "; connect-src 'self'" if any(script.is_served for script in scripts) else ""
     return f"{inside}; base-uri 'none'; form-action 'none'"
 
 

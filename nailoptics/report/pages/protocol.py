@@ -17,8 +17,10 @@ def page(drawn: Protocol, *, is_served: bool = False) -> str:
     data, words = json.dumps(columns | {"is_served": is_served}), texts("protocol")
     player, script = (file_text(f"pages/protocol.{kind}") for kind in ("html", "js"))
     player += f'<script type="application/json" id="protocol">{data}</script>'
-    body = [section("The line", Html(player), small(words["live"])), Script(script)]
-    return document(**words["page"], lead=words["lead"], body=body, attributes={}, is_served=is_served)
+    runs = Script(script)
+    runs.is_served = is_served
+    body = [section("The line", Html(player), small(words["live"])), runs]
+    return document(**words["page"], lead=words["lead"], body=body, attributes={})
 
 
 def live_columns(header: list[str]) -> tuple[str, str]:

@@ -86,8 +86,7 @@ def place(
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)
-    least = _least_boards(layouts) if searched else 0
-    ranking.stop = partial(_evaluated_enough, ranking, least, report_progress)
+    ranking.stop = partial(_evaluated_enough, ranking, _least_boards(layouts) if searched else 0, report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     given_count = len(layouts)
