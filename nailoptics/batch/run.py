@@ -69,6 +69,14 @@ class BatchProgress:
     news: str = ""
 
 
+class BatchRequested(Requested, total=False):
+    """Options of a trace, and of how a batch runs, as in `run_batch`."""
+
+    workers: int | None
+    scheduler: str | None
+    progress: Callable[[BatchProgress], None] | None
+
+
 def run_batch(
     sweep: Sweep,
     folder: str | Path,
@@ -118,25 +126,20 @@ def sweep(
     combine: Literal["product", "zip"] = "product",
     folder: str | Path | None = None,
     course: bool = False,
-    workers: int | None = None,
-    progress: Callable[[BatchProgress], None] | None = None,
-    **requested: Unpack[Requested],
+    **requested: Unpack[BatchRequested],
 ) -> xr.Dataset:
     """Run a study of a scene over values of its fields, in several processes, as one dataset.
 
     Each field is a dimension, called as its last part, such as so2; its values, with their unit, are the coordinate.
     Scenes that differ in absorption only share one trace.
 
-    scene : a scene, a scene file, or the name of a shipped scene.
     over : values by field, such as {"blood.so2": [0.9, 0.97], "leds.ir.flux_mw": [1.0, 2.0]}.
     study : simulate, trace, oximeter or colour.
     combine : product, every combination of values; or zip, the first values of all fields, the second, and so on, along
         the dimension sample.
     folder : where results stay, and a sweep that was ended goes on; a temporary folder if not given.
     course : also what runs over time (volts, blood, force), for which the scenes must share their times.
-    workers : processes; one per core, and no more than scenes, if not given.
-    progress : called with a `BatchProgress` several times a second.
-    requested : seed, backend, relative_error, max_seconds, photons, store; the scheduler of `run_batch`, too.
+    requested : seed, backend, relative_error, max_seconds, photons, store; workers, scheduler, progress of `run_batch`.
 
     Raises: InputError; NotReachedError, whose result is the dataset, where scenes failed, missed their tolerance or
         were not reached.
@@ -144,8 +147,7 @@ def sweep(
     planned = sweep_over(scene, over, study=study, combine=combine)
     with ExitStack() as stack:
         place = folder or stack.enter_context(tempfile.TemporaryDirectory(prefix="nailoptics_"))
-        how = {"workers": workers, "retry_failed": True, "progress": progress}
-        _, unmet = as_far_as_reached(run_batch, planned, place, **how, **requested)
+        _, unmet = as_far_as_reached(run_batch, planned, place, retry_failed=True, **requested)
         results = open_results(place, course=course)
     return unless_cut_off(results, unmet)
 

@@ -24,8 +24,7 @@ class Html(str):
 class Script(str):
     """JavaScript that runs at the end of a page; no other does, nor does a page load anything unless it is served."""
 
-    is_served = False
-    """Whether it may read from the server that its page comes from."""
+    is_served = False  # whether it may read from the server that its page comes from
 
 
 def texts(page: str) -> dict[str, Any]:

@@ -127,8 +127,8 @@ def warn_of_bottom(
             log.warning("%s: X on the bottom %s, and is read as it stands: %s", table["positions"], why, how)
     refs = [part.ref for part in oblique if part.side == "bottom"]
     if refs and not table.get("rotation_on_bottom"):
-        is_assemblers = re.search(r"designator\W.*mid\s*x", text, re.IGNORECASE)
-        why = "its header is that of an assembler" if is_assemblers else "assemblers write it otherwise"
+        by_assembler = re.search(r"designator\W.*mid\s*x", text, re.IGNORECASE)
+        why = "its header is that of an assembler" if by_assembler else "assemblers write it otherwise"
         read = f"the rotation of {', '.join(refs)} on the bottom is read as KiCad writes it, but {why}"
         how = 'set rotation_on_bottom to "assembler" (180 degrees less the angle) or "kicad".'
         log.warning("%s: %s: %s", table["positions"], read, how)

@@ -46,8 +46,7 @@ def tolerances(
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
     fingers = cache.conditions[: len(objective.points)]
     photons = min(PHOTONS, cache.most_photons or PHOTONS)
-    how: dict[str, Any] = {"distance_mm": PERSON_DISTANCE_MM, "batch_photons": photons, "stop": stop}
-    elsewhere = replace(cache, conditions=fingers, **how)
+    elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, batch_photons=photons, stop=stop)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, changes = {led.name for led in scene.leds}, dict[tuple[str, str], Array]()
     for part, kind, vary in _varied(scene):
