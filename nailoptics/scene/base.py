@@ -54,6 +54,16 @@ class Table(BaseModel):
     # Tables of files are validated without it, whose faults are those of the whole file.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _is_filled(cls, data: object, info: ValidationInfo) -> object:
+        return cls._filled(data, (info.context or {}).get("folder")) if isinstance(data, dict) else data
+
+    @classmethod
+    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+        """The table, not validated yet, with what a digit, part or file gives; files are looked for in the folder."""
+        return data
+
     @model_validator(mode="after")
     def _is_checked(self) -> Self:
         self._check()
@@ -75,20 +85,6 @@ class Table(BaseModel):
             for name, text in _texts_below(table).items():
                 fields[name]["description"] = text
         return schema
-
-
-class FilledTable(Table):
-    """A table of which a digit, a part or a file fills what it does not give itself."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _is_filled(cls, data: object, info: ValidationInfo) -> object:
-        return cls._filled(data, (info.context or {}).get("folder")) if isinstance(data, dict) else data
-
-    @classmethod
-    def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
-        """The table, not validated yet, with what is filled in; files are looked for in the folder."""
-        raise NotImplementedError
 
 
 @cache

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from .base import ArterialPressure, FilledTable, Positive, Table, VenousPressure, WaveAmplitude
+from .base import ArterialPressure, Positive, Table, VenousPressure, WaveAmplitude
 from .importers.sensor_recordings import check_columns, with_recording
 
 # Columns of a recording of the body.
@@ -98,7 +98,7 @@ class Motion(Table):
     """Correlation time of the displacement (decrease by a factor e). [s]"""
 
 
-class Body(FilledTable):
+class Body(Table):
     """What changes readings besides the touch: the arterial pressure P_H, and the sensor itself. What is not given does
     not vary."""
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field
 
 from ..assets import read_toml
-from .base import USUAL_MELANIN_FRACTION, FilledTable, Fraction, Name, Table, check_unique
+from .base import USUAL_MELANIN_FRACTION, Fraction, Name, Table, check_unique
 
 ANATOMY: dict[str, dict[str, float]] = read_toml("anatomy.toml")
 """Sizes of adult digits, by digit and field. [mm]"""
@@ -20,7 +20,7 @@ BEYOND_NAIL_MM = 4.0
 Coefficient = Annotated[float, Field(ge=0, le=1e9)]
 
 
-class Finger(FilledTable):
+class Finger(Table):
     """A fingertip; the digit sets the default of every size. Lengths in mm."""
 
     digit: Literal["thumb", "index", "middle", "ring", "little"] = "index"

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ..errors import InputError
-from .base import FilledTable, Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
+from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
@@ -56,7 +56,7 @@ def with_part(data: dict[str, Any], kind: Any, folder: Path | None) -> dict[str,
     return fields | data
 
 
-class Mounted(FilledTable):
+class Mounted(Table):
     """What an LED and a photodiode have on a board."""
 
     name: Name

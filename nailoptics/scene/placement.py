@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field
 
 from ..errors import InputError
-from .base import FilledTable, Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
+from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
 from .finger import DermisAbsorption
 from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
@@ -19,7 +19,7 @@ from .text_files import read_text
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
 
-class Candidate(BoardFile, FilledTable):
+class Candidate(BoardFile, Table):
     """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre.
 
     Of a position file without parts, references such as D1 or LED1 are LEDs, PD1 photodiodes, others are ignored.
@@ -102,7 +102,7 @@ class FingerCase(Table):
     """Absorption of the bloodless bed."""
 
 
-class Placement(FilledTable):
+class Placement(Table):
     """Constraints and objective of the layout search."""
 
     candidates: Annotated[tuple[Candidate, ...], Field(max_length=200)] = ()

@@ -12,7 +12,7 @@ from pydantic import Field
 from ..assets import WAVELENGTH_RANGE_NM
 from ..display import Displayed
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, FilledTable, Table, check_unique
+from .base import MOST_PHOTODIODES, Table, check_unique
 from .body import Body
 from .electronics import DARK, Ambient, Electronics, Oximeter, two_leds
 from .finger import Finger, Phantom
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Scene(Displayed, FilledTable):
+class Scene(Displayed, Table):
     """A scene: everything that determines the result."""
 
     schema_version: Literal[1]

@@ -13,7 +13,6 @@ from .base import (
     LEAST_AREA_MM2,
     MOST_FORCE_N,
     USUAL_CONTACT_AREA_MM2,
-    FilledTable,
     Fraction,
     NonNegative,
     Positive,
@@ -61,7 +60,7 @@ class ForceStep(Table):
     """Force until the next step. [N]"""
 
 
-class Touch(FilledTable):
+class Touch(Table):
     """Force on the fingertip over time, and its distribution over the pulp."""
 
     profile: Literal["step", "ramp", "hold", "cycle", "steps", "protocol", "recorded"] = "step"
