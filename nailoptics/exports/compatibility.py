@@ -27,9 +27,9 @@ def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     return scene.model_copy(update=update)
 
 
-def rows(scene: Scene, *, own: Sequence[Row], reflecting: bool = False) -> list[Row]:
-    """What no other program takes of a scene, and what else the program at hand does not; arguments as of `as_seen`."""
-    lacking = [*own]
+def _lacking(scene: Scene, *, reflecting: bool) -> list[Row]:
+    """What no other program takes of a scene; arguments as of `as_seen`."""
+    lacking = []
     for led in scene.leds:
         if led.fwhm_nm:
             there = f"one wavelength, {led.wavelength_nm:g} nm"
@@ -55,7 +55,7 @@ def rows(scene: Scene, *, own: Sequence[Row], reflecting: bool = False) -> list[
     if not reflecting and (share := scene.board.opaque_reflectance):
         lacking.append(("barrier, rim and cover", f"reflect {share:.0%} of the light diffusely", "swallow it"))
     if not reflecting:
-        there = "reflect as if they had the epoxy's index: at most 0.4 % of light that comes straight"
+        there = "reflect as if they had the epoxy's index: at most 0.4 % of light that comes straight, 1.2 % on Kapton"
         lacking.append(("faces of opaque parts", "swallow all light that is not reflected back", there))
     return lacking
 
@@ -116,14 +116,15 @@ def write_folder(
     scene: Scene,
     of_leds: Sequence[Any],
     *,
-    rows: Iterable[Row],
+    own: Iterable[Row],
     about: str,
-    binary: dict[str, bytes] | None = None,
+    reflecting: bool = False,
     **values: object,
 ) -> dict[str, Path]:
-    """Write an export: a file of each LED, the runner of sessions, binary files, scene and README; returns their paths.
+    """Write an export: a file of each LED, the runner of sessions, the scene and a README; returns their paths.
 
     program : names the README's template; values are what else that holds.
+    scene : the user's, of which own is what no other program lacks; reflecting as of `as_seen`.
     of_leds : bytes of XML, or sessions, which become JSON; about : what one of these files is.
     """
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
@@ -132,15 +133,12 @@ def write_folder(
         paths[f"led_{k}"] = folder / name
         data = content if isinstance(content, bytes) else json.dumps(content, separators=(",", ":")).encode()
         write_bytes(paths[f"led_{k}"], data)
-    for name, data in (binary or {}).items():
-        paths[Path(name).stem] = folder / name
-        write_bytes(folder / name, data)
     if program != "mitsuba":
         paths["run"] = folder / f"run_p{program}.py"
         write_text(paths["run"], Path(__file__).with_name("run_session.py").read_text(encoding="utf-8"))
-    write_text(paths["scene"], to_toml(scene))
+    write_text(paths["scene"], to_toml(as_seen(scene, reflecting=reflecting)))
     page = Template(Path(__file__).with_name(f"{program}.md").read_text(encoding="utf-8"))
-    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    table = "\n".join(f"| {' | '.join(row)} |" for row in (*own, *_lacking(scene, reflecting=reflecting)))
     files = "\n".join(f"- `{name}`: {about}" for name in names)
     write_text(paths["readme"], page.substitute(values, rows=table, about=files, first=names[0]))
     return paths

@@ -97,9 +97,10 @@ def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
     return compatibility.write_folder(
         "mitsuba",
         folder,
-        exported,
+        scene,
         files,
-        rows=compatibility.rows(scene, own=own, reflecting=True),
+        own=own,
+        reflecting=True,
         about="one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`",
         photodiodes=", ".join(f"{k} {name}" for k, name in enumerate(names, start=1)),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry import Face, Geometry, build
 from ..geometry.grid import Array, Indices
+from ..io import write_bytes
 from ..light import optics
 from ..scene import Scene
 from ..scene.rectangles import turned
@@ -108,19 +109,20 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
         ("faces of dies", "where they are", behind),
         ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
     ]
-    return compatibility.write_folder(
+    paths = compatibility.write_folder(
         "mcx",
         folder,
-        exported,
+        scene,
         [mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))],
-        rows=compatibility.rows(scene, own=own),
-        binary={LABELS: labels(exported, geometry, made).tobytes(order="F")},
+        own=own,
         shape=" x ".join(map(str, made.region.shape)),
         side_mm=f"{made.side_mm:g}",
         about="a session of one LED; coefficients in 1/mm, places in voxels",
         media=", ".join(f"{k} {name}" for k, name in enumerate(("opaque", *optics.absorbers(scene), "air"))),
         photons=MCX_PHOTONS,
     )
+    write_bytes(folder / LABELS, labels(exported, geometry, made).tobytes(order="F"))
+    return paths | {"labels": folder / LABELS}
 
 
 def labels(scene: Scene, geometry: Geometry, made: Voxels) -> np.ndarray:
@@ -195,13 +197,12 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     geometry = build(exported)
     mesh = tetrahedra(geometry)
     there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
-    own = [("emission of the LEDs", "Lambertian, from the whole die", there)]
     return compatibility.write_folder(
         "mmc",
         folder,
-        exported,
+        scene,
         [mmc_session(exported, geometry, mesh, i) for i in range(len(exported.leds))],
-        rows=compatibility.rows(scene, own=own),
+        own=[("emission of the LEDs", "Lambertian, from the whole die", there)],
         tetrahedra=len(mesh.tetrahedra),
         nodes=len(mesh.nodes),
         about="a session of one LED, mesh included; coefficients in 1/mm",
