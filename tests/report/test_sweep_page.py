@@ -57,7 +57,9 @@ def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
     sweep.volts_start.attrs["long_name"] = "voltage at rest"
     drawn: list[Any] = []
     monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
-    page(sweep, failures={})
+    text = page(sweep, failures={})
+    for head in ("Axis", "Place in the scene", "Values", "From, to"):
+        assert f"<th>{head}</th>" in text
     (axes,) = drawn[0].axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("base [N]", "voltage at rest [V]")
 

@@ -68,7 +68,7 @@ def _axes(results: xr.Dataset) -> list[dict[str, str]]:
         else:
             shown = ", ".join(str(v) for v in values[:8]) + (", …" if len(values) > 8 else "")
         place = results[name].attrs.get("long_name", "")
-        rows.append({"style.Axis": name, "Place in the scene": place, "Values": str(len(values)), "From, to": shown})
+        rows.append({"Axis": name, "Place in the scene": place, "Values": str(len(values)), "From, to": shown})
     return rows
 
 
