@@ -678,14 +678,17 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     store = LightStore.of_user()
     if store is None:
         raise InputError(f"{VARIABLE} = off: no light is stored; unset it, or set it to a folder.")
-    stored = list(store.folders())
+    try:
+        stored = list(store.folders())
+    except OSError as error:
+        raise InputError(f"{store.root}: is no store of light ({error.strerror}); set {VARIABLE} to another.") from None
     size = sum(map(size_of, stored))
     for folder in stored if clear else ():
         remove(folder)
     summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
     line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
-    _finish(summary, [line + ", removed" * clear], {}, json_)
+    _finish(summary, [f"{line}, removed" if clear else line], {}, json_)
 
 
 @app.command

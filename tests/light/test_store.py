@@ -305,3 +305,16 @@ def test_a_store_that_is_off_says_so(capsys):
     from nailoptics.cli import run
 
     assert run(["store"]) == 2 and "NAILOPTICS_STORE" in capsys.readouterr().err
+
+
+def test_a_store_that_is_a_file_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    from nailoptics.cli import run
+
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setenv("NAILOPTICS_STORE", str(tmp_path / "file"))
+    for command in (["store"], ["store", "--clear", "--json"]):
+        assert run(command) == 2
+        shown = capsys.readouterr()
+        assert shown.out == "" and len(shown.err.splitlines()) == 1 and "set NAILOPTICS_STORE to another" in shown.err
+    assert LightStore.of_user().light({"light": 1}).read("0-1", dict) is None
+    assert (tmp_path / "file").read_text() == "mine"

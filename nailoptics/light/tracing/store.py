@@ -129,8 +129,9 @@ class LightStore:
             self.trim()
 
     def folders(self) -> Iterator[Path]:
-        """The folders of lights; nothing else that may lie there, and no symbolic links out of the store."""
-        named = (path for path in sorted(self.root.glob("*")) if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
+        """The folders of lights, without symbolic links and what else may be there; OSError if it cannot be listed."""
+        there = sorted(self.root.iterdir()) if self.root.exists() else []
+        named = (path for path in there if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
         yield from (path for path in named if not path.is_symlink())
 
     def trim(self) -> None:
@@ -176,7 +177,7 @@ class StoredLight:
             with suppress(OSError):  # another user's
                 os.utime(self.folder)
             return build(header["about"], arrays)
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
             self.store.damaged(path, error)
