@@ -9,15 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from .base import (
-    LEAST_AREA_MM2,
-    MOST_FORCE_N,
-    USUAL_CONTACT_AREA_MM2,
-    Fraction,
-    NonNegative,
-    Positive,
-    Table,
-)
+from .base import LEAST_AREA_MM2, MOST_FORCE_N, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .importers.sensor_recordings import PRESSURES, check_columns, with_recording
 from .protocol import protocol
 

@@ -146,6 +146,8 @@ def test_a_drawing_of_countless_things_is_refused(tmp_path, draw, words):
         (b"\x89PNG\r\n\x1a\n" * 50, "no DXF drawing"),
         (b"AutoCAD Binary DXF\r\n\x1a\x00abc", "no DXF drawing"),
         (ENTITIES.format("").encode(), "has no line"),
+        (ENTITIES.format(line(SQUARE[0], SQUARE[1]).split("11\n")[0]).encode(), "LINE lacks one of start, end"),
+        (ENTITIES.format("0\nCIRCLE\n10\n0.0\n20\n0.0\n").encode(), "CIRCLE lacks"),
         (ENTITIES.format(line(SQUARE[0], SQUARE[1])).encode(), "open at"),
     ],
 )

@@ -35,7 +35,10 @@ FLAT_PART = 1e-5  # of its size, where that is more: no curve becomes more than 
 MOST_ENTITIES, MOST_POINTS = 20_000, 200_000
 # Layers to which layout programs write a board's outline.
 OUTLINE_LAYERS = ("edge.cuts", "edge_cuts", "boardoutline", "board_outline", "outline", "dimension", "profile")
-LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE"}
+# What an entity needs to be a line; ezdxf puts zeros where a file leaves it out.
+NEEDED: dict[str, tuple[str, ...]] = {"LINE": ("start", "end"), "CIRCLE": ("center", "radius")}
+NEEDED |= {"ARC": ("center", "radius", "start_angle", "end_angle"), "ELLIPSE": ("center", "major_axis")}
+NEEDED |= {"LWPOLYLINE": (), "POLYLINE": (), "SPLINE": ()}
 
 
 @dataclass(frozen=True)
@@ -83,8 +86,12 @@ def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> list[Polygon]:
             if count >= MOST_ENTITIES:
                 why = f"draws more than {MOST_ENTITIES} things; export the outline (Edge.Cuts) alone."
                 raise InputError(f"{path}: {why}")
-            shown = entity.dxftype() in LINES and not entity.dxf.invisible
-            if shown and (line := _flat(entity, unit_mm)):
+            kind = entity.dxftype()
+            if kind not in NEEDED or entity.dxf.invisible:
+                continue
+            if not all(map(entity.dxf.hasattr, NEEDED[kind])):
+                raise InputError(f"{path}: a {kind} lacks one of {', '.join(NEEDED[kind])}; export the outline again.")
+            if line := _flat(entity, unit_mm):
                 layers.setdefault(str(entity.dxf.layer).lower(), []).append(line)
                 if (points := points + len(line)) > MOST_POINTS:
                     raise InputError(f"{path}: has more than {MOST_POINTS} points; export the outline alone.")
