@@ -4,6 +4,9 @@ import json
 import multiprocessing
 import os
 import shutil
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -318,3 +321,22 @@ def test_a_store_that_is_a_file_is_refused_in_one_line(tmp_path, monkeypatch, ca
         assert shown.out == "" and len(shown.err.splitlines()) == 1 and "set NAILOPTICS_STORE to another" in shown.err
     assert LightStore.of_user().light({"light": 1}).read("0-1", dict) is None
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_stored_light_is_of_a_program_known_by_its_optics(monkeypatch):
+    """Rationale: light of other optics must not be taken for today's. Expected: what the walks import is in the
+    program's digest but for what checks, reads, writes, and vessels beside the blood; so are tissue's constants."""
+    read, read_bytes = set(), Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read.add(path.resolve()) or read_bytes(path))
+    store_module.program_digest.__wrapped__()
+    package = Path(nail.__file__).resolve().parent
+    others = {"__init__", "assets", "checks", "display", "errors", "io", "options", "variables", "version"}
+    code = """
+        import sys, nailoptics.light.walk.finger, nailoptics.light.walk.layered
+        print(*(m.__file__ for name, m in sys.modules.items() if name.split(".")[0] == "nailoptics"), sep="\\n")
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True)
+    walked = {Path(path).resolve() for path in done.stdout.split()}
+    missing = {path.relative_to(package) for path in walked - read} - {Path(f"{name}.py") for name in others}
+    assert {path.parent for path in missing} <= {Path("hemodynamics")} and Path("hemodynamics/blood.py") not in missing
+    assert {"tissue.py", "tissue.toml"} <= {path.name for path in read} and len(walked) > 30

@@ -33,18 +33,18 @@ VARIABLE = "NAILOPTICS_STORE"
 # The user's store takes at most so much, and of what is free on its disk at most this part. [bytes]
 MOST_BYTES = 2e9
 MOST_OF_FREE = 0.25
-# What decides a photon's way beside the scene, so that no other program's light passes for this one's.
-ROOMS = ("light", "geometry", "tissue", "scene")
+# Code that decides a photon's way beside the scene, so that no other program's light passes for this one's.
+CODE = ("statistics.py", "tissue.py", "hemodynamics/blood.py", "geometry/**/*.py", "light/**/*.py", "scene/**/*.py")
 _KEY = 32
 
 
 @cache
-def program_digest(rooms: tuple[str, ...] = ROOMS) -> str:
-    """Digest of the code, by the package's folders, and the spectra that decide a photon's way, or what is made of it;
-    versions alone miss changes between releases."""
-    package, digest = Path(__file__).parents[2], hashlib.sha256()
-    code = [path for room in rooms for path in package.glob(f"{room}/**/*.py")]
-    for path in (package / "statistics.py", *sorted(code), *sorted((data_dir("assets") / "spectra").glob("*.csv"))):
+def program_digest(code: tuple[str, ...] = CODE) -> str:
+    """Digest of the code, by patterns of its files, and the constants and spectra of tissue that decide a photon's way,
+    or what is made of it; versions alone miss changes between releases."""
+    package, assets, digest = Path(__file__).parents[2], data_dir("assets"), hashlib.sha256()
+    files = sorted(path for pattern in code for path in package.glob(pattern))
+    for path in (*files, assets / "tissue.toml", *sorted((assets / "spectra").glob("*.csv"))):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:_KEY]
 

@@ -30,7 +30,7 @@ from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
-from ...light.tracing.store import ROOMS, LightStore, made_by, program_digest, stored_or_made
+from ...light.tracing.store import CODE, LightStore, made_by, program_digest, stored_or_made
 from ...light.transfer.records import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
@@ -271,7 +271,7 @@ def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.lit.leds[0] for band in sums)]
     made = made_by("explore", light, leds[0][0], seed=seed, backend=backend)
     made |= {"leds": leds, "states": [[*polynomial.blood_fraction], [*polynomial.so2]]}
-    return made | {"program": program_digest((*ROOMS, "sensor", "studies/exploration"))}
+    return made | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
 
 
 def _tables(sources: list[Led], light: dict[str, Array]) -> list[ColourTable]:
