@@ -1,4 +1,4 @@
-"""What every room asks of its input, and the one translator of a validation's complaints into a user's lines."""
+"""What every package asks of its input, and the one translator of a validation's complaints into a user's lines."""
 
 import difflib
 import json

@@ -1,4 +1,4 @@
-"""What objects show of themselves in a notebook, by the report room, which lies above all that it shows."""
+"""What objects show of themselves in a notebook, by `nailoptics.report`, which lies above all that it shows."""
 
 import sys
 from collections.abc import Callable
@@ -11,7 +11,7 @@ class Displayed:
     """An object with figures, a page and a summary in its `nail`, the first figure of which a notebook shows."""
 
     accessor: ClassVar[Callable[[object], Any]]
-    """Makes the `nail` of an object; the package sets it, which knows the report room and this one."""
+    """Makes the `nail` of an object; the package sets it, which knows `nailoptics.report` and this module."""
 
     @property
     def nail(self) -> Any:

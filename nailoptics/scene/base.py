@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, Validat
 from ..checks import explain
 from .text_files import frozen
 
-# What a scene has where its author says nothing, and what later rooms take where nobody says more.
+# What a scene has where its author says nothing, and what later packages take where nobody says more.
 USUAL_BLOOD_FRACTION = 0.03  # of the nail bed at rest: measured values span 0.01 to 0.05
 USUAL_PULP_BLOOD_FRACTION = 0.024  # fitted to the skin of ring fingers: assets/spectra/fit_fingertip_skin.py
 USUAL_SO2 = 0.97  # arterial blood of a healthy adult at sea level, whose pulse oximeter shows 95 to 99 %

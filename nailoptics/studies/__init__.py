@@ -1,1 +1,1 @@
-"""QUESTIONS: one file each."""
+"""QUESTIONS: a module or a package each, Dataset out."""
