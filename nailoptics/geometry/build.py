@@ -35,8 +35,10 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
     resolution : Divides the size of the cells; the nail's facets lie within 2 um / resolution^2 of its cylinder, but
         an LED die is always flat.
 
-    Raises: InputError where the scene has no finger, or its sizes make no finger.
+    Raises: InputError where the scene has no finger, its sizes make no finger, or resolution lies outside 0.1 to 10.
     """
+    if not 0.1 <= resolution <= 10:
+        raise InputError(f"resolution = {resolution:g}: must be between 0.1 and 10.")
     for fold_rad in FOLDS_RAD:
         surfaces = FingerSurfaces(scene.fingertip, fold_rad)
         bent = BentBoard(scene, surfaces)

@@ -120,7 +120,5 @@ def spread_section(result: xr.Dataset) -> str:
         and not all(row[k] <= NO_EFFECT or row[k] < row[f"{k}_stderr"] < np.inf for k, *_ in columns.values())
     ]
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
-    opened = details("Sources of the ranges", sources)
-    return section(
-        "Uncertainty over the priors", *conclusions(result, rows), table(lines), small(TEXTS["note"]), opened
-    )
+    tables = table(lines), small(TEXTS["note"]), details("Sources of the ranges", sources)
+    return section("Uncertainty over the priors", *conclusions(result, rows), *tables)

@@ -137,7 +137,9 @@ def _lies_within(part: Rectangle, origin: Point, border: Polygon, *holes: Polygo
 
 def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[list[Element], list[Rectangle]]:
     """Photodiode elements that are read, and those that are there but not wired."""
-    wired, unwired, (du, dv) = list[Element](), list[Rectangle](), board.center_mm
+    wired: list[Element] = []
+    unwired: list[Rectangle] = []
+    du, dv = board.center_mm
     for photodiode in photodiodes:
         u, v = photodiode.position_mm
         resistors = iter(photodiode.feedback_ohm) if isinstance(photodiode.feedback_ohm, tuple) else None

@@ -273,6 +273,12 @@ def test_a_phantom_has_no_finger_to_build():
         build(scene)
 
 
+@pytest.mark.parametrize("resolution", [0, -1.0, float("nan"), 1e3])
+def test_a_wild_resolution_is_refused(sensor, resolution):
+    with pytest.raises(InputError, match="resolution = "):
+        build(sensor(), resolution=resolution)
+
+
 def test_a_turned_photodiode_has_its_area_and_place_and_closes(sensor):
     turned = {"rotation_deg": 30.0, "position_mm": [0.5, 1.0]}
     scene = sensor(board="barrier = false", leds=((-3.5, 0.0),), elements=1, wired=[0], **turned)
