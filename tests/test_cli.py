@@ -487,8 +487,6 @@ def test_a_library_that_is_none_costs_the_main_job_nothing_but_speed(folder):
         "CUDA_VISIBLE_DEVICES": "",
     }
     done = spawn("trace", "phantom.toml", "--json", "--photons", "2000", env=environment)
-    if json.loads(done.stdout or "{}").get("backend") == "cuda":
-        pytest.skip("CUDA works here, so no libLLVM is tried")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["backend"] == "scalar"
     advice, *progress = done.stderr.splitlines()
@@ -533,8 +531,6 @@ def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
         "PYTHONPATH": os.pathsep.join([str(folder / "path"), str(ROOT)]),
     }
     found = json.loads(spawn("doctor", "--json", env=environment).stdout)
-    if found["backend"] == "cuda":
-        pytest.skip("CUDA works here, so no libLLVM is tried")
     assert found["backend"] == "llvm" and found["engines"] == {"photons": "llvm", "volpath": "scalar"}
     lines = spawn("doctor", env=environment).stdout
     assert "selected for volpath" in lines and "libllvm19" in lines.splitlines()[-1]

@@ -19,6 +19,7 @@ import numpy as np
 from nailoptics.assets import data_dir
 from nailoptics.geometry import AROUND
 from nailoptics.light import backend
+from nailoptics.light.transfer.records import FINGER_BATCH_PHOTONS
 from nailoptics.scene import load_scene
 
 ROUNDS = 5
@@ -53,9 +54,9 @@ def photons() -> None:
     for number in range(ROUNDS + 1):
         for k, tracer in enumerate(tracers):
             start = time.process_time()
-            tracer.batch(0, photons=tracer.batch_photons, seed=number)
+            tracer.batch(0, photons=FINGER_BATCH_PHOTONS, seed=number)
             walked[number, k] = time.process_time() - start
-    rate = tracers[0].batch_photons / np.median(walked[1:], axis=0)  # the first round compiles
+    rate = FINGER_BATCH_PHOTONS / np.median(walked[1:], axis=0)  # the first round compiles
     for (parts, kept), tracer, opened, fast in zip(cases, tracers, setup, rate, strict=True):
         how = "faces kept" if parts and kept else "not there" if parts else ""
         print(

@@ -39,6 +39,8 @@ note("detected", board.detected(0, blood_point(finger, 0), photons=5_000, seed=2
 note("fluence", board.fluence(0, 0.3, photons=5_000, seed=4).values)
 onto = board.arrivals(0, photons=5_000, seed=3)
 note("board", onto.photon, onto.place_mm, onto.weight, onto.path_mm)
+left = board.leaving(0, 0, photons=5_000, seed=3)
+note("leaving", left.photon, left.weight, left.path_mm)
 print(json.dumps({"library": backend.choose("llvm").library, "found": found}))
 """
 
