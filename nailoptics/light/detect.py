@@ -205,11 +205,7 @@ def _reached(relative: np.ndarray) -> str:
     return f"relative standard error of every reading at rest at most {worst:.2g}"
 
 
-def section(
-    scene: Scene,
-    light: DetectedLight | None = None,
-    options: TraceOptions = TraceOptions(),  # noqa: B008
-) -> xr.Dataset:
+def section(scene: Scene, light: DetectedLight | None = None, options: TraceOptions = TraceOptions()) -> xr.Dataset:  # noqa: B008
     """The picture of the finger cut lengthwise at u = 0: regions and, by the photons engine, each LED's path density.
 
     The light is shown as it goes through usual blood, from the store if it is there.

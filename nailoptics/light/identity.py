@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry.build import LED_LIGHT
-from ..scene import Scene, digest
+from ..scene import Photodiode, Scene, digest
 from ..scene.finger import ABSORBING
 from ..scene.parts import ELECTRICAL, BoardFile
 
@@ -18,19 +18,12 @@ def light_scene(scene: Scene) -> Scene:
     width come after it; and the fingers and boards of a search for a layout are not those of its scene.
     """
     blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
-    leds = tuple(
-        led.model_copy(
-            update=dict.fromkeys(("reference", "part", "current_ma", "max_current_ma"))
-            | {"name": f"led{i}", "flux_mw": 1.0, "fwhm_nm": 0.0}
-        )
-        for i, led in enumerate(scene.leds)
-    )
+    usual: dict[str, Any] = dict.fromkeys(("reference", "part", "current_ma", "max_current_ma"))
+    usual |= {"flux_mw": 1.0, "fwhm_nm": 0.0}
+    leds = tuple(led.model_copy(update=usual | {"name": f"led{i}"}) for i, led in enumerate(scene.leds))
+    usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL} | {"reference": None, "part": None}
     photodiodes = tuple(
-        p.model_copy(
-            update={"name": f"photodiode{i}", "reference": None, "part": None}
-            | {name: type(p).model_fields[name].default for name in ELECTRICAL}
-        )
-        for i, p in enumerate(scene.photodiodes)
+        p.model_copy(update=usual | {"name": f"photodiode{i}"}) for i, p in enumerate(scene.photodiodes)
     )
     plain = ("touch", "colour", "electronics", "accuracy", "priors")
     update: dict[str, Any] = {name: type(getattr(scene, name))() for name in plain}

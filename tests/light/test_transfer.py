@@ -159,9 +159,11 @@ def test_traces_that_share_a_seed_are_not_merged(jit_backend, traced):
 
 @pytest.mark.jit
 def test_traces_of_different_light_are_not_merged(jit_backend, traced):
-    for other in (two_layers(upper=0.06), two_layers(photodiodes=1)):
-        with pytest.raises(InputError, match="different scenes or engines"):
+    for other in (two_layers(upper=0.06), two_layers(photodiodes=1), two_layers(led={"flux_mw": 2.0})):
+        with pytest.raises(InputError, match="different scenes, engines"):
             traced.merge(nail.trace(other, photons=1 << 10, seed=9))
+    with pytest.raises(InputError, match="absorption"):
+        traced.merge(nail.trace(two_layers(), traced=two_layers(upper=0.04), photons=1 << 10, seed=9))
     with pytest.raises(InputError, match="engines"):
         traced.merge(replace(traced, engine="other"))
 
@@ -191,6 +193,8 @@ def test_a_stored_transfer_reads_as_before(traced, tmp_path):
         for name in ("photodiode", "weight", "path_mm", "mu_a"):
             assert getattr(a, name).dtype == getattr(b, name).dtype
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
+    with pytest.raises(InputError, match="share"):
+        again.merge(traced)
 
 
 @pytest.mark.jit

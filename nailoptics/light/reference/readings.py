@@ -27,27 +27,18 @@ from ...scene.parts import check_flat
 from ...statistics import seed_of
 from .. import optics
 from ..backend import NAMES, Backend, Name, activate, choose
+from ..optics import Media
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
 from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
-from .mitsuba_scene import (
-    FILM,
-    LEAVING,
-    BedAbsorption,
-    Window,
-    channel_count,
-    check_pattern,
-    finger_scene,
-    line_wavelengths_nm,
-    phantom_scene,
-    spectral,
-)
+from . import mitsuba_scene
+from .mitsuba_scene import LEAVING, BedAbsorption, Window
 
 # The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
 RGB: dict[Name, str] = {name: f"{name}_ad_rgb" for name in NAMES} | {"scalar": "scalar_rgb"}
 SPECTRAL: dict[Name, str] = {name: f"{name}_ad_spectral" for name in NAMES} | {"scalar": "scalar_rgb"}
-MAX_SPP, PIXELS = 10_000, FILM * FILM
+MAX_SPP, PIXELS = 10_000, mitsuba_scene.FILM * mitsuba_scene.FILM
 # Mitsuba's seeds have 32 bits.
 SEEDS = 1 << 32
 # Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
@@ -109,7 +100,7 @@ class Paths:
         folder = tempfile.TemporaryDirectory(prefix="nailoptics-")
         with stock_mitsuba(self._backend, SPECTRAL) as mi, folder as meshes:
             scene = made(mi, Path(meshes))
-            self._scene = mi.load_dict(spectral(scene) if self._backend.jit else scene, optimize=False)
+            self._scene = mi.load_dict(mitsuba_scene.spectral(scene) if self._backend.jit else scene, optimize=False)
 
     def batch(self, *, paths: int, seed: int) -> NDArray[np.float64]:
         """Fractions of the LED's power from one batch, (channels,) float; kernels cannot be interrupted."""
@@ -126,17 +117,11 @@ def phantom_paths(scene: Scene, windows: Sequence[Window], *, led: int = 0, back
     below = (phantom.n_below / phantom.n_above) ** 2
     read = 1.0 if source.pattern == "pencil" else math.pi
     scale = [(1.0 if window.top else below) / read for window in windows]
-    return Paths(lambda mi, _: phantom_scene(mi, phantom, source, windows), scale, backend)
+    return Paths(lambda mi, _: mitsuba_scene.phantom_scene(mi, phantom, source, windows), scale, backend)
 
 
 def finger_paths(
-    geometry: Geometry,
-    media: optics.Media,
-    *,
-    bed: BedAbsorption,
-    led: int,
-    photodiodes: tuple[int, ...],
-    backend: Backend,
+    geometry: Geometry, media: Media, *, bed: BedAbsorption, led: int, photodiodes: tuple[int, ...], backend: Backend
 ) -> Paths:
     """An LED's light on one photodiode of a finger in up to three blood states, or on as many as there are channels.
 
@@ -145,13 +130,13 @@ def finger_paths(
         several only with one state.
     """
     channels, die = max(len(bed.mu_a_per_mm), len(photodiodes)), geometry.leds[led]
-    colour = np.eye(channel_count(SPECTRAL[backend.name]))
+    colour = np.eye(mitsuba_scene.channel_count(SPECTRAL[backend.name]))
     colours = {geometry.photodiodes[p].region: colour[i].tolist() for i, p in enumerate(photodiodes)}
     if len(photodiodes) == 1:
         colours = dict.fromkeys(colours, [1.0] * len(colour))
 
     def made(mi: Any, folder: Path) -> dict[str, Any]:
-        return finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)
+        return mitsuba_scene.finger_scene(mi, geometry, media, bed, sensor=die.region, emitters=colours, folder=folder)
 
     # Irradiance E under radiance 1 gives a throughput E A; a Lambertian die of radiance 1 emits pi A.
     return Paths(made, [1 / math.pi] * channels, backend)
@@ -311,7 +296,7 @@ def _sample(
 def finger_states(
     scene: Scene,
     geometry: Geometry,
-    media: optics.Media,
+    media: Media,
     bed: BedAbsorption,
     *,
     led: int,
@@ -326,7 +311,7 @@ def finger_states(
     backend = choose(options.backend, volpath=True)
     paths = partial(finger_paths, geometry, media, bed=bed, led=led, backend=backend)
     names, states = [face.name for face in geometry.photodiodes], len(bed.mu_a_per_mm)
-    together = 1 if states > 1 else channel_count(SPECTRAL[backend.name])
+    together = 1 if states > 1 else mitsuba_scene.channel_count(SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     columns = (np.ascontiguousarray(a).tobytes() for a in (*vars(media).values(), bed.v_mm, bed.mu_a_per_mm))
     made = made_of(scene, led, seed=options.seed, backend=backend.name, what="volpath")
@@ -342,7 +327,7 @@ def finger_states(
 def check_readable(scene: Scene) -> None:
     """Raise InputError for an LED with a measured pattern, or a photodiode with an angular response."""
     for led in scene.leds:
-        check_pattern(led)
+        mitsuba_scene.check_pattern(led)
     check_flat(scene.photodiodes, "volpath")
 
 
@@ -397,14 +382,14 @@ def read_leds(
 
 def line_optics(
     scene: Scene, finger: Geometry, blood: np.ndarray, led: int, *, along_line: bool
-) -> tuple[optics.Media, BedAbsorption]:
+) -> tuple[Media, BedAbsorption]:
     """Optics of the regions, and absorption of the bed along the nail in each blood state, (states, zones) float.
 
     along_line : absorption and scattering at each wavelength of the LED's line, not at its peak alone.
     """
     source, zones = scene.leds[led], optics.zones(scene)
     media, is_line = optics.finger_media(scene, finger.regions, source.wavelength_nm), along_line and source.fwhm_nm > 0
-    wavelength_nm = line_wavelengths_nm(source) if is_line else np.array([source.wavelength_nm])
+    wavelength_nm = mitsuba_scene.line_wavelengths_nm(source) if is_line else np.array([source.wavelength_nm])
     if is_line:
         each = [optics.finger_media(scene, finger.regions, nm) for nm in wavelength_nm.tolist()]
         mu_a, mu_s = (np.stack([getattr(one, name) for one in each], axis=-1) for name in ("mu_a", "mu_s"))

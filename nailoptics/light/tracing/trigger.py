@@ -109,10 +109,9 @@ class StageProgress:
         """Report a stage, the part of it that is done, and the relative error reached and requested."""
         self._last = (stage, done, error, target)
         if self.callback and not self.interrupted:
+            progress = TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit, is_stage=True)
             try:
-                self.callback(
-                    TraceProgress(stage, 0, error, target, min(1.0, done), self.seconds, self.unit, is_stage=True)
-                )
+                self.callback(progress)
             except KeyboardInterrupt:
                 self.interrupted = True
 

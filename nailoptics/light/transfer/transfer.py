@@ -192,10 +192,12 @@ class Transfer(Displayed):
         return xr.Dataset(data, {"led": list(self.leds)})
 
     def merge(self, other: "Transfer") -> "Transfer":
-        """This trace and another of the same scene and engine as one; InputError if they differ or share a seed."""
+        """This trace and another of the same scene and engine as one; InputError if they differ or share a seed, or the
+        light was traced at different absorption."""
         ours, theirs = ({seed for trace in light.traces for seed in trace.seeds} for light in (self, other))
-        if (self.scene, self.engine) != (other.scene, other.engine) or ours & theirs:
-            raise InputError("these traces are of different scenes or engines, or share seeds; merge others.")
+        alike = all(np.array_equal(a.mu_a, b.mu_a) for a, b in zip(self.traces, other.traces, strict=False))
+        if (self.scene, self.engine) != (other.scene, other.engine) or ours & theirs or not alike:
+            raise InputError("traces are of different scenes, engines or absorption, or share seeds; merge other ones.")
         traces = tuple(joined(pair) for pair in zip(self.traces, other.traces, strict=True))
         effort = {name: getattr(self, name) + getattr(other, name) for name in (*EFFORT, "reused_photons")}
         return replace(self, traces=traces, **effort)
