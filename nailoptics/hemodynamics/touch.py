@@ -37,6 +37,8 @@ class Contact:
         (Hertz 1882) does. None: they do not grow. [N]
     distal_onset_n : Force from which the contact reaches the distal side: of what exceeds it the distal side carries
         its share, the proximal side carries all else. [N]
+
+    Raises: InputError if an area or contact_force_n is not positive, or the share is not in 0..1.
     """
 
     contact_area_mm2: ArrayLike = USUAL_CONTACT_AREA_MM2
@@ -90,8 +92,11 @@ def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     relaxation_s : (...) float. Time constant of the recovery; 0 is none. [s]
 
     Where the touch presses less than what is left, the difference dies away as exp(-t / relaxation_s).
+
+    Raises: InputError if a value is not finite, or the time constant is negative.
     """
-    time, touch, relaxation = (np.asarray(given, float) for given in (time_s, pressure_pa, relaxation_s))
+    time, touch = finite("time_s", time_s), finite("pressure_pa", pressure_pa)
+    relaxation = not_negative("relaxation_s", relaxation_s)
     left = touch.copy()
     if relaxation.any():
         # Of several, those that are 0 die away within any step.
@@ -113,12 +118,15 @@ def spreading_pressure(
     time_constant_s : of its loss, and of the pulp's return once the touch is over. [s]
 
     What is lost follows the pressure with that delay, and never exceeds it.
+
+    Raises: InputError if a value is not finite, the part is not in 0..1, or the time constant is not positive.
     """
-    touch = np.asarray(pressure_pa, float)
+    touch, lost = finite("pressure_pa", pressure_pa), fraction("part", part)
+    delay_s = positive("time_constant_s", time_constant_s)
     delayed = np.zeros_like(touch)
-    for i, h in enumerate(np.diff(time_s)):
-        delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, time_constant_s)
-    return np.maximum(touch - np.asarray(part)[..., None] * delayed, 0.0)
+    for i, h in enumerate(np.diff(finite("time_s", time_s))):
+        delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, delay_s)
+    return np.maximum(touch - lost[..., None] * delayed, 0.0)
 
 
 def _lagging(value: Any, before: Any, after: Any, step_s: float, delay_s: Any) -> Any:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from ..checks import Array
+from ..checks import Array, finite, not_negative, number, positive
+from ..errors import InputError
 from ..scene import Body
 from ..statistics import seed_of
 
@@ -64,16 +65,22 @@ def cardiac_pressure(
 
     One beat is the sum of three smooth periodic bumps exp(s (cos(phase - phase_0) - 1)): the systolic wave, its
     reflection and the dicrotic wave, the shape of a finger's pulse (Allen 2007, Physiol. Meas. 28 R1).
+
+    Raises: InputError if a value is not finite, the rate is not positive, the pulse is negative, or the variability is
+    not in 0..0.2.
     """
+    mean, pulse = number("mean_pressure_pa", mean_pressure_pa), not_negative("pulse_pressure_pa", pulse_pressure_pa)
+    if not 0.0 <= rate_variability <= 0.2:
+        raise InputError(f"rate_variability must lie in 0..0.2, got {rate_variability:g}; 0.05 is usual.")
     beat = _beat(np.arange(2048) / 2048.0)
-    beats = np.asarray(time_s, float) * rate_per_min / 60.0
+    beats = finite("time_s", time_s) * positive("rate_per_min", rate_per_min) / 60.0
     phase = beats
     if rate_variability:
         most = int(np.ceil(beats.max(initial=0.0) / (1.0 - 3.0 * rate_variability))) + 1
         drawn = np.random.default_rng(seed_of(seed, _HEART)).standard_normal(most)
         starts = np.concatenate(([0.0], np.cumsum(1.0 + rate_variability * np.clip(drawn, -3.0, 3.0))))
         phase = np.where(beats < 0.0, beats, np.interp(beats, starts, np.arange(most + 1.0)))
-    return mean_pressure_pa + pulse_pressure_pa * (_beat(phase) - beat.mean()) / np.ptp(beat)
+    return mean + pulse * (_beat(phase) - beat.mean()) / np.ptp(beat)
 
 
 def breathing_pressure(

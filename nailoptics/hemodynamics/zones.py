@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import finite, positive
 from ..errors import InputError
 from ..scene import Scene
 from .parameters import beds
@@ -26,6 +27,13 @@ class Zones:
     share: tuple[float, ...]
     reach: tuple[tuple[float, ...], ...]
     vein_reach: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        share, reach = positive("zones.share", self.share), finite("zones.reach", self.reach)
+        shape = (share.size, finite("zones.vein_reach", self.vein_reach).size)
+        if reach.shape != shape or not np.isclose(share.sum(), 2.0, rtol=1e-9):
+            faults = f"reach has shape {reach.shape} and share sums to {share.sum():g}"
+            raise InputError(f"zones: {faults}; give shape (units, inputs) = {shape} and a sum of 2.")
 
     @property
     def count(self) -> int:
@@ -78,7 +86,7 @@ def zones_between(
     decay_length : Instead of the shield, a reach that falls off as exp(-d/decay_length) with the distance d from the
         last unit, where P_F2 is its mean over the distal half; the law of versions before the shield. [1]
 
-    Raises: InputError if the edges do not rise from above 0 to below 1.
+    Raises: InputError if the edges do not rise from above 0 to below 1, or a length is not positive.
     """
     ends = np.concatenate(([0.0], np.asarray(edges, dtype=float), [1.0]))
     size = np.diff(ends)
@@ -86,13 +94,13 @@ def zones_between(
         raise InputError(f"zones.edges must rise between 0 and 1, got {list(edges)}; sort them and leave out the ends.")
     if decay_length is None:
         end, length = shield
-        past = (ends - end) / length
+        past = (ends - end) / positive("zones.shield", length)
         # The integral of tanh is log cosh.
         distal = 0.5 + 0.5 * length * np.diff(np.logaddexp(past, -past)) / size
     else:
         in_distal_half = np.diff(np.maximum(ends, 0.5))
         centre = 0.5 * (ends[:-1] + ends[1:])
-        falling = np.exp((centre - centre[-1]) / decay_length)
+        falling = np.exp((centre - centre[-1]) / positive("zones.decay_length", decay_length))
         distal = falling * in_distal_half.sum() / (falling @ in_distal_half)
     return Zones(
         share=tuple((2.0 * size).tolist()), reach=tuple((0.0, part) for part in distal.tolist()), vein_reach=(1.0, 0.0)

@@ -96,6 +96,12 @@ def test_a_touch_that_cannot_be_is_refused(arguments, name):
         Contact(*arguments[1:]).pressures(arguments[0])
 
 
+@pytest.mark.parametrize("name", ["proximal_area_mm2", "distal_area_mm2", "contact_force_n"])
+def test_an_area_of_a_side_and_the_force_of_a_contact_must_be_positive(name):
+    with pytest.raises(InputError, match=name):
+        Contact(**{name: 0.0})
+
+
 def test_the_pulp_yields_at_once_and_recovers_slowly():
     coarse, fine = np.linspace(0.0, 4.0, 9), np.linspace(0.0, 4.0, 4001)
     corners = [0.0, 1.0, 1.5, 4.0], [0.0, 1e4, 2e3, 2e3]
@@ -110,6 +116,8 @@ def test_the_pulp_yields_at_once_and_recovers_slowly():
     # A jump down leaves all of the pressure at its instant, one up is followed.
     jumps = creeping_pressure([0.0, 1.0, 1.0, 1.5, 1.5], [1e4, 1e4, 0.0, 0.0, 9e3], relaxation_s=0.5)
     assert np.allclose(jumps, [1e4, 1e4, 1e4, 1e4 * np.exp(-1.0), 9e3], rtol=1e-12)
+    with pytest.raises(InputError, match="relaxation_s"):
+        creeping_pressure(coarse, touches[0], relaxation_s=-1.0)
 
 
 def test_pulse_has_the_requested_mean_height_and_rate():
@@ -122,6 +130,15 @@ def test_pulse_has_the_requested_mean_height_and_rate():
     # It climbs faster than it falls, as an artery does.
     beat = wave[: int(60e3 / 72.0)]
     assert np.argmax(beat) - np.argmin(beat) < 0.35 * beat.size
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"rate_per_min": 0.0}, {"pulse_pressure_pa": -1.0}, {"mean_pressure_pa": np.nan}, {"rate_variability": 0.3}],
+)
+def test_a_pulse_that_cannot_be_is_refused(bad):
+    with pytest.raises(InputError, match=next(iter(bad))):
+        cardiac_pressure([0.0, 1.0], **bad)
 
 
 def test_an_uneven_heart_has_the_mean_and_the_spread_of_its_intervals():
@@ -171,3 +188,6 @@ def test_a_spreading_pulp_does_not_depend_on_knots():
     assert ramp[0] == pytest.approx(ramp[1][::300], rel=1e-12)
     # A ramp is followed at its time constant's distance.
     assert ramp[1][-1] == pytest.approx(9e3 - 0.2 * 1e3 * (9.0 - 2.0 * (1 - np.exp(-4.5))), rel=1e-12)
+    for wrong in ({"part": 1.1, "time_constant_s": 1.0}, {"part": 0.1, "time_constant_s": 0.0}):
+        with pytest.raises(InputError):
+            spreading_pressure(fine, fine, **wrong)

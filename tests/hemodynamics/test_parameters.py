@@ -8,6 +8,7 @@ from equal_zones import equal_zones
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters
 from nailoptics.hemodynamics.parameters import beds
+from nailoptics.hemodynamics.zones import Zones, zones_between
 
 
 def test_listed_set_holds_the_values_of_the_paper():
@@ -85,6 +86,20 @@ def test_body_pressures_may_have_any_sign_but_must_be_finite():
 def test_unknown_sets_are_refused():
     with pytest.raises(InputError, match="'listd' is not a named set; use one of listed"):
         parameters("listd")
+
+
+def test_zones_check_their_shapes_and_numbers():
+    for wrong in ({"decay_length": 0.0}, {"shield": (0.5, 0.0)}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            zones_between([0.5], **wrong)
+    with pytest.raises(InputError, match="sum of 2"):
+        Zones(share=(1.0, 0.5), reach=((0.0,), (1.0,)), vein_reach=(1.0,))
+    with pytest.raises(InputError, match="shape"):
+        Zones(share=(1.0, 1.0), reach=((0.0,), (1.0,)), vein_reach=(1.0, 0.0))
+    with pytest.raises(InputError, match="finite"):
+        Zones(share=(1.0, 1.0), reach=((0.0,), (math.nan,)), vein_reach=(1.0,))
+    with pytest.raises(InputError, match="greater than 0"):
+        Zones(share=(2.0, 0.0), reach=((0.0,), (1.0,)), vein_reach=(1.0,))
 
 
 def test_reach_falls_off_from_the_tip():
