@@ -22,8 +22,9 @@ from nailoptics.scene import Scene, digest
 from nailoptics.scene.importers.sensor_recordings import Recording, read_sensor_recording, recording_csv
 from nailoptics.studies import force
 from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.interval import ForceEstimator
 from nailoptics.studies.force.kalman import KalmanFilter, stacked
-from nailoptics.studies.force.predict import ForceEstimator, predict
+from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.scores import TOUCH_N
 from nailoptics.studies.force.subject import Subject

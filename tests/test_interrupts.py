@@ -13,7 +13,7 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
 from nailoptics.studies.colour import nail_colour
-from nailoptics.studies.colour.nail_colour import NODES
+from nailoptics.studies.colour.reflectance import NODES
 from nailoptics.studies.exploration import explore
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"

@@ -32,7 +32,7 @@ from adding_doubling import ANISOTROPY, Stack
 
 from nailoptics import tissue
 from nailoptics.assets import read_table
-from nailoptics.studies.colour.nail_colour import WAVELENGTHS_NM, Viewer
+from nailoptics.studies.colour.reflectance import WAVELENGTHS_NM, Viewer
 
 # Name, mean, standard deviation between people, and whether of the logarithm.
 UNKNOWNS = (

@@ -14,7 +14,7 @@ from nailoptics.batch.jobs import Settings, jobs_of
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.sweep import write_sweep
-from nailoptics.studies.colour.nail_colour import NODES
+from nailoptics.studies.colour.reflectance import NODES
 
 from .conftest import Here, bits
 from .test_run import children, done_here

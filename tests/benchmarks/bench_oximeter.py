@@ -7,7 +7,7 @@ import numpy as np
 from nailoptics import load_scene, trace
 from nailoptics.assets import data_dir
 from nailoptics.hemodynamics.for_scene import beat_at
-from nailoptics.studies.oximetry.oxygen import saturation_curve
+from nailoptics.studies.oximetry.ratio import saturation_curve
 from nailoptics.variables import jackknifed
 
 PHOTONS = 1 << 20

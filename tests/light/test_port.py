@@ -7,7 +7,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.statistics import jackknife
-from nailoptics.studies.colour.nail_colour import WAVELENGTHS_NM, walk_colour
+from nailoptics.studies.colour.reflectance import WAVELENGTHS_NM, walk_colour
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ...statistics import Z95
-from ...studies.oximetry.oxygen import MEASURED, TEXTBOOK
+from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
 from ...studies.oximetry.recording import spo2_csv
 from .. import style
 from ..files import Report, run_summary

@@ -1,8 +1,4 @@
-"""Force over time with its 95 % interval from a calibrated person's readings: of a recording, or of lines one by one.
-
-The interval is of the filter, the calibration's uncertainty and the ensemble; it has no upper bound where the vessels
-are closed.
-"""
+"""Force over time with its 95 % interval from a calibrated person's readings: a recording, or lines one by one."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -12,9 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
-from scipy.special import ndtr
-from scipy.stats import norm, qmc
 
 from ...errors import InputError
 from ...scene.importers.sensor_recordings import (
@@ -28,219 +21,13 @@ from ...scene.importers.sensor_recordings import (
     samples_by_line,
 )
 from ...sensor.electronics import recorded_at_limit
-from ...statistics import covariance_root
 from ...variables import Estimate, Variables, described
 from ...version import code_attributes
-from .body_noise import REST_FORCE_N
-from .ensemble import Features
-from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, rest_odds, stacked, touch_pressure
-from .person import N_PER_CM2, NAMES, SIDES, Array, Person
+from .interval import ForceEstimate, ForceEstimator
+from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
+from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, load_subject, parse_subject
-
-# Held touches of either side at which the error is computed, in parts of closure.
-PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
-# Steps of derivatives: of the factors' logarithms, and of pressures in N/cm^2.
-STEP_LN, STEP_N_PER_CM2 = 0.05, 0.02
-# Prior of a pressure, where readings hardly depend on it. [N/cm^2]
-PRESSURE_PRIOR_N_PER_CM2 = 0.5
-AREAS = [NAMES.index("contact_area"), NAMES.index("proximal_area")]
-# Points that stand for the Gaussian of both pressures: quantiles to some 2 % of a spread.
-POINTS = 256
-QUANTILES = (0.025, 0.975)
-# Below this force, where pressures bend to 0, there may be no touch at all, and it has no place. [N]
-LEAST_FORCE_N = 0.03
-# Factor on the standard errors of filter and calibration, both of which count some of the model's error: chosen on the
-# virtual people, of whose touches the 95 % intervals otherwise cover 97 to 100 %.
-INTERVAL_SCALE = 0.82
-# An interval of the share as wide as this holds no information.
-UNKNOWN_SHARE = 0.9
-# Shares of a touch of both sides, and the least error of a share. [1]
-BOTH_SHARES, LEAST_SHARE_ERROR = (0.2, 0.8), 0.05
-
-
-class ForceEstimate(NamedTuple):
-    """Force of T samples, with 95 % bounds.
-
-    force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
-    proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
-    probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; a third where there
-        may be none, NaN where the calibration does not say how well it tells sides apart.
-    pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
-    """
-
-    force_n: Array
-    force_low_n: Array
-    force_high_n: Array
-    proximal_share: Array
-    proximal_share_low: Array
-    proximal_share_high: Array
-    probability_proximal: Array
-    probability_distal: Array
-    probability_both: Array
-    pressure_n_per_cm2: Array
-    pressure_stderr_n_per_cm2: Array
-
-    def where(self, known: Array) -> "ForceEstimate":
-        """The same, NaN where not known (T,)."""
-        return ForceEstimate(*(np.where(known, column, np.nan) for column in self))
-
-
-SITE_PROBABILITIES = ForceEstimate._fields[6:9]
-
-
-class ForceInterval:
-    """Forces with 95 % intervals of the filter's estimates, for one sample or many."""
-
-    def __init__(self, subject: Subject) -> None:
-        self.subject, self.person = subject, subject.person
-        closure_n_per_cm2 = self.person.closure_n_per_cm2()
-        self._closed_n_per_cm2 = closure_n_per_cm2[:, None]
-        root, rest_v = covariance_root(subject.covariance), subject.rest_v
-        # Of readings at rest: white noise and a minute's drift. [1/V^2]
-        noise_v2 = np.outer(rest_v, rest_v) * subject.drift_covariance + np.diag(subject.readings.noise_v**2)
-        self._information = np.linalg.inv(noise_v2)
-        self._roots = [
-            make_interp_spline(bends, [self._jacobian(side, bend) @ root for bend in bends], k=1)
-            for side, bends in enumerate(closure_n_per_cm2[:, None] * PARTS)
-        ]
-        self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
-        covariance = self._calibration_covariance(np.diag(closure_n_per_cm2))[0]
-        part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure_n_per_cm2
-        # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
-        self.saturated_above_n = self.person.side_areas_cm2 * closure_n_per_cm2
-        self._least_closing_n = self.saturated_above_n * np.exp(-2 * part)
-
-    def of(self, estimates: PressureEstimate) -> ForceEstimate:
-        """The forces of some samples."""
-        touch, by_filter = estimates.touch_n_per_cm2, estimates.covariance * INTERVAL_SCALE**2
-        pressure_n_per_cm2 = touch_pressure(touch.T)
-        by_calibration, pressure_by_calibration = self._calibration_covariance(pressure_n_per_cm2)
-        covariance = by_filter + by_calibration
-        cloud = np.einsum("tij,jp->itp", covariance_root(covariance), self._points)
-        pressures_n_per_cm2 = touch_pressure(touch.T[:, :, None] + cloud)
-        force, share = self.person.force(pressures_n_per_cm2)
-        low, high = np.quantile(force, QUANTILES, axis=1)
-        share_low, share_high = np.quantile(share, QUANTILES, axis=1)
-        middle, middle_share = self.person.force(pressure_n_per_cm2)
-        highest_n_per_cm2 = np.quantile(pressures_n_per_cm2, QUANTILES[1], axis=2)
-        is_closed = highest_n_per_cm2 >= self._closed_n_per_cm2
-        saturated = is_closed.any(0)
-        # Past closure a harder touch reads the same: neither bound lies above it.
-        low = np.minimum(low, np.where(is_closed, self._least_closing_n[:, None], np.inf).min(0))
-        # Where rest is no less likely than the quantile, the bound is 0.
-        resting = rest_odds(touch, covariance)
-        low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
-        nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
-        spread, error = np.where(nowhere, np.inf, share.std(1)), self.subject.quality.share_error
-        probabilities = _site_probabilities(middle_share, spread, np.array(error or (np.nan, np.nan)))
-        pressure_variance = np.einsum("tii->it", by_filter + pressure_by_calibration)
-        return ForceEstimate(
-            force_n=middle,
-            force_low_n=np.minimum(low, middle),
-            force_high_n=np.where(saturated, np.inf, np.maximum(high, middle)),
-            proximal_share=middle_share,
-            proximal_share_low=np.where(nowhere, 0.0, share_low),
-            proximal_share_high=np.where(nowhere, 1.0, share_high),
-            **dict(zip(SITE_PROBABILITIES, probabilities, strict=True)),
-            pressure_n_per_cm2=pressure_n_per_cm2,
-            pressure_stderr_n_per_cm2=np.sqrt(np.maximum(pressure_variance, 0.0)),
-        )
-
-    def _calibration_covariance(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
-        """Covariances (T, 2, 2) of forces over the contact's areas, and of the pressures themselves. An error of an
-        area is one of the pressure, too, the other way: forces were known."""
-        total = np.maximum(pressure_n_per_cm2.sum(0), 1e-9)
-        proximal, distal = (root(np.minimum(total, root.t[-1])) for root in self._roots)
-        share = (pressure_n_per_cm2[0] / total)[:, None, None]
-        root = share * proximal + (1.0 - share) * distal
-        known = root @ np.moveaxis(root, 1, 2) * INTERVAL_SCALE**2
-        jacobian = np.zeros((total.size, 2, 4))
-        jacobian[:, [0, 1], [0, 1]] = 1.0
-        jacobian[:, [0, 1], 2], jacobian[:, 0, 3] = pressure_n_per_cm2.T, pressure_n_per_cm2[0]
-        return jacobian @ known @ np.moveaxis(jacobian, 1, 2), known[:, :2, :2]
-
-    def _jacobian(self, side: int, pressure_n_per_cm2: float) -> Array:
-        """Derivatives of the estimate of a held touch by all parameters of the calibration, (4, P + 4 R) float. Of both
-        pressures and of the logarithms of the contact's areas. A person who is not quite the calibrated one gives other
-        readings; the pressures that explain them best, beside drift and noise, are off by so much."""
-        subject, count = self.subject, len(NAMES)
-        held = np.where(np.arange(2) == side, pressure_n_per_cm2, 0.0)[:, None]
-        steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
-        moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
-        by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
-        around = np.maximum(held + STEP_N_PER_CM2 * np.hstack([np.eye(2), -np.eye(2), np.zeros((2, 1))]), 0)
-        near, steeper = self._risen_v(subject.person, around)
-        slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
-        by_gain = np.diag(near[:, 4] / subject.readings.gain)
-        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
-        by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
-        weighted = slopes.T @ self._information
-        precision = weighted @ slopes + np.eye(2) / PRESSURE_PRIOR_N_PER_CM2**2
-        by_touch = -np.linalg.solve(precision, weighted @ by_parameter)
-        return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
-
-    def _risen_v(self, who: Person, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
-        """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S). And
-        what steeper slopes by the blood of either zone add to them, (2, R, S)."""
-        width, light = who.steady_widths(pressure_n_per_cm2), self.subject.light
-        blood, rest = who.blood(width), who.blood(np.ones_like(width))
-        volts = light.volts(blood)
-        risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
-        return risen, volts * (blood - rest)[:, None]
-
-
-def _site_probabilities(share: Array, spread: Array, error: Array) -> Array:
-    """Probabilities (3, T) that a touch is of the proximal side, of the distal one, or of both; a third where unknown.
-
-    All force of a touch of one side is there; that of both has any of BOTH_SHARES. None is more likely before.
-
-    share, spread : (T,) float. Estimated proximal share, and its standard deviation by the filter.
-    error : (2,) float. Of the share of the calibration's proximal and distal touches, rms.
-    """
-    known = np.isfinite(spread)
-    of_side = np.maximum(np.where(known, spread, 1.0), np.maximum(error, LEAST_SHARE_ERROR)[:, None])
-    of_both, (low, high) = np.sqrt((of_side**2).mean(0)), BOTH_SHARES
-    one = np.exp(-0.5 * ((share - [[1.0], [0.0]]) / of_side) ** 2) / (np.sqrt(2.0 * np.pi) * of_side)
-    both = (ndtr((high - share) / of_both) - ndtr((low - share) / of_both)) / (high - low)
-    density = np.stack([*one, both])
-    return np.asarray(np.where(known, density / density.sum(0), 1.0 / 3.0))
-
-
-class ForceEstimator:
-    """A subject's force from the filter's estimates and the readings of samples that come one after another.
-
-    It is the ensemble's where there is one, else the filter's. Readings over rest, and all memory, begin with the first
-    sample, which is taken for one of an untouched finger.
-    """
-
-    def __init__(self, subject: Subject) -> None:
-        self._ensemble, self._interval = subject.ensemble, ForceInterval(subject)
-        # Force of a touch on either side from which its interval has no upper bound. [N]
-        open_from_n = self._ensemble.open_from_n if self._ensemble else self._interval.saturated_above_n
-        self.open_above_n = dict(zip(SIDES, open_from_n.tolist(), strict=True))
-        self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, 0)))
-        self._areas_cm2 = subject.person.side_areas_cm2[:, None]
-
-    def of(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> tuple[ForceEstimate, Array, Array]:
-        """Force of the next samples (T,), that of the filter alone [N], and ln volts less those at rest, (R, T).
-
-        volts : (R, T) float. since_s : (T,) float. Time from sample to sample. [s]
-        """
-        by_filter = self._interval.of(estimates)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            over_rest = self._features.over_rest(np.log(volts), by_filter.force_n < REST_FORCE_N, since_s)
-        force = by_filter
-        if self._ensemble is not None:
-            features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-            force_n = self._ensemble.force_n(features, by_filter.force_n)
-            low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
-            force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
-        # Where there may be no touch, none of the sides is any more likely.
-        may_rest = force.force_low_n <= 0.0
-        likely = {name: np.where(may_rest, 1.0 / 3.0, getattr(force, name)) for name in SITE_PROBABILITIES}
-        return force._replace(**likely), by_filter.force_n, over_rest
-
 
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
 # further off their predictions than this, in variances.

@@ -21,9 +21,9 @@ from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
 from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, terms_of
 from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
+from .interval import ForceEstimate, ForceEstimator
 from .kalman import estimate_pressures
 from .person import LONGEST_GAP_S, Array
-from .predict import ForceEstimate, ForceEstimator
 from .scores import TOUCH_N, Baseline, is_still, rms, runs, touches_by_kind, train_baselines
 from .subject import Subject
 

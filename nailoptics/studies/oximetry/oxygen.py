@@ -1,23 +1,17 @@
-"""A pulse oximeter from touch to SpO2: the ratio of ratios R against saturation, lines from R to SpO2 with their error,
-and what disturbs them."""
+"""A pulse oximeter from touch to SpO2: curve and lines of every photodiode, their error, and what disturbs them."""
 
-import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
 
 from ... import hemodynamics, tissue
-from ...errors import NotReachedError, as_far_as_reached, unless_cut_off
+from ...errors import as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import BloodBeat, beat_at, blood_over_touch, heart_rate_per_min, rest_beat
-from ...light import ProgressCallback, Transfer, optics, trace
+from ...light import ProgressCallback, Transfer, optics
 from ...light.detect import light_of
-from ...light.tracing import Trigger, accuracy
-from ...light.transfer.series import ChebyshevBox, read_replicates
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
@@ -25,184 +19,18 @@ from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_end_of
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Estimate, Variables, described, jackknifed, variable
 from ..prior_uncertainty import at_value
-
-# Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
-NODES = 7
-# SpO2 = intercept + slope R, in percent. The first is that of textbooks; the second is from 56 public recordings of one
-# finger, 70 to 98 % by another oximeter, with residuals of 3.2 % rms (tests/benchmarks/real_oximeter.py).
-TEXTBOOK = (110.0, -25.0)
-MEASURED = (109.5, -31.2)
-# Saturations over which lines are fitted, those at which oximeters are tested.
-FIT_SO2 = np.linspace(0.70, 1.00, 31)
-# Photons of the first round, whose error decides how many more are needed; rounds have seeds of their own.
-FIRST_PHOTONS = 1 << 19
-_ROUND = 41
-
-
-def trace_for_ratio(
-    scene: Scene,
-    error_of: Callable[[Transfer], float],
-    options: TraceOptions,
-    *,
-    max_seconds: float | None,
-    progress: ProgressCallback | None = None,
-) -> Transfer:
-    """Light of every LED until an answer's relative error is that of the scene, or of the options.
-
-    error_of : relative standard error of the answer from what was traced; inf where it is not known.
-    max_seconds : wall time, in place of that of the scene and the options. [s]
-
-    Raises: NotReachedError with the Transfer so far.
-    """
-    required, begin = accuracy(scene, options), time.perf_counter()
-    plain, target = scene.model_copy(update={"accuracy": type(scene.accuracy)()}), required.relative_error
-    if target is None:
-        how = replace(options, relative_error=None, max_seconds=max_seconds, photons=required.photons)
-        return replace(trace(plain, progress=progress, **how.fields), scene=scene)
-    trigger = Trigger(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
-    light: Transfer | None = None
-    photons, left_s, rounds = trigger.first, max_seconds, 0
-    while True:
-        seed = seed_of(options.seed, _ROUND, rounds) >> 1 if rounds else options.seed
-        how = replace(options, seed=seed, relative_error=None, max_seconds=left_s, photons=photons)
-        more, unmet = as_far_as_reached(trace, plain, progress=progress, **how.fields)
-        more = replace(more, scene=scene)
-        light, rounds = light.merge(more) if light else more, rounds + 1
-        per_led, error = light.photons // len(scene.leds), error_of(light)
-        if not (photons := trigger.needed(per_led, error)):
-            return light
-        left_s = None if max_seconds is None else max_seconds - (time.perf_counter() - begin)
-        if unmet or (left_s is not None and left_s <= 0):
-            reached = f"{per_led} photons for each LED with a relative error of {error:.3g}"
-            why = f"the trace ended at {reached} of the best photodiode's ratio of ratios, {target:g} requested"
-            interrupted = bool(unmet and unmet.interrupted)
-            raise NotReachedError(f"{why}; allow more time or require less.", result=light, interrupted=interrupted)
-
-
-@dataclass(frozen=True)
-class Pulsation:
-    """Pulsating and steady light of the red and the infrared LED, by all photons and without each group of them.
-
-    ac, dc : (1 + groups, 2, photodiodes, states) float. Fractions of the LED's power, weighted by the photodiode's
-        response; ac is from the most blood in a beat to the least, dc at its mean.
-    """
-
-    ac: Array
-    dc: Array
-
-    @property
-    def perfusion_index(self) -> Array:
-        """ac over dc, (1 + groups, 2, photodiodes, states) float."""
-        return _quotient(self.ac, self.dc)
-
-    @property
-    def ratio(self) -> Array:
-        """The ratio of ratios, R = (ac/dc of red) / (ac/dc of infrared), (1 + groups, photodiodes, states) float."""
-        index = self.perfusion_index
-        return _quotient(index[:, 0], index[:, 1])
-
-
-def _quotient(a: Array, b: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(a / b)
-
-
-def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, pulse: Array) -> Array:
-    """Absorption where resting blood, arterial and venous, and a pulse of arterial blood fill the bed. [mm^-1]
-
-    so2 : of the arteries.
-    resting : (zones,) float. Mean blood of each zone.
-    pulse : (m, zones) float. Blood over that.
-
-    Returns: (m, q, absorbers) float.
-    """
-    saturated = scene.model_copy(update={"blood": scene.blood.with_so2(so2)})
-    rest = optics.absorption(saturated, wavelength_nm, blood_fraction=resting)
-    arterial = tissue.blood_mu_a_per_mm(wavelength_nm, so2)
-    out = np.repeat(rest[None], len(pulse), 0)
-    out[:, :, list(optics.bed_columns(scene))] += arterial[None, :, None] * pulse[:, None, :]
-    return out
-
-
-def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, Array]]) -> Array:
-    """One LED's readings in states of the blood, (1 + groups, photodiodes, all rows of all pulses) float.
-
-    states : saturation, resting blood and pulse of each, as in `absorption`.
-    """
-    wavelength, _ = optics.spectrum(transfer.scene.leds[led])
-    mu_a = np.concatenate([absorption(transfer.scene, wavelength, *state) for state in states])
-    return read_replicates(transfer, led, mu_a)[0]
-
-
-def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]]) -> Pulsation:
-    """Pulsation in some states, each a saturation and a beat.
-
-    leds : numbers of the red and the infrared LED.
-    """
-    rows = [(so2, beat.resting, np.vstack([np.zeros_like(beat.resting), beat.extremes])) for so2, beat in states]
-    read = np.stack([read_states(transfer, led, rows) for led in leds], 1)
-    read = read.reshape(*read.shape[:3], len(states), 3)
-    return Pulsation(ac=read[..., 1] - read[..., 2], dc=read[..., 0])
-
-
-def saturation_curve(
-    transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, low: float, high: float
-) -> Callable[[ArrayLike], Pulsation]:
-    """Pulsation at every saturation in a range, (n,) float in parts of 1, for no more photons.
-
-    It is interpolated between Chebyshev nodes.
-    """
-    box = ChebyshevBox([low], [high], [NODES])
-    at_nodes = read_pulsations(transfer, leds, [(float(so2), beat) for (so2,) in box.nodes])
-
-    def at(so2: ArrayLike) -> Pulsation:
-        weights = box.weights(so2).T
-        return Pulsation(ac=at_nodes.ac @ weights, dc=at_nodes.dc @ weights)
-
-    return at
-
-
-def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat) -> Array:
-    """Mean path of red light in the pulsatile blood over that of infrared, (1 + groups, photodiodes) float."""
-    scene, paths = transfer.scene, []
-    swing = np.ptp(beat.extremes, axis=0)
-    for led in leds:
-        wavelength, _ = optics.spectrum(scene.leds[led])
-        mu_a = absorption(scene, wavelength, scene.blood.so2, beat.resting, np.zeros((1, len(swing))))
-        paths.append(read_replicates(transfer, led, mu_a)[1] @ swing / swing.sum())
-    return _quotient(*paths)
-
-
-def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array]:
-    """Polynomials, from the constant up, that make SpO2 in percent of R; what they miss at most. [percent]
-
-    so2 : (n,) float. In parts of 1.
-    ratio : (1 + groups, photodiodes, n) float. Ratios of ratios there.
-
-    Returns: (1 + groups, photodiodes, degree + 1) and (photodiodes,) float; NaN where a ratio is not known.
-    """
-    percent, fits = 100 * so2, np.full((*ratio.shape[:2], degree + 1), np.nan)
-    for at in np.argwhere(np.isfinite(ratio).all(-1)):
-        fits[tuple(at)] = np.polynomial.polynomial.polyfit(ratio[tuple(at)], percent, degree)
-    residual = [evaluate(fit, ratios) - percent for fit, ratios in zip(fits[0], ratio[0], strict=True)]
-    return fits, np.abs(residual).max(1)
-
-
-def evaluate(coefficients: ArrayLike, ratio: ArrayLike) -> Array:
-    """SpO2 of a ratio of ratios by a line or a parabola. [percent]"""
-    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(ratio, float), np.asarray(coefficients, float)))
-
-
-def saturation_of(ratio: ArrayLike, so2: Array, curve: Array) -> Array:
-    """The saturation at which a curve has a ratio of ratios, extrapolated beyond its ends. [parts of 1]
-
-    so2, curve : (n,) float. Saturations that rise, and ratios there that fall.
-    """
-    from scipy.interpolate import interp1d
-
-    at = interp1d(curve[::-1], so2[::-1], fill_value="extrapolate", assume_sorted=True)
-    return np.asarray(at(ratio))
-
+from .ratio import (
+    FIT_SO2,
+    Pulsation,
+    calibrate_curve,
+    path_length_ratios,
+    path_warnings,
+    read_pulsations,
+    read_states,
+    saturation_curve,
+    saturation_of,
+    trace_for_ratio,
+)
 
 FORCES_N = np.linspace(0.0, 2.0, 9)
 REST_BLOOD = np.linspace(0.01, 0.06, 6)
@@ -214,9 +42,6 @@ WARMER_K = np.linspace(-20.0, 20.0, 5)
 DRIFTS_NM_PER_K = (0.13, 0.25)
 SUN_LUX = np.array([0.0, 1e3, 1e4, 3e4, 6e4, 1e5])
 VENOUS_BELOW = np.linspace(0.0, 0.30, 7)
-
-# By a larger bias of SpO2 a published line misleads. [percent]
-MOST_BIAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -320,40 +145,6 @@ def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None =
     return scene.model_copy(update={"leds": tuple(leds)})
 
 
-def literature_bias(ratio: Array, so2: float) -> Array:
-    """Bias of SpO2 by the nearer of both published lines, the textbook's and that of fingers. [percent]
-
-    ratio : (photodiodes,) float. Ratio of ratios at a saturation in parts of 1.
-    """
-    bias = np.stack([evaluate(line, ratio) - 100 * so2 for line in (TEXTBOOK, MEASURED)])
-    return np.asarray(np.take_along_axis(bias, np.abs(bias).argmin(0)[None], 0)[0])
-
-
-def path_warnings(scene: Scene, ratio: Array, path_length_ratio: Array) -> list[str]:
-    """One line for each photodiode on which published lines have a larger bias, and what mends it.
-
-    ratio, path_length_ratio : (photodiodes,) float. At the scene's saturation.
-    """
-    red, infrared = oximeter_leds(scene)
-    dies, lines = scene.layout.leds, []
-    bias = literature_bias(ratio, scene.blood.so2)
-    for element, r, paths, percent in zip(scene.layout.photodiodes, ratio, path_length_ratio, bias, strict=True):
-        if not abs(percent) > MOST_BIAS:
-            continue
-        near = [math.dist(element.area.center_mm, dies[i].center_mm) for i in (red, infrared)]
-        cure = "it is as far from both LEDs: move it to 2.5 to 3.5 mm from them, or use the fit of this scene"
-        if abs(near[0] - near[1]) > 0.1:
-            from_both = [
-                f'{mm:.2f} mm from "{scene.leds[i].name}"' for mm, i in zip(near, (red, infrared), strict=True)
-            ]
-            place = "put it as far from both, on the axis between two dies side by side"
-            cure = f"it lies {' and '.join(from_both)}: {place}"
-        longer = f"the path of red light in the pulsatile blood is {paths:.2f} times that of infrared"
-        bias_of_line = f"R({scene.blood.so2:g}) = {r:.2f}, and a textbook's line has a bias of {percent:+.1f} % or more"
-        lines.append(f'photodiode "{element.name}": {longer}, {bias_of_line}; {cure}')
-    return lines
-
-
 SO2 = np.linspace(0.5, 1.0, 51)
 # Part of one slot's light that may be left in the next.
 MOST_CROSSTALK = 0.01
@@ -382,8 +173,7 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
         value, error = jackknifed(read_pulsations(light, leds, states).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
-    how = {"max_seconds": accuracy(scene, options).max_seconds, "progress": progress}
-    transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, **how)
+    transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, progress)
     result = oximeter_from(transfer, options=options)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return unless_cut_off(result, unmet)
@@ -422,8 +212,6 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         "led": [scene.leds[i].name for i in leds],
         "so2": SO2,
         "cause": [*CAUSES, "trace"],
-        "beat_time": ("beat_time", beat.time_s, {"units": "s", "long_name": "time from the start of a beat"}),
-        "time": ("time", time_s, {"units": "s", "long_name": "time from the start of the touch"}),
     }
     # A photodiode that sees no light has no error.
     best = str(transfer.photodiodes[int(np.nan_to_num(data["spo2_stderr"][1], nan=np.inf).argmin())])
@@ -436,7 +224,8 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         "disturbances": list(disturbances),
         "rate_per_min": heart_rate_per_min(scene.body),
     }
-    return xr.Dataset(data, names, transfer.attributes() | about)
+    times = described(__package__, beat_time=beat.time_s, time=time_s)
+    return xr.Dataset(data, names | times, transfer.attributes() | about)
 
 
 def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int]) -> tuple[Array, Array]:

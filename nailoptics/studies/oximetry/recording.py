@@ -16,7 +16,7 @@ from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import Z95, Array, seed_of
 from ...variables import Estimate, described, variable
 from ...version import code_attributes
-from .oxygen import saturation_of
+from .ratio import saturation_of
 
 _NOISE = 61
 # Interval between two estimates. [s]

@@ -20,19 +20,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, hstack, vstack
 
 from ...light.tracing import StageProgress
-from ...statistics import jackknife
+from ...statistics import Array, jackknife
 from ...variables import Estimate, described
 from .candidates import CandidateLayout
 from .objective import LayoutScore, Objective
-from .search import SEARCH_PHOTONS, SEARCH_SHARE, RowDesign, Search, SearchedSite
+from .row_design import RowDesign, SearchedSite
+from .search import SEARCH_PHOTONS, SEARCH_SHARE, Search
 from .sites import PhotodiodePlaces
-
-Array = NDArray[np.float64]
 
 # The bound is taken as found at this gap of the logarithm, or after so many programmes and steps for each mixture.
 GAP, PROGRAMMES, STEPS = 5e-4, 30, 100
@@ -142,16 +140,15 @@ def _least_tangent(
 
 def _site_bound(design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf) -> Bound:
     """The bound for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
-    places, row = design.places, design.row
+    places, allowed = design.places, design.allowed(site.places_mm)
     chosen = [places.areas.index(area) for area in site.photodiodes]
-    allowed = None if row.side else design.sites.are_beside(places.areas[: places.free], site.places_mm)
     free, staying = information[:, : places.free], information[:, places.free :].sum(1)
     return lower_bound(free, places, chosen, design.objective, given=staying, allowed=allowed, enough=enough)
 
 
 def certify(search: Search, report_progress: StageProgress) -> tuple[float, float] | None:
     """What no layout on the search's grid falls below, and its standard error by the noise of the light; None where
-    time ends before, or the grid is too fine.
+    time ends before, or the grid is too fine. The search has found a site.
 
     It is the least bound of all sites. That of few photons comes out low, as their noise adds to the information: it
     is traced further until no other is lower, or `TRACED` were.
@@ -164,7 +161,7 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
             return None
         bounds[site] = _site_bound(design, site, design.information(site.places_mm), np.log(sites[0].score))
     again, errors = Search(search.base, objective, replace(search.cache, blocks=BLOCKS)), dict[SearchedSite, float]()
-    for k in range(TRACED + 1 if sites else 0):
+    for k in range(TRACED + 1):
         site = min(bounds, key=lambda site: bounds[site].log)
         if site in errors:
             break
@@ -178,7 +175,7 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
         scores = objective.score(np.einsum("m,fbmn->fbn", weights, replicates))
         errors[site] = float(jackknife(np.log(scores)))
     search.cache.photons += again.cache.photons
-    if not sites or not np.isfinite(bounds[site].log):
+    if not np.isfinite(bounds[site].log):
         return None
     least = np.exp(bounds[site].log)
     return float(least), float(least * errors[site])

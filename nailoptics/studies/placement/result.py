@@ -19,7 +19,7 @@ from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n, ties
 from .photon_maps import FingerCondition, PhotonMapCache
-from .search import SearchedSite
+from .row_design import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2

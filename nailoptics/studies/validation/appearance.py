@@ -14,13 +14,14 @@ from ...light.optics import zones
 from ...light.tracing.store import LightStore
 from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
-from ...scene import Finger, Scene
+from ...scene import Finger, Scene, load_scene
 from ...scene.base import USUAL_PULP_BLOOD_FRACTION
 from ...statistics import Z95
-from ..colour.nail_colour import ALONG, WAVELENGTHS_NM, ColourRays, Viewer, lab_of, patches_of, walk_colour
+from ..colour.nail_colour import ALONG, patches_of
+from ..colour.reflectance import WAVELENGTHS_NM, ColourRays, Viewer, lab_of, walk_colour
 from ..prior_uncertainty import PriorSensitivity, at_value, over_priors
 from . import people_tables
-from .comparison import Comparison, interval, moments, part_between, shipped_scene, texts_of
+from .comparison import Comparison, interval, moments, part_between, texts_of
 from .people_tables import NAIL_RGB, SKIN_RGB, SPECTRUM_NM, people_count, percentile, pooled, read_people
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class _Reflectance:
 
 def nails(photos: "pd.DataFrame", options: TraceOptions) -> dict[str, Comparison]:
     """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
-    scene, viewer = shipped_scene("prototype"), Viewer()
+    scene, viewer = load_scene("prototype"), Viewer()
     more = 1 + people_tables.HAEMOGLOBIN_STEP_G_PER_L / photos["hb_g_per_l"].mean()
     nail = _Reflectance(scene, patches_of(scene)[ALONG // 2], options, share=NAIL_SHARE)
 
@@ -155,7 +156,7 @@ class Skin(_Reflectance):
     """A ring finger's pulp, as a spectrophotometer measures it."""
 
     def __init__(self, options: TraceOptions) -> None:
-        scene = shipped_scene("prototype").model_copy(update={"finger": Finger(digit="ring")})
+        scene = load_scene("prototype").model_copy(update={"finger": Finger(digit="ring")})
         super().__init__(scene, PAD, options)
 
     def spectrum(self, scene: Scene, rays: ColourRays | None = None) -> Array:

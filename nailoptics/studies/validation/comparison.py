@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...assets import data_dir, read_toml
+from ...assets import read_toml
 from ...checks import Array
-from ...scene import Scene, load_scene
 from ...statistics import Z95, jackknife
 from ..prior_uncertainty import PriorSensitivity
 
@@ -93,10 +92,6 @@ def interval(value: float, stderr: float) -> Array:
 def part_between(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> float:
     """The part of values that lie between two ends."""
     return float(((np.asarray(values) >= low) & (np.asarray(values) <= high)).mean())
-
-
-def shipped_scene(name: str) -> Scene:
-    return load_scene(data_dir("scenes") / f"{name}.toml")
 
 
 def moments(answers: PriorSensitivity) -> tuple[Array, Array, Array]:

@@ -18,13 +18,13 @@ from ...hemodynamics.for_scene import blood_model, heart_rate_per_min, rest_beat
 from ...hemodynamics.waves import HEARTBEAT, waves_of, waves_pressure
 from ...light import ProgressCallback, trace
 from ...options import Requested, TraceOptions
-from ...scene import Body, Scene
+from ...scene import Body, Scene, load_scene
 from ...scene.priors import shipped_priors
-from ..oximetry.oxygen import FIT_SO2, calibrate_curve, saturation_curve
+from ..oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
 from ..prior_uncertainty import at_value, only_absorbs, over_priors
 from . import people_tables
 from .appearance import Skin, nails
-from .comparison import Comparison, interval, moments, part_between, shipped_scene, texts_of
+from .comparison import Comparison, interval, moments, part_between, texts_of
 from .people_tables import COLUMNS, read_people
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def validate(
 
 def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
     """Breathing and vasomotion in the blood of the bed, over the heartbeat, rms."""
-    scene, ranges = shipped_scene("heartbeat"), {prior.field: prior for prior in shipped_priors()}
+    scene, ranges = load_scene("heartbeat"), {prior.field: prior for prior in shipped_priors()}
     assert scene.body is not None
     rms, model = {}, blood_model(scene)
     for wave, fields in waves_of(scene.body):
@@ -110,7 +110,7 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
 
 def _contact_pressure(people: "pd.DataFrame") -> Comparison:
     """The heartbeat in arteriolar blood under a contact pressure; both shapes over their means."""
-    scene, pressure = shipped_scene("pulse_oximeter"), people["pressure_mmhg"].to_numpy()
+    scene, pressure = load_scene("pulse_oximeter"), people["pressure_mmhg"].to_numpy()
     prior = {prior.field: prior for prior in shipped_priors()}["body.heartbeat.arteriolar_peak_pa"]
 
     def shape(varied: Scene) -> Array:
@@ -157,7 +157,7 @@ def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCall
 def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback | None) -> tuple[Array, Array]:
     """Slope of the line of saturation over the ratio of ratios, its level at a ratio [percent], and logarithms of both
     perfusion indices in percent, with their errors, (4,) float each."""
-    scene = shipped_scene("pulse_oximeter")
+    scene = load_scene("pulse_oximeter")
     red, infrared = scene.leds
     leds = red, infrared.model_copy(update={"wavelength_nm": MODULE_INFRARED_NM})
     scene = scene.model_copy(update={"leds": leds, "accuracy": type(scene.accuracy)()})

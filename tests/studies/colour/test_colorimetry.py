@@ -11,16 +11,8 @@ from nailoptics.light.transfer.series import ChebyshevBox
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Viewing
 from nailoptics.studies.colour import nail_colour as adaptive_sampling
-from nailoptics.studies.colour.nail_colour import (
-    NODES,
-    NODES_NM,
-    WAVELENGTHS_NM,
-    WEIGHTS,
-    Viewer,
-    _redness_left,
-    delta_e_2000,
-    stderr_of_colour,
-)
+from nailoptics.studies.colour.nail_colour import _redness_left, stderr_of_colour
+from nailoptics.studies.colour.reflectance import NODES, NODES_NM, WAVELENGTHS_NM, WEIGHTS, Viewer, delta_e_2000
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])

@@ -18,7 +18,8 @@ from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.report.pages.colour import summary as colour_summary
 from nailoptics.scene import Viewing, load_scene, parse_scene
-from nailoptics.studies.colour.nail_colour import GROUPS, WAVELENGTHS_NM, Viewer, colour, delta_e_2000, walk_colour
+from nailoptics.studies.colour.nail_colour import colour
+from nailoptics.studies.colour.reflectance import GROUPS, WAVELENGTHS_NM, Viewer, delta_e_2000, walk_colour
 
 PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
 # L*a*b* of skin: mean and standard deviation of 148 Asians (Yun 2010, doi 10.1111/j.1600-0846.2010.00434.x), and means

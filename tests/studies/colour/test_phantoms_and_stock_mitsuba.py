@@ -15,7 +15,8 @@ from nailoptics.light.walk.interfaces import Interfaces
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.scene import Viewing, parse_scene
 from nailoptics.statistics import jackknife, seed_of
-from nailoptics.studies.colour.nail_colour import GROUPS, NODES, WAVELENGTHS_NM, ColourRays, Viewer, colour, walk_colour
+from nailoptics.studies.colour.nail_colour import colour
+from nailoptics.studies.colour.reflectance import GROUPS, NODES, WAVELENGTHS_NM, ColourRays, Viewer, walk_colour
 
 SCENE = parse_scene(
     SMALL_FINGER_BEST.replace("[finger]", "[finger]\nplate_scattering = 0.3") + "[board]\nopaque_reflectance = 1.0\n"

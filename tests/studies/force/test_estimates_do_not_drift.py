@@ -6,8 +6,8 @@ import made_sensor
 import numpy as np
 import pytest
 
+from nailoptics.studies.force.interval import ForceInterval
 from nailoptics.studies.force.kalman import KalmanFilter, PressureEstimate, stacked
-from nailoptics.studies.force.predict import ForceInterval
 from nailoptics.studies.force.subject import parse_subject
 
 SAMPLES, BEFORE_TOUCH = 200, slice(40, 50)

@@ -8,9 +8,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from nailoptics.statistics import Z95
+from nailoptics.studies.force.interval import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR_N_PER_CM2, ForceInterval
 from nailoptics.studies.force.kalman import PressureEstimate, stacked
 from nailoptics.studies.force.person import NAMES
-from nailoptics.studies.force.predict import INTERVAL_SCALE, PARTS, PRESSURE_PRIOR_N_PER_CM2, ForceInterval
 from nailoptics.studies.force.subject import LINEAR, Subject, parse_subject
 
 # So small a part of the covariance moves readings in proportion.

@@ -9,7 +9,8 @@ import pytest
 import tomli_w
 
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.predict import BOTH_SHARES, _site_probabilities, predict
+from nailoptics.studies.force.interval import BOTH_SHARES, _site_probabilities
+from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 
 

@@ -8,7 +8,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
-from nailoptics.studies.oximetry.oxygen import (
+from nailoptics.studies.oximetry.ratio import (
     MEASURED,
     calibrate_curve,
     evaluate,

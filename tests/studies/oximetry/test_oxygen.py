@@ -21,14 +21,9 @@ from nailoptics.report.pages.oximeter import OXIMETER
 from nailoptics.report.pages.oximeter import oximeter_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
-from nailoptics.studies.oximetry import oxygen
-from nailoptics.studies.oximetry.oxygen import (
-    oximeter,
-    oximeter_from,
-    read_pulsations,
-    read_states,
-    saturation_curve,
-)
+from nailoptics.studies.oximetry import oxygen, ratio
+from nailoptics.studies.oximetry.oxygen import oximeter, oximeter_from
+from nailoptics.studies.oximetry.ratio import read_pulsations, read_states, saturation_curve
 from nailoptics.studies.oximetry.recording import simulated, spo2_over_time
 from nailoptics.variables import jackknifed
 
@@ -168,7 +163,7 @@ def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
 
 @pytest.mark.long
 def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
-    monkeypatch.setattr(oxygen, "FIRST_PHOTONS", 1 << 16)
+    monkeypatch.setattr(ratio, "FIRST_PHOTONS", 1 << 16)
     loose = oximeter(shipped(), relative_error=0.15, seed=2)
     best = loose.sel(photodiode=loose.attrs["best"])
     assert float(loose.ratio_at_rest_stderr.min()) > 0
