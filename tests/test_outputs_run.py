@@ -33,6 +33,12 @@ def is_read(scene: Scene) -> None:
     assert simulate(scene, photons=2000, seed=1).detected_fraction.notnull().all()
 
 
+def untraced_tolerances(layout, cache, objective):
+    """Those that take no light of their own."""
+    cache.stop = lambda: True
+    return tolerances(layout, cache, objective)
+
+
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "search"),
@@ -46,7 +52,7 @@ def test_every_file_of_place_is_read(
 ):
     """Few photons rank layouts badly, and are enough to write them."""
     monkeypatch.setattr(place, "BLOCKS", 8)
-    monkeypatch.setattr(place, "tolerances", lambda *of, stop: tolerances(*of, stop=lambda: True))
+    monkeypatch.setattr(place, "tolerances", untraced_tolerances)
     scene = SCENES[name].with_(**{"priors.own_traces": False})
     if not search:
         given = {"search": False, "candidates": (IN_A_ROW,), "fingers": ()}

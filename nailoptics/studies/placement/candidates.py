@@ -56,7 +56,9 @@ def candidate_scene(base: Scene, plan: Candidate) -> Scene:
     Raises: InputError where the layout is impossible, or its LEDs are not the scene's by name.
     """
     leds, photodiodes = _parts_of(base, plan) if plan.leds else _placed_parts(base, plan)
-    return _laid_out(base, plan.name, leds, photodiodes)
+    scene = base.model_copy(update={"leds": tuple(leds), "photodiodes": tuple(photodiodes)})
+    check(scene, plan.name)
+    return scene
 
 
 def _parts_of(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodiode]]:
@@ -102,13 +104,6 @@ def _at(base: Scene, part: PartT, place_mm: Point, **changes: Any) -> PartT:
     return part.model_copy(update={"position_mm": at_mm} | changes)
 
 
-def _laid_out(base: Scene, name: str, leds: Sequence[Led], photodiodes: Sequence[Photodiode]) -> Scene:
-    """The board with these parts; raises InputError where the layout is impossible."""
-    scene = base.model_copy(update={"leds": tuple(leds), "photodiodes": tuple(photodiodes)})
-    check(scene, name)
-    return scene
-
-
 def _named_as(base: Scene, plan: Candidate) -> list[int]:
     """Which of a file's LEDs is each of the scene's: by reference or value, the LED's name or part."""
     if len(base.leds) == len(plan.led_refs) == 1:
@@ -151,7 +146,9 @@ def searched(
         for area, (new, ref) in zip(areas, _named(base, placement, [a.center_mm for a in areas]), strict=True):
             parts.append(_at(base, like, area.center_mm, name=new, reference=ref))
     board = base.board.model_copy(update={"barrier_side": side})
-    return _laid_out(base.model_copy(update={"board": board}), name, leds, parts)
+    scene = base.model_copy(update={"board": board, "leds": tuple(leds), "photodiodes": tuple(parts)})
+    check(scene, name)
+    return scene
 
 
 def _named(base: Scene, placement: Placement, places: Places) -> list[tuple[str, str | None]]:

@@ -25,13 +25,11 @@ from ...sensor.information import (
     share_resolution,
     total_information,
 )
-from ...statistics import fewer_groups, jackknife, t95
+from ...statistics import Array, fewer_groups, jackknife, t95
 from ..force.touch_error import TouchError
 from . import boards
 from .candidates import CandidateLayout
 from .photon_maps import PhotonMapCache
-
-Array = NDArray[np.float64]
 
 # Photons per LED and finger of the first round of the evaluation.
 JUDGE_PHOTONS = 1 << 18

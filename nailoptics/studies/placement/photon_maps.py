@@ -72,10 +72,6 @@ class TracedBoard:
         """How many photons of every LED were traced on every finger."""
         return min(board_map.photons for by_led in self.maps for board_map in by_led)
 
-    def on_areas(self, arrivals: Arrivals) -> Arrivals:
-        """What of light arrives on the recorded areas."""
-        return arrivals.select(np.any([area.holds(*arrivals.place_mm.T) for area in self.areas], axis=0))
-
 
 @dataclass
 class PhotonMapCache:
@@ -165,9 +161,15 @@ class PhotonMapCache:
             held.batches[key, led] = batch + 1
             self.photons += arrivals.photons
             if held.areas:
-                held.arrivals.setdefault((key, led), []).append(held.on_areas(arrivals))
+                on_areas = np.any([area.holds(*arrivals.place_mm.T) for area in held.areas], axis=0)
+                held.arrivals.setdefault((key, led), []).append(arrivals.select(on_areas))
             for board_map, point in members:
                 board_map.add(arrivals, point.values(arrivals))
+
+    def check_time(self) -> None:
+        """Raise `Stopped` where nothing more is to be traced."""
+        if self.stop():
+            raise Stopped
 
     def forget(self, board: Scene) -> None:
         """Free what is held of a board."""

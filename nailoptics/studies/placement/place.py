@@ -10,7 +10,6 @@ from typing import Any, Unpack
 
 import xarray as xr
 
-from ...assets import data_dir
 from ...errors import InputError, NotReachedError, unless_cut_off
 from ...light import ProgressCallback
 from ...light import backend as backends
@@ -27,6 +26,7 @@ from .objective import JUDGE_SHARE, LayoutScore, Objective, score_layouts, spo2_
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import over_people, resolution_over_priors
+from .row_design import SearchedSite
 from .tolerances import tolerances
 from .verification import check_mitsuba, verify_by_mitsuba, verify_layout
 
@@ -114,18 +114,19 @@ def _checked(
 ) -> tuple[xr.Dataset, str | None]:
     """The best layout by its own trace, on other fingers, within its tolerances and, with options for it, by stock
     Mitsuba; all for the people, if there are any; and what of the traces there was no time for, if any."""
-    known, stop, spread = xr.Dataset(), partial(report_progress.is_over, 1.0), layouts[0].board.priors.spread
+    known, spread = xr.Dataset(), layouts[0].board.priors.spread
+    cache.stop = partial(report_progress.is_over, 1.0)
     if (left_s := report_progress.seconds_left) > CHECK_S:
-        known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s, stop=stop)
+        known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s)
     if spread and report_progress.seconds_left > CHECK_S:
-        known = known.merge(resolution_over_priors(layouts, of_fingers.rules, cache, stop=stop))
+        known = known.merge(resolution_over_priors(layouts, of_fingers.rules, cache))
     if mitsuba and "checked_fraction" in known and not report_progress.interrupted:
         on = layouts[0].scene, cache.conditions[0]
         known = known.merge(verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
         report_progress.interrupted = "mitsuba_ratio" not in known
-    known = known.merge(tolerances(layouts[0], cache, of_fingers, stop=stop), combine_attrs="override")
+    known = known.merge(tolerances(layouts[0], cache, of_fingers), combine_attrs="override")
     if cache.people:
-        known = known.merge(over_people(layouts, scores, cache, stop), combine_attrs="override")
+        known = known.merge(over_people(layouts, scores, cache), combine_attrs="override")
     due = [("checked_fraction", True, "verified"), ("resolution_spread", spread, "evaluated on other fingers")]
     due += [("mitsuba_ratio", mitsuba is not None, "read by stock Mitsuba")]
     missing = [words for name, is_due, words in due if is_due and name not in known]
@@ -147,7 +148,7 @@ def _candidates(
     cache: PhotonMapCache,
     people: Sequence[boards.Person],
     report_progress: StageProgress,
-) -> tuple[list[CandidateLayout], list[search.SearchedSite], tuple[float, float] | None]:
+) -> tuple[list[CandidateLayout], list[SearchedSite], tuple[float, float] | None]:
     """All layouts to evaluate, given, searched and the paper's, every site of the LEDs that the search tried, and what
     no layout on its grid falls below, as `certify`.
 
@@ -171,9 +172,8 @@ def _candidates(
             "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
         )
     # The user's layouts and the search's best are evaluated even where time is over.
-    layouts = (
-        layouts + search.shortlist(straight, rules, [*searched, *layout_search.regular]) + ([paper] if paper else [])
-    )
+    layouts += search.shortlist(straight, rules, [*searched, *layout_search.regular])
+    layouts += [paper] if paper else []
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:
@@ -211,7 +211,7 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
 
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
     """The paper's layout on the same finger with the same electronics; None where it does not fit every nail."""
-    prototype = load_scene(data_dir("scenes") / "prototype.toml")
+    prototype = load_scene("prototype")
     shared = ("finger", "blood", "touch", "body", "electronics", "light", "priors")
     unfitted = tuple(p.model_copy(update=boards.UNFITTED) for p in prototype.photodiodes)
     scene = prototype.model_copy(update={name: getattr(base, name) for name in shared} | {"photodiodes": unfitted})

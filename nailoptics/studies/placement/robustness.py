@@ -1,6 +1,6 @@
 """How far the best layout stays the best over the priors of the finger, and what people make of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -44,16 +44,14 @@ BLOCKS = 16
 OWN_BATCHES = 2
 
 
-def resolution_over_priors(
-    layouts: Sequence[CandidateLayout], rules: Placement, cache: PhotonMapCache, *, stop: Callable[[], bool]
-) -> xr.Dataset:
+def resolution_over_priors(layouts: Sequence[CandidateLayout], rules: Placement, cache: PhotonMapCache) -> xr.Dataset:
     """Uncertainty of the force resolution of the top-ranked layouts over the priors, and which is the best where.
 
     layouts : best first, of one scene's priors; the paper's counts as one of them, too.
     cache : has recorded the light of every layout, by which all changes are read that only absorb.
-    stop : whether there is no time for one layout, or one batch, more.
 
-    Returns: Dataset over layout, prior and node; NaN of layouts that were not read, and empty where none was.
+    Returns: Dataset over layout, prior and node; NaN of layouts that were not read before the cache was to stop, and
+        empty where none was.
     """
     scene = layouts[0].board
     priors = sorted(known_priors(scene), key=lambda prior: not only_absorbs(scene, prior))
@@ -61,11 +59,10 @@ def resolution_over_priors(
     evaluated = priors[: len(priors) - len(untraced)]
     chosen = [i for i, layout in enumerate(layouts) if i < TOP_RANKED or layout.name == "paper"]
     results: list[tuple[np.ndarray, np.ndarray]] = []
-    resolution = _Resolution(rules, cache, stop)
+    resolution = _Resolution(rules, cache)
     try:
         for i in chosen:
-            if stop():
-                break
+            cache.check_time()
             results.append(resolution.over_priors(layouts[i], evaluated))
     except Stopped:
         pass
@@ -79,9 +76,7 @@ def resolution_over_priors(
     )
 
 
-def over_people(
-    layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], cache: PhotonMapCache, stop: Callable[[], bool]
-) -> xr.Dataset:
+def over_people(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore], cache: PhotonMapCache) -> xr.Dataset:
     """What people make of evaluated layouts: the median, whom each does not fit, who is worst and by what of theirs.
 
     The reason is the property whose usual value, the prior's middle, would help that person most, one at a time; it is
@@ -91,7 +86,7 @@ def over_people(
     by_person = np.stack([score.force.fingers_n[:, -len(people) :].T for score in scores], -1)
     off = [[not boards.fits(boards.worn_on(one.scene, person)) for person in people] for one in layouts]
     worst = np.where(np.transpose(off), -np.inf, by_person[:, 0]).argmax(0)
-    resolution = _Resolution(scores[0].force.objective.rules, cache, stop)
+    resolution = _Resolution(scores[0].force.objective.rules, cache)
     explained = [i for i, layout in enumerate(layouts) if i == 0 or layout.origin != "searched"]
     reasons = {i: _reason(resolution, layouts[i], people[worst[i]]) for i in explained}
     data = described(
@@ -133,7 +128,6 @@ class _Resolution:
 
     rules: Placement
     cache: PhotonMapCache
-    stop: Callable[[], bool]
     points: dict[Any, OperatingPoint] = field(default_factory=dict)
     light: dict[tuple[str, int], list[Arrivals]] = field(default_factory=dict)
 
@@ -174,8 +168,7 @@ class _Resolution:
             if shaped != usual:
                 tracer = cache.tracer(shaped, spacing_mm=PERSON_DISTANCE_MM if case in cache.people else None)
                 for i, batch in enumerate(batches):
-                    if self.stop():
-                        raise Stopped
+                    cache.check_time()
                     seed = batch_seed(cache.seed, cache.stream, usual, led, i)
                     batches[i] = tracer.arrivals(led, photons=batch.photons, seed=seed)
             self.light[key] = batches

@@ -305,9 +305,8 @@ def has_room_for(area: Rectangle, rules: Placement) -> bool:
     """Whether a part lies within the outline with its distance from the edge, and off holes and what is kept out."""
     center, (half_u, half_v) = area.center_mm, ((area.u_max - area.u_min) / 2, (area.v_max - area.v_min) / 2)
     box = Rectangle.around("", center, (2 * half_u, 2 * half_v))
-    for corners in rules.keep_out_mm:
-        if not has_room(center, (half_u, half_v), box.corners_mm, [corners]):
-            return False
+    if not has_room(center, (half_u, half_v), box.corners_mm, rules.keep_out_mm):
+        return False
     if rules.outline_mm is None:
         return True
     half = (half_u + rules.edge_mm, half_v + rules.edge_mm)

@@ -12,11 +12,12 @@ import xarray as xr
 
 from ...errors import InputError
 from ...scene import Scene
+from ...statistics import Array
 from ...variables import described, jackknifed
 from . import boards, candidates
 from .boards import PartT
 from .candidates import CandidateLayout
-from .objective import Array, Objective, score_layout
+from .objective import Objective, score_layout
 from .photon_maps import PERSON_DISTANCE_MM, PhotonMapCache
 
 STEP_MM, TURN_DEG = 0.5, 5.0
@@ -30,14 +31,11 @@ POWERED = {"dimmer": 1 - POWER, "brighter": 1 + POWER}
 KINDS = (*MOVED, *TURNED, *POWERED)
 
 
-def tolerances(
-    layout: CandidateLayout, cache: PhotonMapCache, objective: Objective, *, stop: Callable[[], bool]
-) -> xr.Dataset:
+def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> xr.Dataset:
     """How what layouts are ranked by changes on the fingers with each tolerance of a layout with resistors of its own.
 
     cache : has evaluated the layout. Another place of the board, its wall and edges straight where it is turned, or of
         an LED is traced; all else is read by the same light.
-    stop : whether there is no time to trace more.
 
     Returns: Dataset over toleranced_part (board, photodiodes, LEDs) and deviation, NaN of what is no tolerance of a
         part, has no room, or was not traced.
@@ -46,7 +44,7 @@ def tolerances(
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
     fingers = cache.conditions[: len(objective.points)]
     photons = min(PHOTONS, cache.most_photons or PHOTONS)
-    elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, batch_photons=photons, stop=stop)
+    elsewhere = replace(cache, conditions=fingers, distance_mm=PERSON_DISTANCE_MM, batch_photons=photons)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, changes = {led.name for led in scene.leds}, dict[tuple[str, str], Array]()
     for part, kind, vary in _varied(scene):

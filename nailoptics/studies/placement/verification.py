@@ -1,7 +1,7 @@
 """The best layout at close range: a fresh trace of its own board, and ambient light."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -39,14 +39,15 @@ COVERS = ("covered", "uncovered")
 FORWARD = 2
 
 
-def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: PhotonMapCache, **how: Any) -> Variables:
+def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: PhotonMapCache) -> Variables:
     """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
-    resolution; how : as of `trace_ambient`."""
+    resolution."""
     sources, traced = sources_of(scene), []
     options = TraceOptions(backend=cache.backend, store=cache.store is not None)
     for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
         on = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": cover_um})})
-        traced.append(trace_ambient(on, sources, options, photons=photons, **how))
+        how: dict[str, Any] = {"photons": photons, "seed": cache.seed, "check_time": cache.check_time}
+        traced.append(trace_ambient(on, sources, options, **how))
     current, error, _ = np.stack(traced, 1)
     dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
     data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
@@ -64,25 +65,18 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
     )
 
 
-def verify_layout(
-    layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds: float, stop: Callable[[], bool]
-) -> xr.Dataset:
-    """Everything about a layout on the first finger that the map of its bare board does not contain.
+def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds: float) -> xr.Dataset:
+    """Everything about a layout on the first finger that the map of its bare board does not contain; empty where the
+    cache is to stop before.
 
     cache : has evaluated the layout; the fresh trace has as many photons, unless time runs out, and some in any case.
     max_seconds : the fresh trace takes half of it at most, the rest is left to light from outside. [s]
-    stop : whether there is no time at all for one batch more; then the Dataset is empty.
     """
     begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.of(layout.board).photons
     scene, point = boards.worn_on(layout.scene, condition.case), condition.point
     tracer = cache.tracer(scene)
     blood = tuple(blood_point(scene, led, blood_fraction=point.blood_fraction) for led in range(len(scene.leds)))
     means: list[np.ndarray] = []
-
-    def check_time() -> None:
-        """Raise `Stopped` where there is no time for one batch more."""
-        if stop():
-            raise Stopped
 
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.
@@ -92,13 +86,13 @@ def verify_layout(
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < begin + max_seconds / 2):
             detections = []
             for i, at in enumerate(blood):
-                check_time()
+                cache.check_time()
                 seed = seed_of(cache.seed, FORWARD, i, len(means))
                 detections.append(tracer.detected(i, at, photons=per_batch, seed=seed))
             means.append(np.stack(detections))
         values = left_out(np.stack(means))
         data = described(__package__, checked_fraction=jackknifed(values[..., 0]))
-        data |= _ambient(scene, values[0], point, cache, seed=cache.seed, check_time=check_time)
+        data |= _ambient(scene, values[0], point, cache)
     except Stopped:
         return xr.Dataset()
     read = scene_responses(scene, np.moveaxis(values, 1, 0), point, replicates=True)
@@ -142,16 +136,13 @@ def verify_by_mitsuba(
     fresh = np.stack([verified.checked_fraction, verified.checked_fraction_stderr])
     # A path ends on one photodiode, so that their errors are independent.
     stock_sum, fresh_sum = (np.stack([of[0].sum(-1), np.linalg.norm(of[1], axis=-1)]) for of in (stock, fresh))
-    data = _over_fresh("mitsuba", ("led", "best_photodiode"), stock, fresh)
-    return xr.Dataset(data | _over_fresh("mitsuba_led", ("led",), stock_sum, fresh_sum))
+    return xr.Dataset(_over_fresh("mitsuba", stock, fresh) | _over_fresh("mitsuba_led", stock_sum, fresh_sum))
 
 
-def _over_fresh(name: str, dims: tuple[str, ...], stock: np.ndarray, fresh: np.ndarray) -> Variables:
+def _over_fresh(name: str, stock: np.ndarray, fresh: np.ndarray) -> Variables:
     """Light by stock Mitsuba over that of the fresh trace; both have values, then standard errors."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = stock[0] / fresh[0]
         error = ratio * np.hypot(stock[1] / stock[0], fresh[1] / fresh[0])
         z = (ratio - 1) / error
-    text = "light of an LED by stock Mitsuba over that of the fresh trace of the best layout"
-    data = variable(f"{name}_ratio", dims, ratio, text, stderr=error)
-    return data | variable(f"{name}_z", dims, z, "deviation of that ratio from 1, in standard errors")
+    return described(__package__, **{f"{name}_ratio": Estimate(ratio, error), f"{name}_z": z})

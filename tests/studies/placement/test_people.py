@@ -113,7 +113,7 @@ def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged):
     near, far = (score.force.fingers_n[0] for score in scores)
     assert near[3] < 0.2 and far[3] > 5 and (far[:3] < 0.5).all()
     assert scores[1].force.all_n[0] == far[3] and scores[0].force.all_n[0] == near[1:].max()
-    made = over_people(layouts, scores, cache, lambda: False)
+    made = over_people(layouts, scores, cache)
     assert made.people_off.values.tolist() == [0, 1]
     worst = np.array([near[1:].max(), far[1:3].max()])
     assert made.worst_resolution_n.values == pytest.approx(worst)
@@ -138,7 +138,7 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     on_finger = cache.conditions[:1]
     objective = objective_of(rules, on_finger)
     layout = replace(layouts[0], scene=cache.with_resistors(layouts[0].scene, layouts[0].board))
-    found = tolerances(layout, cache, objective, stop=lambda: False)
+    found = tolerances(layout, cache, objective)
     ranked = score_layout(layout, cache, objective).ranked
     brighter = [led.model_copy(update={"flux_mw": 1.25 * led.flux_mw}) for led in layout.scene.leds]
     with_power = replace(layout, scene=layout.scene.model_copy(update={"leds": tuple(brighter)}))
@@ -174,6 +174,6 @@ def test_a_board_for_several_fingers_is_glued_with_what_of_it_every_nail_bears(c
     layout, cache = place.given(base, rules)[0], cache_of(conditions)
     cache.extend(layout.board, 1 << 15)
     layout = replace(layout, scene=cache.with_resistors(layout.scene, layout.board))
-    found = tolerances(layout, cache, objective_of(rules, conditions), stop=lambda: False)
+    found = tolerances(layout, cache, objective_of(rules, conditions))
     glued = found.tolerance_ranking.sel(toleranced_part="board", deviation=["left", "right", "proximal", "distal"])
     assert np.isfinite(glued).all()

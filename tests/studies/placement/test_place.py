@@ -32,6 +32,7 @@ from nailoptics.studies.placement import (
     photon_maps,
     place,
     result,
+    row_design,
     search,
     sites,
 )
@@ -145,7 +146,7 @@ def test_a_planted_optimum_is_found():
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
     read = information.response(plane.over(areas)[0], scene, 0, scene.photodiodes[0], AT)
-    chosen, reached = search.coordinate_exchange(
+    chosen, reached = row_design.coordinate_exchange(
         information.fisher_information(read)[None],
         sites.PhotodiodePlaces(tuple(Rectangle("", *area) for area in areas), (), len(areas), (0.5, 0.5)),
         count=2,
@@ -260,7 +261,8 @@ def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
     cache, objective = photon_map_cache(conditions, seed=0, stream=1, blocks=16), None
     objective = Objective(rules, [condition.point for condition in conditions])
     cache.extend(layout.board, 1 << 15)
-    data = tolerances(layout, cache, objective, stop=lambda: True)
+    cache.stop = lambda: True
+    data = tolerances(layout, cache, objective)
     ratio = score_layout(moved, cache, objective).ranked / score_layout(layout, cache, objective).ranked
     last, second = (data.sel(toleranced_part=layout.scene.photodiodes[k].name) for k in (3, 1))
     to_tip = last.sel(deviation="distal")
@@ -410,7 +412,7 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
-    found = result._sites([search.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
+    found = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
     whole = xr.Dataset(found, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0

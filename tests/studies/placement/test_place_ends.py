@@ -63,7 +63,8 @@ def test_verification_of_the_best_layout_ends_within_a_batch(chosen_jit, scene, 
     cache = PhotonMapCache(conditions, seed=0, stream=1, backend="auto", blocks=1)
     calls, batches, traced = itertools.count(), [], BoardTracer.detected
     monkeypatch.setattr(BoardTracer, "detected", lambda *at, **how: batches.append(1) or traced(*at, **how))
-    assert not verification.verify_layout(layout, cache, max_seconds=1.0, stop=lambda: next(calls) >= last)
+    cache.stop = lambda: next(calls) >= last
+    assert not verification.verify_layout(layout, cache, max_seconds=1.0)
     assert len(batches) <= last
 
 

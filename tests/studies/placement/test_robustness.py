@@ -46,7 +46,7 @@ def ranked(chosen_jit):
         judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
     judged.extend(layouts[0].board, 1 << 19)
-    found = resolution_over_priors(layouts, rules, judged, stop=lambda: False)
+    found = resolution_over_priors(layouts, rules, judged)
     return base, rules, layouts, judged, found.assign_coords(layout=list(places))
 
 
@@ -94,15 +94,17 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     assert "Uncertainty over the priors" in spread_section(found)
 
 
-def test_without_time_only_complete_readings_are_reported(ranked):
+def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
     _, rules, layouts, judged, _ = ranked
     looks = itertools.count()
-    found = resolution_over_priors(layouts, rules, judged, stop=lambda: next(looks) >= 1)
+    monkeypatch.setattr(judged, "stop", lambda: next(looks) >= 1)
+    found = resolution_over_priors(layouts, rules, judged)
     assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
     calls = next(looks)
     assert calls == 2
-    assert not resolution_over_priors(layouts, rules, judged, stop=lambda: True)
+    monkeypatch.setattr(judged, "stop", lambda: True)
+    assert not resolution_over_priors(layouts, rules, judged)
 
 
 def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
@@ -115,7 +117,7 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
     judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
-    found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
+    found = resolution_over_priors([layout], rules, judged)
     retraced = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
     score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
     assert str(retraced.prior_how.values) == "retraced"
@@ -133,7 +135,7 @@ def test_unknown_waves_of_the_body_spread_the_resolution(ranked):
     layout = replace(layouts[0], board=board.model_copy(update={"priors": Priors(known=known)}))
     judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 18)
-    found = resolution_over_priors([layout], rules, judged, stop=lambda: False)
+    found = resolution_over_priors([layout], rules, judged)
     assert found.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]
     nodes = found.resolution_at_node_n.values[0, :, 0]
     assert np.all(np.diff(nodes) > 0) and nodes[2] > 1.5 * nodes[0]
