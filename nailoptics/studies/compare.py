@@ -186,12 +186,8 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     coords |= {"zone": capillary_zones(scene).names, "sweep": [s.over for s in sweeps], "model": MODELS, "way": WAYS}
     coords |= {"part": PARTS, "within": TOLERANCES}
     coords = {name: list(labels) for name, labels in coords.items()}
-    about: dict[str, Any] = {
-        "cpu_seconds": transfer.cpu_seconds,
-        "wall_seconds": transfer.wall_seconds,
-        "reused": int(transfer.reused),
-    }
-    about["title"] = "nailoptics: reduced optics against traced light"
+    about = {"title": "nailoptics: reduced optics against traced light", "reused": int(transfer.reused)}
+    about |= {name: getattr(transfer, name) for name in ("cpu_seconds", "wall_seconds")}
     return xr.Dataset(data, coords, transfer.attributes() | about)
 
 

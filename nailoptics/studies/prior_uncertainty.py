@@ -309,7 +309,10 @@ def readings_over_priors(
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
     def reread(varied: Scene, light: Transfer = transfer) -> np.ndarray:
-        return _quantities(read_by_groups(light, varied, states(varied)))
+        """Logarithms of the first reading and of the second as a part of it, (1 + groups, led, photodiode, 2) float."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = np.moveaxis(np.log(read_by_groups(light, varied, states(varied))), -1, 0)
+            return np.stack([first, second - first], -1)
 
     def retraced(varied: Scene) -> np.ndarray:
         plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
@@ -322,13 +325,6 @@ def readings_over_priors(
         signal=replace(result, answer=lambda values, _: np.expm1(values[..., 1])),
         untraced=() if own_traces else tuple(needing_traces),
     )
-
-
-def _quantities(read: np.ndarray) -> np.ndarray:
-    """Logarithms of the first reading and of the second as a part of it, of readings (..., 2), (..., 2) float."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, second = np.moveaxis(np.log(read), -1, 0)
-        return np.stack([first, second - first], -1)
 
 
 def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:

@@ -93,7 +93,7 @@ class ReadingTable:
     def same_led(self) -> Array:
         """Which LED each reading is of, (R, L) float: 1 or 0."""
         leds = [name.rpartition(":")[0] for name in self.names]
-        return np.array([[float(led == fromkey) for fromkey in dict.fromkeys(leds)] for led in leds])
+        return np.array([[float(led == each) for each in dict.fromkeys(leds)] for led in leds])
 
 
 def reading_names(scene: Scene) -> tuple[str, ...]:

@@ -113,13 +113,6 @@ def merged(changed: Iterable[Change]) -> Changes:
     return {table: fields for table, fields in out.items() if fields}
 
 
-def changes_of(scene: Scene) -> Iterator[Change]:
-    """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
-    yield from _parts(scene)
-    if scene.priors.spread:
-        yield from (_unknown(scene, prior) for prior in scene.finger_priors)
-
-
 def _unknown(scene: Scene, prior: Prior) -> Change:
     """A prior at that end of its range which is farther from the scene's value, on the prior's scale."""
     ends = (prior.low, value_of(scene, prior.field), prior.high)
@@ -131,8 +124,8 @@ def _unknown(scene: Scene, prior: Prior) -> Change:
     return Change(prior.name, True, text, {table: {name: end}}, unknown=True)
 
 
-def _parts(scene: Scene) -> Iterator[Change]:
-    """The scene's parts and effects, each with what leaves it out, or puts it in."""
+def changes_of(scene: Scene) -> Iterator[Change]:
+    """Every part and effect of a scene, then all priors, each with what leaves it out, or puts it in."""
     light, board, finger = scene.light, scene.board, scene.fingertip
     steps, similar, melanin = light.index_steps, light.similarity, finger.melanin_fraction
     text = "one index everywhere" if steps else "refraction where the index changes"
@@ -171,6 +164,8 @@ def _parts(scene: Scene) -> Iterator[Change]:
     if not board.cover_um:
         cover = type(board).model_fields["cover_um"].default
         yield Change("cover and decorative nail", False, "opaque cover", {"board": {"cover_um": cover}})
+    if scene.priors.spread:
+        yield from (_unknown(scene, prior) for prior in scene.finger_priors)
 
 
 # What makes an effect of a scene's readings and those of other scenes, and these, which are traced for it.

@@ -22,10 +22,9 @@ from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene
 from ...variables import Estimate, described
 from . import paired
-from .explain import ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
+from .explain import DEFAULT_TOLERANCE, ONE_WAVELENGTH, PART_WIDTH, Changes, changes_between, lines_of, revised
 from .paired import Estimates, PairedReadings, PairedTracer
 
-DEFAULT_TOLERANCE = 0.02
 # Costs of one level, measured twice, differ by about this part.
 COST_NOISE = 0.1
 REFERENCE, OWN = "full", "the scene itself"
