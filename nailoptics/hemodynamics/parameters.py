@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..assets import asset_path
-from ..checks import number
+from ..checks import number, positive
 from ..errors import InputError
 from ..scene import Body, Scene
 
@@ -134,7 +134,8 @@ def parameters(name: str = "listed") -> Parameters:
 
 def bounds(*, factor: float = 10.0) -> dict[str, tuple[float, float]]:
     """The range for tuning of each value: the listed one divided and multiplied by a factor, in the paper an order of
-    magnitude. P_H and P_L are the body's, not the model's, and stay out."""
+    magnitude. P_H and P_L are the body's, not the model's, and stay out. InputError unless it is above 1."""
+    positive("factor - 1", factor - 1.0)
     listed = Parameters().as_dict()
     left_out = _MAY_BE_ANY_SIGN + _BEYOND_THE_PAPER
     return {name: (value / factor, value * factor) for name, value in listed.items() if name not in left_out}

@@ -83,9 +83,11 @@ def test_body_pressures_may_have_any_sign_but_must_be_finite():
         p.replace(arterial_pressure_pa=math.nan)
 
 
-def test_unknown_sets_are_refused():
+def test_unknown_sets_and_factors_are_refused():
     with pytest.raises(InputError, match="'listd' is not a named set; use one of listed"):
         parameters("listd")
+    with pytest.raises(InputError, match="factor"):
+        bounds(factor=1.0)
 
 
 def test_zones_check_their_shapes_and_numbers():

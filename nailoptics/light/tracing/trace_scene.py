@@ -179,14 +179,10 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     """What to reach: as requested, else as the scene says, else a million photons."""
     given = {name: getattr(options, name) for name in Accuracy.model_fields}
     given = {name: value for name, value in given.items() if value is not None}
-    required = scene.accuracy
-    if given:
-        # Requesting photons alone sets the scene's tolerance aside; a time limit alone keeps it.
-        base = {} if {"photons", "relative_error"} & given.keys() else scene.accuracy.model_dump(exclude_none=True)
-        required = Accuracy(**(base | given))
-    if not required.model_dump(exclude_none=True):
-        return Accuracy(photons=DEFAULT_PHOTONS)
-    return required
+    # Requesting photons alone sets the scene's tolerance aside; a time limit alone keeps it.
+    if not {"photons", "relative_error"} & given.keys():
+        given = scene.accuracy.model_dump(exclude_none=True) | given
+    return Accuracy(**(given or {"photons": DEFAULT_PHOTONS}))
 
 
 def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: ProgressCallback | None = None) -> Ending:
