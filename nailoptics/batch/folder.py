@@ -117,7 +117,7 @@ class Folder:
                 raise InputError(f"{path}: {why}; use that one, or another folder.")
             if "asked" in data:  # its name until 0.2.0
                 data["required"] = data.pop("asked")
-            return Plan.model_validate_json(json.dumps(data))
+            return Plan.model_validate(data, strict=False)  # JSON has no tuples
         except PermissionError as error:
             line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
             raise InputError(line) from None
