@@ -121,9 +121,8 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
     from .report.pages.simulate import SIMULATION
     from .studies.simulate import simulate as study
 
-    loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, SIMULATION, recording)
-    result, unmet = _traced(study, loaded, picture=True, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], picture=True, options=options)
     paths = SIMULATION.write(result, folder)
     if recording is not None:
         from .studies.force.reading_table import record
@@ -237,11 +236,10 @@ def compare(
     from .studies.compare import compare as study
     from .studies.compare import verdict
 
-    loaded, _ = _load(scene, options)
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(options.output, scene, COMPARISON)
-    result, unmet = _traced(study, loaded, over=over, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], over=over, options=options)
     paths = COMPARISON.write(result, folder)
     decision = verdict(result, 0.05 if require is None else require, model=model)
     missed, line = require is not None and decision.outcome == "missed", verdict_line(decision)
@@ -271,9 +269,8 @@ def place(
     from .report.pages.placement import PLACEMENT
     from .studies.placement.place import place as study
 
-    loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, PLACEMENT)
-    result, unmet = _traced(study, loaded, verify_with_mitsuba=verify_with_mitsuba, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], verify_with_mitsuba=verify_with_mitsuba, options=options)
     paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
     _show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
 
@@ -392,8 +389,7 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
     from .studies.model_error.explain import explain as study
 
     _check_file(output, ".toml", "a scene file")
-    loaded, _ = _load(scene, options)
-    result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], tolerance=tolerance, options=options)
     paths = EXPLANATION.write(result, output.parent, stem=output.stem) if output else {}
     _show(EXPLANATION, result, paths, options.json, unmet)
 
@@ -411,9 +407,8 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
     from .report.pages.tradeoff import TRADEOFF
     from .studies.model_error.tradeoff import tradeoff as study
 
-    loaded, _ = _load(scene, options)
     folder = _results(options.output, scene, TRADEOFF)
-    result, unmet = _traced(study, loaded, tolerance=tolerance, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], tolerance=tolerance, options=options)
     _show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
 
 
@@ -565,8 +560,7 @@ def calibrate(
     from .studies.force.calibrate import calibrate as study
 
     _check_file(output, ".toml", "a subject file")
-    loaded, _ = _load(scene, options)
-    result, unmet = _traced(study, loaded, recordings, options=options)
+    result, unmet = _traced(study, _load(scene, options)[0], recordings, options=options)
     paths = CALIBRATION.write(result, output.parent, stem=output.stem)
     _show(CALIBRATION, result, {"subject": output, "report": paths["report"]}, options.json, unmet, output)
 

@@ -5,6 +5,6 @@ from .drive import Waveform
 from .parameters import NAMES, Parameters, bounds, parameters
 from .respond import respond
 from .steady import SteadyState, steady_state
-from .touch import Contact, creeping_pressure, spreading_pressure
+from .touch import Contact, relaxing_pressure, spreading_pressure
 from .waves import breathing_pressure, cardiac_pressure, vasomotion_pressure
 from .zones import PAPER_ZONES, Zones, zones_between

@@ -84,7 +84,7 @@ class Contact:
         return np.asarray(np.abs(finite("shear_n", shear_n)) / (1e-6 * self.side_areas_mm2(0.5)[1]))
 
 
-def creeping_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: ArrayLike) -> np.ndarray:
+def relaxing_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s: ArrayLike) -> np.ndarray:
     """The pressure that a touch leaves in the pulp, which yields at once and recovers slowly, (..., T) float. [Pa]
 
     time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
@@ -227,7 +227,7 @@ class TouchCourse:
             rows = spreading_pressure(time_s, rows, part=touch.creep, time_constant_s=touch.creep_s)
         if touch.distal_relaxation_s is not None:
             time_s, rows = _with_knots(time_s, rows, _relaxation_times_s(time_s, touch.distal_relaxation_s))
-            rows[1] = creeping_pressure(time_s, rows[1], relaxation_s=touch.distal_relaxation_s)
+            rows[1] = relaxing_pressure(time_s, rows[1], relaxation_s=touch.distal_relaxation_s)
         return [Waveform(time_s=time_s, pressure_pa=row) for row in rows]
 
 

@@ -15,7 +15,7 @@ from ..hemodynamics.blood import relative_blood
 from ..hemodynamics.parameters import Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
-from ..hemodynamics.touch import Contact, creeping_pressure
+from ..hemodynamics.touch import Contact, relaxing_pressure
 from ..hemodynamics.zones import PAPER_ZONES, Zones, zones_between
 from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
@@ -76,7 +76,7 @@ def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
     """A force over time on the proximal pulp, and the same on the distal pulp: two touches (Figs. 15-18)."""
     time = np.asarray(time_s, dtype=float)
     proximal, none = Contact(proximal_share=1.0).pressures(force_n)
-    distal = creeping_pressure(time, Contact(proximal_share=0.0).pressures(force_n)[1], relaxation_s=RELAXATION_S)
+    distal = relaxing_pressure(time, Contact(proximal_share=0.0).pressures(force_n)[1], relaxation_s=RELAXATION_S)
     return Protocol(time, np.array([[proximal, none], [none, distal]]))
 
 

@@ -11,8 +11,8 @@ from nailoptics.hemodynamics import (
     blood_fraction,
     breathing_pressure,
     cardiac_pressure,
-    creeping_pressure,
     parameters,
+    relaxing_pressure,
     spreading_pressure,
     steady_state,
     vasomotion_pressure,
@@ -106,18 +106,18 @@ def test_the_pulp_yields_at_once_and_recovers_slowly():
     coarse, fine = np.linspace(0.0, 4.0, 9), np.linspace(0.0, 4.0, 4001)
     corners = [0.0, 1.0, 1.5, 4.0], [0.0, 1e4, 2e3, 2e3]
     touches = [np.interp(time, *corners) for time in (coarse, fine)]
-    left = [creeping_pressure(t, p, relaxation_s=0.5) for t, p in zip((coarse, fine), touches, strict=True)]
+    left = [relaxing_pressure(t, p, relaxation_s=0.5) for t, p in zip((coarse, fine), touches, strict=True)]
     assert np.allclose(left[0], left[1][::500], rtol=1e-9)
     assert np.array_equal(left[1][fine <= 1.0], touches[1][fine <= 1.0]) and np.all(left[1] >= touches[1])
     held = fine >= 1.5
     beyond = left[1][held] - 2e3
     assert np.allclose(beyond, beyond[0] * np.exp(-(fine[held] - 1.5) / 0.5), rtol=1e-9)
-    assert np.array_equal(creeping_pressure(coarse, touches[0], relaxation_s=0.0), touches[0])
+    assert np.array_equal(relaxing_pressure(coarse, touches[0], relaxation_s=0.0), touches[0])
     # A jump down leaves all of the pressure at its instant, one up is followed.
-    jumps = creeping_pressure([0.0, 1.0, 1.0, 1.5, 1.5], [1e4, 1e4, 0.0, 0.0, 9e3], relaxation_s=0.5)
+    jumps = relaxing_pressure([0.0, 1.0, 1.0, 1.5, 1.5], [1e4, 1e4, 0.0, 0.0, 9e3], relaxation_s=0.5)
     assert np.allclose(jumps, [1e4, 1e4, 1e4, 1e4 * np.exp(-1.0), 9e3], rtol=1e-12)
     with pytest.raises(InputError, match="relaxation_s"):
-        creeping_pressure(coarse, touches[0], relaxation_s=-1.0)
+        relaxing_pressure(coarse, touches[0], relaxation_s=-1.0)
 
 
 def test_pulse_has_the_requested_mean_height_and_rate():

@@ -54,11 +54,6 @@ def page(exploration: Exploration) -> str:
     return document(**TEXTS["page"], body=body, attributes=exploration.attributes)
 
 
-def _half(values: np.ndarray) -> str:
-    """Numbers in half precision, as base64."""
-    return base64.b64encode(np.ascontiguousarray(values, "<f2").tobytes()).decode()
-
-
 def _tables(exploration: Exploration) -> dict[str, Any]:
     scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
     leds, fields = _led_kinds(exploration), [_fields(photodiode) for photodiode in scene.photodiodes]
@@ -123,8 +118,12 @@ def _colour(table: ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
     log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
-    halves = {name: _half(values) for name, values in (kernels | {"logFluence": log_fluence}).items()}
-    return {"nm": table.led.wavelength_nm, "photons": table.photons} | halves
+    halves = {
+        name: np.ascontiguousarray(values, "<f2") for name, values in (kernels | {"logFluence": log_fluence}).items()
+    }
+    return {"nm": table.led.wavelength_nm, "photons": table.photons} | {
+        name: base64.b64encode(half.tobytes()).decode() for name, half in halves.items()
+    }
 
 
 def _fields(part: Led | Photodiode) -> dict[str, Any]:

@@ -100,6 +100,8 @@ def calibrate_with(
         if stage.interrupted:
             raise KeyboardInterrupt(NO_SUBJECT)
 
+    # A dark slot, which is taken off, saturates readings below the converter's range.
+    recordings = [_without_saturated(recording, table.range_v) for recording in recordings]
     try:
         fit = Fit(recordings, table, nominal_finger(scene), free=_free(scene, recordings))
         fitted = fit.solve(lambda done: report(FITTED * done))
@@ -203,8 +205,8 @@ TOUCHED_N = 0.1
 RATE_PARTS, SAME_RATE = 5, 0.2
 # Longest usual step from sample to sample, and longest pause. [s]
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
-# Least number of a reading's samples at rest, and least valid part of all.
-LEAST_AT_REST, LEAST_PART = 10, 0.1
+# Least number of a reading's samples at rest, least valid part of all, and most that is saturated.
+LEAST_AT_REST, LEAST_PART, MOST_SATURATED = 10, 0.1, 0.01
 # A side lacks what it has less of than this part of the protocol's.
 ENOUGH = 0.4
 # Touches are quick whose force rises or falls by so much within a time; each side has so many of either. [N, s, 1]
@@ -224,13 +226,24 @@ def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
 
 def with_site(recording: Recording, scene: Scene) -> Recording:
     """The recording with its site; raises InputError unless it can be one of a calibration."""
-    if fault := next(_faults(recording, scene.electronics.adc_range_v), None):
+    if fault := next(_faults(recording), None):
         raise InputError(f"{recording.name}{fault}")
+    recording = _without_saturated(recording, scene.electronics.adc_range_v)
     return recording if recording.site is not None else replace(recording, site=site_of(scene, recording.time_s))
 
 
-def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
-    """Why a recording cannot calibrate: no force, no rest, times too far apart, readings saturated or missing."""
+def _without_saturated(recording: Recording, range_v: float) -> Recording:
+    """The recording with gaps where readings are at their converter's limit; raises InputError where too many are."""
+    saturated = electronics.recorded_at_limit(recording.volts, range_v)
+    for title, count in zip(recording.names, saturated.sum(1), strict=True):
+        if count > MOST_SATURATED * saturated.shape[1]:
+            why = f"column {title!r} is saturated ({range_v:g} V) in {count} samples; lower the LED's power."
+            raise InputError(f"{recording.name}: {why}")
+    return replace(recording, volts=np.where(saturated, np.nan, recording.volts))
+
+
+def _faults(recording: Recording) -> Iterator[str]:
+    """Why a recording cannot calibrate: no force, no rest, times too far apart, readings missing."""
     force_n, time_s, steps_s = recording.force_n, recording.time_s, np.diff(recording.time_s)
     if force_n is None:
         yield ": has no column force_n; calibrating needs the force in newtons."
@@ -255,11 +268,8 @@ def _faults(recording: Recording, limit_v: float) -> Iterator[str]:
         "(empty cells are gaps).": usual_s * len(steps_s) < 0.5 * steps_s.sum(),
     }
     for title, volts in zip(recording.names, recording.volts, strict=True):
-        at_limit, valid = int(electronics.recorded_at_limit(volts, limit_v).sum()), np.isfinite(volts)
+        valid = np.isfinite(volts)
         faults |= {
-            f"column {title!r} is saturated ({limit_v:g} V) in {at_limit} samples; lower the LED's power.": (
-                at_limit > 0.01 * len(volts)
-            ),
             f"column {title!r} has {valid.sum()} of {len(volts)} samples, {valid[rest].sum()} of them without a touch; "
             "record it throughout.": valid.mean() < LEAST_PART or valid[rest].sum() < LEAST_AT_REST,
         }

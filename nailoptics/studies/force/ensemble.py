@@ -110,7 +110,7 @@ class Ensemble:
     polynomial_n : by `terms_of`. [N] centres, kernel_n : (M, D) and (M,) float. [N]
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
-    open_from_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
+    open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
     weights : of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
 
@@ -125,7 +125,7 @@ class Ensemble:
     kernel_n: Numbers
     top_n: Annotated[float, Field(gt=0, le=MOST_GAIN)]
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
-    open_from_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
+    open_above_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     weights: dict[str, Annotated[float, Field(ge=0, le=MOST_GAIN)]]
     errors_n: dict[str, float]
 
@@ -135,7 +135,7 @@ class Ensemble:
         if "filter" not in self.weights:
             raise ValueError("weights have no filter")
         features, centres = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES), len(self.centres)
-        require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), open_from_n=(2,))
+        require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), open_above_n=(2,))
         require_shapes(self, polynomial_n=(len(self.terms.indices),), half_width_n=(2, HALF_WIDTH_TERMS))
         require_shapes(self, centres=(centres, features), kernel_n=(centres,))
 
@@ -158,7 +158,7 @@ class Ensemble:
         """Bounds (T,) of forces (T,) with a proximal share, the upper one infinite where vessels may be closed. [N]"""
         proximal_n, distal_n = self.half_width_n @ half_width_terms(features, force_n, len(self.components))
         half_n = share * proximal_n + (1.0 - share) * distal_n
-        is_open = force_n >= share * self.open_from_n[0] + (1.0 - share) * self.open_from_n[1]
+        is_open = force_n >= share * self.open_above_n[0] + (1.0 - share) * self.open_above_n[1]
         return np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n)
 
 

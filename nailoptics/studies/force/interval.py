@@ -77,7 +77,7 @@ class ForceInterval:
         closure_n_per_cm2 = self.person.closure_n_per_cm2()
         self._closed_n_per_cm2 = closure_n_per_cm2[:, None]
         root, rest_v = covariance_root(subject.covariance), subject.rest_v
-        # Of readings at rest: white noise and a minute's drift. [1/V^2]
+        # Of readings at rest: white noise and a minute's drift. [V^2]
         noise_v2 = np.outer(rest_v, rest_v) * subject.drift_covariance + np.diag(subject.readings.noise_v**2)
         self._information = np.linalg.inv(noise_v2)
         self._roots = [
@@ -88,8 +88,8 @@ class ForceInterval:
         covariance = self._calibration_covariance(np.diag(closure_n_per_cm2))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure_n_per_cm2
         # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
-        self.saturated_above_n = self.person.side_areas_cm2 * closure_n_per_cm2
-        self._least_closing_n = self.saturated_above_n * np.exp(-2 * part)
+        self.closed_above_n = self.person.side_areas_cm2 * closure_n_per_cm2
+        self._least_closing_n = self.closed_above_n * np.exp(-2 * part)
 
     def of(self, estimates: PressureEstimate) -> ForceEstimate:
         """The forces of some samples."""
@@ -105,7 +105,6 @@ class ForceInterval:
         middle, middle_share = self.person.force(pressure_n_per_cm2)
         highest_n_per_cm2 = np.quantile(pressures_n_per_cm2, QUANTILES[1], axis=2)
         is_closed = highest_n_per_cm2 >= self._closed_n_per_cm2
-        saturated = is_closed.any(0)
         # Past closure a harder touch reads the same: neither bound lies above it.
         low = np.minimum(low, np.where(is_closed, self._least_closing_n[:, None], np.inf).min(0))
         # Where rest is no less likely than the quantile, the bound is 0.
@@ -118,7 +117,7 @@ class ForceInterval:
         return ForceEstimate(
             force_n=middle,
             force_low_n=np.minimum(low, middle),
-            force_high_n=np.where(saturated, np.inf, np.maximum(high, middle)),
+            force_high_n=np.where(is_closed.any(0), np.inf, np.maximum(high, middle)),
             proximal_share=middle_share,
             proximal_share_low=np.where(nowhere, 0.0, share_low),
             proximal_share_high=np.where(nowhere, 1.0, share_high),
@@ -197,8 +196,8 @@ class ForceEstimator:
     def __init__(self, subject: Subject) -> None:
         self._ensemble, self._interval = subject.ensemble, ForceInterval(subject)
         # Force of a touch on either side from which its interval has no upper bound. [N]
-        open_from_n = self._ensemble.open_from_n if self._ensemble else self._interval.saturated_above_n
-        self.open_above_n = dict(zip(SIDES, open_from_n.tolist(), strict=True))
+        open_above_n = self._ensemble.open_above_n if self._ensemble else self._interval.closed_above_n
+        self.open_above_n = dict(zip(SIDES, open_above_n.tolist(), strict=True))
         self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, 0)))
         self._areas_cm2 = subject.person.side_areas_cm2[:, None]
 

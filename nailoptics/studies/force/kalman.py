@@ -188,7 +188,7 @@ class StateSpace:
         return np.asarray(moved)
 
     def sensed_touch(self, state: Array, relaxed_n_per_cm2: Array) -> Array:
-        """Coordinates of the touch less the relaxation of the pulp, 0 where that is larger."""
+        """Coordinates of the touch, less the pulp's relaxation up to that; from twice it on all, linear between."""
         lost = np.maximum(self.person.creep * relaxed_n_per_cm2, 1e-9)
         return np.asarray(state[TOUCH] - lost * np.clip(2.0 - state[TOUCH] / lost, 0.0, 1.0))
 

@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 
 from ...checks import Array, finite
 from ...errors import InputError
-from ...hemodynamics import Contact, creeping_pressure, spreading_pressure
+from ...hemodynamics import Contact, relaxing_pressure, spreading_pressure
 from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters, vessels
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
@@ -205,7 +205,7 @@ class Person:
         longest_step_s : samples further apart are walked in several steps. [s]
         """
         spread = spreading_pressure(time_s, pressure_n_per_cm2, part=self.creep, time_constant_s=self.creep_s)
-        spread = np.stack([spread[0], creeping_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
+        spread = np.stack([spread[0], relaxing_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
         outside = touch_on_walls(spread, np.asarray(self.distal_reach)[..., None])
         mean_pa = np.full(self.rest_m.shape[1:] + (1,), self.arterial_pa)
         high = np.broadcast_to(mean_pa if arterial_pa is None else arterial_pa, mean_pa.shape[:-1] + time_s.shape)

@@ -138,8 +138,8 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     estimated_n = ensemble.force_n(features[:, 0], series.by_filter.force_n)
     hard, proximal = series.force_n > TOP_N, series.by_filter.proximal_share > 0.5
     sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
-    open_from_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
-    ensemble = replace(ensemble, half_width_n=half_width_n, open_from_n=open_from_n)
+    open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
+    ensemble = replace(ensemble, half_width_n=half_width_n, open_above_n=open_above_n)
     return ensemble, _held_out_quality(terms, samples, held_out_n)
 
 
@@ -196,7 +196,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         kernel_n=share["kernel"] * solved["kernel"][0][-len(centres) :],
         top_n=float(force_n.max()),
         half_width_n=np.zeros((2, HALF_WIDTH_TERMS)),
-        open_from_n=np.full(2, TOP_N),
+        open_above_n=np.full(2, TOP_N),
         weights=share,
         errors_n=errors_n,
     )

@@ -1,5 +1,7 @@
 """Force under light from outside: what a calibration takes of it, and what an estimate does when it changes."""
 
+from dataclasses import replace
+
 import made_sensor
 import numpy as np
 import pytest
@@ -112,3 +114,15 @@ def test_behind_a_dark_slot_the_lamp_does_not_matter() -> None:
     for lux in (1000.0, None):
         summary = estimated(subject, lit(lux, "dark_slot"))
         assert summary["consistent"] and summary["touch_rms_n"] < 0.1
+
+
+def test_readings_that_saturate_beside_a_dark_slot_calibrate_nothing() -> None:
+    """Expected: of 400 samples three at the limit that the dark slot leaves are gaps; five are refused."""
+    table = replace(made_sensor.table(), range_v=3.5)
+    recording = made_sensor.record(made_sensor.cycle(1.5), "proximal", seed=1)
+    recording.volts[0, 200:203] = 3.5
+    result = calibrate_with(made_sensor.scene(), table, [recording])
+    assert np.flatnonzero(np.isnan(result.volts.values).any(0)).tolist() == [200, 201, 202]
+    recording.volts[0, 200:205] = 3.5
+    with pytest.raises(InputError, match=r"is saturated \(3.5 V\) in 5 samples"):
+        calibrate_with(made_sensor.scene(), table, [recording])

@@ -9,7 +9,7 @@ import pytest
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import creeping_pressure, spreading_pressure
+from nailoptics.hemodynamics import relaxing_pressure, spreading_pressure
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.person import USUAL_PULP, Pulp
 from nailoptics.studies.force.subject import parse_subject
@@ -53,8 +53,8 @@ def test_many_people_side_by_side_are_each_by_itself() -> None:
     touch[:, :, 5:25] = 1.0
     parts, times = np.array([0.0, 0.1, 0.4]), np.array([0.0, 0.2, 0.5])
     spread = spreading_pressure(time_s, touch, part=parts, time_constant_s=2.0)
-    left = creeping_pressure(time_s, touch, relaxation_s=times)
+    left = relaxing_pressure(time_s, touch, relaxation_s=times)
     for k in range(3):
         alone = spreading_pressure(time_s, touch[:, k], part=parts[k], time_constant_s=2.0)
         np.testing.assert_array_equal(spread[:, k], alone)
-        np.testing.assert_allclose(left[:, k], creeping_pressure(time_s, touch[:, k], relaxation_s=times[k]), atol=1e-8)
+        np.testing.assert_allclose(left[:, k], relaxing_pressure(time_s, touch[:, k], relaxation_s=times[k]), atol=1e-8)
