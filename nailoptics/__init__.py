@@ -25,12 +25,12 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if _HOMES[name] == ".":
         return importlib.import_module(f".{name}", __name__)
-    found = getattr(importlib.import_module(_HOMES[name], __name__), name)
-    if callable(found) and not isinstance(found, type):
+    attribute = getattr(importlib.import_module(_HOMES[name], __name__), name)
+    if callable(attribute) and not isinstance(attribute, type):
         from .options import spell_out
 
-        spell_out(found)
-    return found
+        spell_out(attribute)
+    return attribute
 
 
 def __dir__() -> list[str]:

@@ -110,7 +110,7 @@ def relaxing_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
 def spreading_pressure(
     time_s: ArrayLike, pressure_pa: ArrayLike, *, part: ArrayLike, time_constant_s: float
 ) -> np.ndarray:
-    """The pressure of a touch under which the pulp spreads by and by, (..., T) float. [Pa]
+    """The pressure of a touch under which the pulp creeps (spreads), (..., T) float. [Pa]
 
     time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
     pressure_pa : (..., T) float. Of the touch on a pulp that does not spread, linear between the times. [Pa]

@@ -29,8 +29,8 @@ class Script(str):
 
 def texts(page: str) -> dict[str, Any]:
     """The longer texts and the tables of words of a page, by their names in texts.toml."""
-    found = tomllib.loads(file_text("pages/texts.toml"))[page].items()
-    return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in found}
+    texts = tomllib.loads(file_text("pages/texts.toml"))[page].items()
+    return {name: " ".join(text.split()) if isinstance(text, str) else text for name, text in texts}
 
 
 @cache

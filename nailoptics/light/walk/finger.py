@@ -170,7 +170,7 @@ class FingerWalk:
             region = mi.UInt32(photon.region)
             u, phi = photon.rng.next_float32(), 2 * dr.pi * photon.rng.next_float32()
             scattered = rotate_direction(photon.w, sampling.henyey_greenstein(medium.g, u), phi)
-            # Whoever left keeps the way in which it did.
+            # A photon that left keeps the way in which it did.
             scatters = casts & ~hit & (photon.outcome == 0)
             photon.w = mi.Vector3f(dr.select(scatters, scattered, photon.w))
             accepted = self.meet_interface(photon, hit, triangle, u, phi)
@@ -191,7 +191,7 @@ class FingerWalk:
                     dr.scatter(self.ends.cosine, photon.w.z, photon.index)
                 photon = self.launch(photon.rng, lane, photon.index + lanes_in_all)
                 count -= 1
-            # Whoever ended has begun anew; so no loop carries this along.
+            # A photon that ended has begun anew; so no loop carries this along.
             photon.outcome = mi.UInt32(0)
             active &= count > 0
         return events
@@ -255,7 +255,7 @@ class FingerWalk:
         tissue = dr.gather(mi.UInt32, self.regions.tissue, photon.region)
         inside = [dr.select(tissue == k, segment.length, 0) for k in range(len(optics.TISSUES))]
         photon.path = [path + more for path, more in zip(photon.path, [*inside, *segment.beyond], strict=True)]
-        # Whoever leaves for ever leaves from the air.
+        # Photons that leave for ever leave from the air.
         left = dr.select(photon.region == self.regions.air, mi.UInt32(sampling.TOP), mi.UInt32(sampling.LOST))
         photon.outcome = dr.select(gone, left, photon.outcome)
         return hit, intersection.prim_index
@@ -295,7 +295,7 @@ class FingerWalk:
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
-            # Whoever meets a face from a region that does not touch it has slipped through an edge.
+            # A photon that meets a face from a region that does not touch it has slipped through an edge.
             photon.outcome = dr.select(here == photon.region, photon.outcome, mi.UInt32(sampling.LOST))
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)

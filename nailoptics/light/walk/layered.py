@@ -190,7 +190,7 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
             ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
             photon = _launch(layers, photon.rng, photon.index + lanes_in_all)
             count -= 1
-        # Whoever ended has begun anew; so no loop carries this along.
+        # A photon that ended has begun anew; so no loop carries this along.
         photon.outcome = mi.UInt32(0)
         active &= count > 0
     return events

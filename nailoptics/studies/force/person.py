@@ -70,8 +70,8 @@ def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -
 def require_shapes(table: Any, **shapes: tuple[int, ...]) -> None:
     """Raise ValueError where an array of a table has another shape."""
     for name, shape in shapes.items():
-        if (found := getattr(table, name).shape) != shape:
-            raise ValueError(f"{name} has shape {found}, not {shape}")
+        if (own := getattr(table, name).shape) != shape:
+            raise ValueError(f"{name} has shape {own}, not {shape}")
 
 
 def _plausible(vessels: Parameters) -> Parameters:

@@ -126,7 +126,7 @@ def _least_tangent(
     for k, (_, values, slopes) in enumerate(tangents):
         cuts.append(np.hstack([slopes, np.tile(-np.eye(figures)[k], (len(values), 1))]))
         ends.append(slopes @ weights - values)
-    found = linprog(
+    solution = linprog(
         np.append(np.zeros(free), [weight for weight, *_ in tangents]),
         A_ub=vstack([hstack([windows, csr_array((windows.shape[0], figures))]), csr_array(np.vstack(cuts))]),
         b_ub=np.concatenate([np.ones(windows.shape[0]), *ends]),
@@ -135,7 +135,7 @@ def _least_tangent(
         bounds=[*((0.0, end) for end in most), *[(None, None)] * figures],
         method="highs",
     )
-    return (float(found.fun), found.x[:free]) if found.success else (-np.inf, weights)
+    return (float(solution.fun), solution.x[:free]) if solution.success else (-np.inf, weights)
 
 
 def _site_bound(design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf) -> Bound:

@@ -70,7 +70,7 @@ class PhotodiodePlaces:
         most, half = ahead.max(), np.abs(aside).max()
         table = np.full((most + 1, 2 * half + 1), -1)
         table[ahead[usable], half + aside[usable]] = np.flatnonzero(usable)
-        found = []
+        patterns = []
         for columns in (n for n in range(1, count + 1) if count % n == 0):
             rows = count // columns
             for part, of_aside, start, less in product(PARTS, PARTS, (0.5, 0.0, 1.0), (0, 1)):
@@ -83,8 +83,8 @@ class PhotodiodePlaces:
                 lines = first + steps[0] * np.arange(columns), half + steps[1] * (2 * np.arange(rows) - rows + 1)
                 cells = table[np.ix_(*lines)].ravel().tolist()
                 if min(cells) >= 0:
-                    found.append(cells)
-        return found
+                    patterns.append(cells)
+        return patterns
 
     def is_straight(self, places: list[int]) -> bool:
         """Whether free places lie in one straight row."""
