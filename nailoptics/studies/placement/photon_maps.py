@@ -23,6 +23,7 @@ from .boards import Person
 
 # Part of the photons of a finger that a person has, and the cells of the distances of its walk. [mm]
 PERSON_SHARE, PERSON_DISTANCE_MM = 0.5, 0.4
+LEAST_PHOTONS = 4096  # fewer say too little of a layout
 
 
 def batch_seed(seed: int, stream: int, traced: Scene, led: int, batch: int) -> int:
@@ -78,7 +79,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
-    batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED in search and tolerances.
+    batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED; bounds batches, too.
     store : the cache of traced light.
     stop : whether nothing more is to be traced, tested before every batch.
     """
@@ -150,8 +151,8 @@ class PhotonMapCache:
                 worn, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
                 members.append((by_led[led], blood_point(worn, led, blood_fraction=blood)))
         per_batch = self.batch_photons or tracer.batch_photons
-        if not members:
-            per_batch = round(min(photons, per_batch))
+        if self.most_photons or not members:
+            per_batch = round(min(max(photons, LEAST_PHOTONS), per_batch))
         for _ in range(max(1, round(photons / per_batch))):
             if self.stop():
                 return

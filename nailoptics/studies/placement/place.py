@@ -54,7 +54,7 @@ def place(
 
     verify_with_mitsuba : also read the best layout by stock Mitsuba, for minutes past max_seconds; what an interrupted
         run has traced of this is taken from the store.
-    photons : per layout, LED and finger, in place of a tolerance; the search and the tolerances take no more, either.
+    photons : per layout, LED and finger, 4096 at least, in place of a tolerance; search and tolerances take no more.
     relative_error : the evaluation ends when the best is distinguished from all others or every score is known so
         well; 0.02 if nothing is requested.
     max_seconds : wall time after which it ends in any case; 480 if nothing is requested. [s]

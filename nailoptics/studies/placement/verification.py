@@ -80,7 +80,7 @@ def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds
 
     batches = max(LEAST_BATCHES, photons // tracer.batch_photons)
     # Where time is short, the batches that must be are small ones.
-    least = round(LEAST_PART * tracer.batch_photons)
+    least = round(LEAST_PART * min(photons, tracer.batch_photons))
     per_batch = least if max_seconds <= LEAST_BATCHES * SHORT_S else max(least, photons // batches)
     try:
         while len(means) < LEAST_BATCHES or (len(means) < batches and time.perf_counter() < begin + max_seconds / 2):

@@ -15,7 +15,7 @@ from small_scenes import TWO_LAYOUTS as SCENE
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
-from nailoptics.light.board_map import Arrivals, PhotonMap
+from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
@@ -35,6 +35,7 @@ from nailoptics.studies.placement import (
     row_design,
     search,
     sites,
+    verification,
 )
 from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
 from nailoptics.studies.placement.tolerances import MOVED, _varied, tolerances
@@ -325,6 +326,23 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     best = search.shortlist(base, rules, tried)[0].scene.layout
     assert best.leds[0].center_mm[1] > 1.0
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
+
+
+def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene):
+    """Of a board, and by the fresh trace of its layout; a tolerance takes whole batches."""
+    base, rules = boards.base_board(scene), boards.rules(scene)
+    layout, asked = place.given(base, rules)[0], 5000
+    conditions = [place.finger_condition(base, FingerCase(name="one"), rules)]
+    cache = photon_map_cache(conditions, seed=0, stream=1, blocks=4)
+    cache.most_photons = asked
+    cache.extend(layout.board, asked)
+    assert cache.photons == cache.of(layout.board).photons == asked
+    traced = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(BoardTracer, "detected", lambda *_, photons, **__: traced.append(photons) or np.ones((4, 4)))
+        patch.setattr(verification, "_ambient", lambda *_: {})
+        verification.verify_layout(layout, cache, max_seconds=1e6)
+    assert 0.9 * asked < sum(traced) <= asked
 
 
 @pytest.mark.parametrize("body", [False, True])

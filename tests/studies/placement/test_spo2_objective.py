@@ -81,7 +81,7 @@ def test_a_placement_ranks_given_layouts_by_oxygen(chosen_jit, monkeypatch):
     # The verification of the best and its tolerances, which are of force, take minutes.
     for name in ("verify_layout", "tolerances"):
         monkeypatch.setattr(f"nailoptics.studies.placement.place.{name}", lambda *_, **__: xr.Dataset())
-    result, _ = as_far_as_reached(place, requested, photons=1 << 16, seed=3)
+    result, _ = as_far_as_reached(place, requested, photons=1 << 18, seed=3)
     error, stderr = result.spo2_error_percent.values, result.spo2_error_percent_stderr.values
     assert list(result.layout.values) == ["near", "far"] and error[0] < error[1]
     assert np.all(stderr > 0) and np.all(stderr < 0.5 * error)
