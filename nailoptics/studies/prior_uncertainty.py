@@ -298,13 +298,13 @@ def readings_over_priors(
     """The uncertainty of a scene's readings in two blood states due to its priors.
 
     states : a scene's two states, (2, zones) float.
-    options : seed and backend of the traces of their own, and the time for all of them.
+    options : seed and backend of the traces of their own, for all of which half of the time is.
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     """
     scene = transfer.scene
     needing_traces = [prior for prior in scene.finger_priors if not only_absorbs(scene, prior)]
     evaluated = [prior for prior in scene.finger_priors if prior not in needing_traces]
-    limit = None if options.max_seconds is None else options.max_seconds / max(2 * len(needing_traces), 1)
+    limit = None if options.max_seconds is None else options.max_seconds / max(4 * len(needing_traces), 1)
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 

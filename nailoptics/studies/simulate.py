@@ -43,6 +43,8 @@ def simulate(
     scene = as_scene(scene)
     cpu, begin = time.process_time(), time.perf_counter()
     options = TraceOptions(**requested)
+    if options.max_seconds and scene.priors.spread and not (options.relative_error or options.photons):
+        requested["max_seconds"] = options.max_seconds / 2  # the other half is for the priors
     if scene.finger is None:
         raise InputError("simulate needs a [finger] scene; a [phantom] has no blood, use trace for its light.")
     if scene.ambient is not None:
@@ -57,7 +59,7 @@ def simulate(
     if scene.priors.spread and transfer is not None:
         # A trace that was cut short is followed by none.
         own_traces = scene.priors.own_traces is not False and not unmet
-        result = result.merge(_spread(course, transfer, options, progress, own_traces=own_traces))
+        result = result.merge(_spread(course, transfer, options, progress, own_traces))
     if (full := result.saturated.any(("led", "time")).values).any():
         how = 'lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it)'
         log.warning("saturated: %s; %s.", ", ".join(result.photodiode.values[full]), how)
@@ -90,7 +92,6 @@ def _spread(
     transfer: Transfer,
     options: TraceOptions,
     progress: ProgressCallback | None,
-    *,
     own_traces: bool,
 ) -> xr.Dataset:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""

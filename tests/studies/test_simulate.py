@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import tracemalloc
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -379,6 +380,23 @@ def test_too_little_time_gives_what_was_reached(chosen_jit):
     assert isinstance(result, xr.Dataset) and "\n" not in str(caught.value)
     assert_well_described(result)
     assert result.attrs["photons"] > 0 and result.volts.notnull().all()
+
+
+def test_half_of_the_time_is_left_to_the_priors(monkeypatch):
+    """Where time alone ends the trace, which would take all of it; not where it is a limit beside another aim."""
+    asked = []
+
+    def light(scene, **requested):
+        asked.append(requested["max_seconds"])
+        raise InputError("enough")
+
+    monkeypatch.setattr(import_module("nailoptics.studies.simulate"), "worn_light", light)
+    for options in ({}, {"photons": 1000}, {"relative_error": 0.1}):
+        with pytest.raises(InputError, match="enough"):
+            simulate(prototype(), max_seconds=8, **options)
+    with pytest.raises(InputError, match="enough"):
+        simulate(prototype().with_({"priors.spread": False}), max_seconds=8)
+    assert asked == [4, 8, 8, 8]
 
 
 @pytest.mark.jit
