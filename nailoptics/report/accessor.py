@@ -87,9 +87,7 @@ class Nail:
         if path is not None and Path(path).suffix != ".html":
             return self._shown("the report", self._report.write, folder=Path(path), **options)
         page = Page(self._shown("the report", self._report.page))
-        if path is None:
-            return page
-        return write_files(Path(path).parent, {Path(path).name: page})
+        return page if path is None else write_files(Path(path).parent, {Path(path).name: page})
 
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers and texts, as the command prints them with --json."""
@@ -97,8 +95,9 @@ class Nail:
 
     def _shown(self, what: str, show: Callable[..., Any], **options: Any) -> Any:
         """Call a function of the result; raises InputError for one that was cut or joined and lacks what is shown."""
+        result = self._result.load() if hasattr(self._result, "attrs") else self._result  # a file at once
         try:
-            return show(self._result, **options)
+            return show(result, **options)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"{what} needs what this does not hold; show the whole result, as returned.") from error
 

@@ -50,6 +50,15 @@ def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make
         assert result.nail.report() == written["report"].read_text("utf-8")
 
 
+def test_a_file_is_read_once(make, tmp_path):
+    """Expected: what is shown later needs it no more; each lazy value that was looked up cost milliseconds."""
+    path = make(leds=1).assign_attrs(TITLE).nail.report(tmp_path)["result"]
+    with xr.open_dataset(path) as result:
+        summary = result.nail.summary()
+    path.unlink()
+    assert result.nail.summary() == summary and result.nail.report() and result.nail.plot()
+
+
 def test_what_a_result_does_not_hold_is_said(make):
     result = make(section=False).assign_attrs(TITLE)
     with pytest.raises(nail.InputError, match='figure = "spectrum" is unknown; choose from readings, touch'):
