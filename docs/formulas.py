@@ -28,7 +28,7 @@ def svg(latex: str) -> str:
     width, height = (float(re.search(rf'{name}="([\d.]+)pt"', drawing)[1]) / PT_PER_EM for name in ("width", "height"))
     look = f"width:{width:.3f}em;height:{height:.3f}em;vertical-align:{-depth / PT_PER_EM:.3f}em"
     spoken = latex.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    return drawing.replace("<svg", f'<svg class="formula" role="img" aria-label="{spoken}" style="{look}"', 1)
+    return drawing.replace("<svg", f'<svg class="formula" role="img" aria-label="{spoken}" style="{look}"', 1).strip()
 
 
 def inline(translator: Any, node: Any) -> None:

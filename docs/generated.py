@@ -1,16 +1,20 @@
 """Documentation generated from the code: `<!-- NAME -->` in a page is replaced by the text of that name."""
 
+import ast
 import inspect
+import itertools
 import json
 import re
 import statistics
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import nailoptics
 from nailoptics.light.identity import light_digest
+from nailoptics.options import TraceOptions
 from nailoptics.report.pages import validate as validation_page
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.base import Table
@@ -290,8 +294,46 @@ def _rst(text: str) -> str:
     return f"```{{eval-rst}}\n{text}```\n"
 
 
+# Parameters that many functions have.
+USUAL = {
+    "scene": 'a scene, the path of its file, or the name of a shipped one, such as "prototype".',
+    "progress": "called with how far the study is; `show_progress` shows it in a line.",
+    "workers": "processes on this machine; one per core if not given.",
+    "scheduler": "address of a Dask scheduler in place of local workers.",
+    "path": "of the file.",
+    "folder": "the folder, such as that of a sweep.",
+    "text": "the scene as TOML.",
+    "name": "of the scene in errors.",
+}
+
+
+@lru_cache
+def usual_parameters() -> dict[str, str]:
+    """What parameters are that a docstring does not say, as they are alike everywhere: above all options of a trace."""
+    words = dict(USUAL)
+    for name, one in json_schema()["$defs"]["Viewing"]["properties"].items():
+        words[name] = " ".join(one["description"].split()) + " As [colour] says if not given."
+    (options,) = ast.parse(inspect.getsource(TraceOptions)).body
+    for field, text in itertools.pairwise(options.body):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            said = " ".join(text.value.value.split())
+            words[field.target.id] = said[0].lower() + said[1:]
+    return words
+
+
+def undescribed(one: object, lines: list[str]) -> list[str]:
+    """Lines for parameters of a function that its docstring leaves to `usual_parameters`."""
+    if not inspect.isfunction(one):
+        return []
+    described = {name for line in lines for name in re.findall(r"(\w+)(?=[\w, ]* : )", line)}
+    words = usual_parameters()
+    names = [name for name in inspect.signature(one).parameters if name in words and name not in described]
+    return [f"{name} : {words[name]}" for name in names]
+
+
 def as_markup(app: object, what: str, name: str, one: object, options: object, lines: list[str]) -> None:
     """Turn a docstring in this project's style into reStructuredText, arguments as fields."""
+    lines += [*undescribed(one, lines), ""]
     written: list[str] = []
     entry: list[str] = []
 
@@ -308,7 +350,8 @@ def as_markup(app: object, what: str, name: str, one: object, options: object, l
         )
         if argument or section:
             end()
-            names = argument[1].split(", ") if argument else []
+            # `**requested` is spelled out in signatures.
+            names = argument[1].replace("requested", "options").split(", ") if argument else []
             entry += ["\n".join(f":param {one}:" for one in names), argument[2]] if argument else []
             if section:
                 entry += [f":{section[1].lower()}:" if section[1] == "Returns" else f":{section[1]}:", section[2]]
@@ -318,7 +361,21 @@ def as_markup(app: object, what: str, name: str, one: object, options: object, l
             end()
             written.append(line)
     end()
-    lines[:] = [*written, ""]
+    lines[:] = [*in_order(one, written), ""]
+
+
+def in_order(one: object, written: list[str]) -> list[str]:
+    """The lines of a function with its parameters before all other fields, as in its signature."""
+    order = (
+        {f":param {name}": i for i, name in enumerate(inspect.signature(one).parameters)}
+        if inspect.isfunction(one)
+        else {}
+    )
+    parameters = [line for line in written if line.startswith(":param ")]
+    others = [line for line in written if not line.startswith(":param ")]
+    first = next((i for i, line in enumerate(others) if line.startswith(":")), len(others))
+    parameters.sort(key=lambda line: order.get(line[: line.index(":", 1)], len(order)))
+    return [*others[:first], *parameters, *others[first:]]
 
 
 def _marked(line: str) -> str:

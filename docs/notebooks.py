@@ -1,8 +1,7 @@
 """Pages whose code is run when they are built: with how many photons, their downloads, thumbnails of their pictures.
 
 A page is run in a folder of its own by myst-nb. With NAILOPTICS_DOCS=quick in the environment, as tests build them,
-commands and functions that trace light take few photons, recordings few samples, and pages that say `quick: false` on
-top are not run.
+commands and functions that trace light take few photons, and recordings few samples.
 """
 
 import hashlib
@@ -11,6 +10,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Any
 
 from docutils import nodes
@@ -24,13 +24,12 @@ from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
 PHOTONS = 20_000
-# On top of a page that is not run, whose language no kernel says.
-UNEXECUTED = '\nmystnb:\n  execution_mode: "off"\nlanguage_info:\n  name: python\n  pygments_lexer: ipython3\n---\n'
 # Shipped scenes that pages record, and what makes a recording of them cheap.
 SHORT = {
     "calibration": {"touch.sample_rate_hz": 2.5, "priors.spread": False},
     "dynamic_proximal": {"priors.spread": False},
 }
+WRAP = TextWrapper(110, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
 TRACING = re.compile(
     r"^(nailoptics (?:simulate|trace|compare|calibrate|oximeter|colour|place|tradeoff|explain|explore)\b.*)$", re.M
@@ -40,13 +39,9 @@ LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons
 
 
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
-    """Before a page is read: what it runs takes few photons and samples, or is not run, where pages are only tried."""
-    page = source[0]
-    if not QUICK or not page.startswith("---\nfile_format: mystnb"):
-        return
-    if "\nquick: false\n" in page.partition("\n---\n")[0] + "\n":
-        page = page.replace("\n---\n", UNEXECUTED, 1)
-    source[0] = CELL.sub(lambda cell: with_short_scenes(app, with_limit(cell[0], PHOTONS)), page)
+    """Before a page is read: what it runs takes few photons and samples, where pages are only tried."""
+    if QUICK and source[0].startswith("---\nfile_format: mystnb"):
+        source[0] = CELL.sub(lambda cell: with_short_scenes(app, with_limit(cell[0], PHOTONS)), source[0])
 
 
 def with_short_scenes(app: Any, cell: str) -> str:
@@ -132,6 +127,15 @@ def write_downloads(app: Any, failure: Exception | None) -> None:
             target.write_text(json.dumps(notebook, indent=1), encoding="utf-8")
 
 
+def wrap_outputs(app: Any, doctree: nodes.document, page: str) -> None:
+    """Sentences that a cell printed end where the page does; tables stay whole, and scroll."""
+    for output in doctree.findall(lambda node: "cell_output" in node.get("classes", ()) if node.children else False):
+        for block in output.findall(nodes.literal_block):
+            text = "\n".join(line if "  " in line.strip() else WRAP.fill(line) for line in block.astext().split("\n"))
+            block.children, block.rawsource = [], text
+            block += nodes.Text(text)
+
+
 # Thumbnails
 
 
@@ -190,6 +194,7 @@ def setup(app: Any) -> None:
     app.add_node(thumbnails)
     app.connect("builder-inited", write_short_scenes)
     app.connect("source-read", with_few_photons)
+    app.connect("doctree-resolved", wrap_outputs)
     app.connect("doctree-resolved", fill_thumbnails)
     app.connect("html-page-context", offer_download)
     app.connect("build-finished", write_downloads)

@@ -49,7 +49,7 @@ def test_the_designers_notebook_runs(jit_backend, fewer_photons, tmp_path, monke
     board = block((DOCS / "tutorials/kicad.md").read_text(encoding="utf-8"), "%%writefile sensor.kicad_pcb")
     Path("sensor.kicad_pcb").write_text(board, encoding="utf-8")
     made: dict = {}
-    quick = re.sub(r"max_seconds=\d+", f'photons=3000, backend="{jit_backend.name}"', code)
+    quick = re.sub(r"(?:relative_error|photons)=[\d._]+", f'photons=3000, backend="{jit_backend.name}"', code)
     with fewer_photons():
         exec(quick.replace('placement={"photodiodes": 2}', GIVEN), made)
     assert made["touch"].volts.sizes["photodiode"] == 2 and made["moved"].leds[0].position_mm == (-2.0, 0.5)

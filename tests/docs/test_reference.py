@@ -1,6 +1,7 @@
 """The generated reference: no field, command or public name without its words, no number without its unit."""
 
 import ast
+import inspect
 import json
 import re
 import runpy
@@ -136,3 +137,18 @@ def test_every_variable_of_a_study_is_documented():
     made = {name: path for name, path in names_in_code() if path != "studies/force/calibrate.py"}
     assert len(made) > 70
     assert {name: path for name, path in made.items() if name not in documented} == {}
+
+
+def test_every_parameter_of_a_public_function_has_its_words():
+    """Of what the docstring says, and of what is alike everywhere."""
+    generated, counted = runpy.run_path(str(DOCS / "generated.py")), 0
+    for name in nailoptics.__all__:
+        one = getattr(nailoptics, name)
+        if inspect.isfunction(one):
+            lines = (inspect.getdoc(one) or "").splitlines()
+            generated["as_markup"](None, "function", name, one, None, lines)
+            written = [line.split(":")[1] for line in lines if re.match(r":param \w+: \w", line)]
+            named = [f"param {parameter}" for parameter in inspect.signature(one).parameters]
+            assert {*named} <= {*written} and len({*written}) == len(written), name
+            counted += len(named)
+    assert counted > 100
