@@ -162,6 +162,11 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
         )
         assert displayed["volts"] == pytest.approx(float(expected.volts), rel=1e-9)
         assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
+        budget = displayed["noise"]
+        of_causes = [
+            budget[c] for c in ("shot noise", "feedback resistor", "shunt resistance", "amplifier", "converter")
+        ]
+        assert of_causes == pytest.approx([float(v2) for v2 in expected.noise[:5]], rel=1e-6, abs=1e-20)
         assert displayed["saturated"] == bool(expected.saturated)
 
 
@@ -227,6 +232,24 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             [given, force_n, scene.blood.rest_blood_fraction],
         )
         assert displayed == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_noise_budget_of_a_pair_has_all_causes_of_its_variance(shown: Any, explored: Exploration):
+    """Expected: electronics add up to the reading's noise; waves, drift and lift are place's."""
+    force_n = float(explored.touch["force_n"][12])
+    row, budget = shown.evaluate(
+        "force => (row => [row, noiseBudget(row, { ...workbench.layout, force })])(workbench.result.rows[0])", force_n
+    )
+    assert sum(row["noise"].values()) == pytest.approx(row["noiseV2"], rel=1e-12)
+    body = operating_point(explored.scene, force_n, since_rest_s=60.0).body
+    if body is None:
+        assert budget == row["noise"]
+        return
+    zone, light = np.array(row["zone"]), row["light"]
+    assert budget["waves of the body"] == pytest.approx(float(np.sum((zone @ body.blood) ** 2)), rel=1e-6)
+    assert budget["drift"] == pytest.approx(light**2 * (body.led_drift**2 + body.reading_gain**2), rel=1e-6)
+    assert budget["lift"] == pytest.approx(light**2 * body.lift**2, rel=1e-6)
+    assert len(shown.locator("#noise li").all()) >= 2
 
 
 def test_the_blood_under_a_force_is_that_of_the_vessels(shown: Any, explored: Exploration):
@@ -409,6 +432,55 @@ def test_keys_move_turn_remove_and_undo(shown: Any, explored: Exploration):
     assert shown.evaluate(where) == start
     shown.keyboard.press("Control+Shift+z")
     assert shown.evaluate(where)[0][1] == pytest.approx(v0 + 0.05)
+
+
+@on_one_page
+def test_parts_snap_align_and_mirror_beside_their_distances(shown: Any, explored: Exploration):
+    led = explored.scene.leds[0].name
+    grip = shown.locator(f'#board .part[data-name="{led}"] .grip').bounding_box()
+    shown.select_option("#snap", "0.25")
+    shown.mouse.move(grip["x"] + grip["width"] / 2, grip["y"] + grip["height"] / 2)
+    shown.mouse.down()
+    shown.mouse.move(grip["x"] - 20, grip["y"] - 30, steps=4)
+    shown.wait_for_selector("#board text.separation")
+    u, v = shown.evaluate("[workbench.layout.leds[0].u, workbench.layout.leds[0].v]")
+    assert (4 * u, 4 * v) == (round(4 * u), round(4 * v)) and v > 0.25
+    # The nearest element of each photodiode.
+    away_mm: dict[str, list[float]] = {}
+    for name, area in ((e.name, e.area) for e in explored.scene.layout.photodiodes):
+        away_mm.setdefault(name.split(".")[0], []).append(math.dist(area.center_mm, (u, v)))
+    nearest = sorted(min(each) for each in away_mm.values())
+    assert shown.locator("#board text.separation").all_text_contents() == [f"{d:.2f} mm" for d in nearest]
+    shown.mouse.up()
+    assert shown.locator("#board text.separation").count() == 0
+    shown.click("#mirror-v")
+    assert shown.evaluate("workbench.layout.leds[0].v") == -v
+    read = "workbench.result.rows.map((row) => [row.element.u, row.element.v])"
+    shown.evaluate("choosePart(workbench.layout.photodiodes[0].name)")
+    before = np.array(shown.evaluate(read))
+    shown.click("#mirror-v")
+    of_part = shown.evaluate("workbench.result.rows.map((row) => row.element.of === workbench.layout.photodiodes[0])")
+    mirrored = np.where(np.array(of_part)[:, None], before * (1, -1), before)
+    assert sorted(shown.evaluate(read)) == pytest.approx(np.array(sorted(mirrored.tolist())), abs=1e-9)
+    shown.evaluate(f"choosePart('{led}')")
+    shown.click("#align-v")
+    others = shown.evaluate("workbench.layout.photodiodes.map((part) => part.v)")
+    assert shown.evaluate("workbench.layout.leds[0].v") == min(others, key=lambda other: abs(other + v))
+
+
+@on_one_page
+def test_a_layout_and_the_scenes_own_change_places(shown: Any, explored: Exploration):
+    """Expected: while a layout differs its figure stands beside the scene's own; A/B shows either."""
+    where = "workbench.layout.leds[0].v"
+    own_v, own = shown.evaluate(where), shown.locator("#cards li").first.inner_text().split()[0]
+    assert shown.is_disabled("#other")
+    shown.evaluate("change((layout) => { layout.leds[0].v += 0.5; })")
+    mine, beside = (shown.locator("#cards li").nth(k).inner_text().split()[0] for k in (0, 1))
+    assert beside == own != mine
+    shown.click("#other")
+    assert shown.evaluate(where) == own_v and shown.locator("#cards li").first.inner_text().split()[0] == own
+    shown.click("#other")
+    assert shown.evaluate(where) == own_v + 0.5 and shown.locator("#cards li").first.inner_text().split()[0] == mine
 
 
 @on_one_page

@@ -11,7 +11,7 @@ from ...io import FORMULA
 from ...scene import Led, Photodiode, Scene
 from ...scene.base import MOST_PHOTODIODES
 from ...sensor import electronics
-from ...sensor.ambient import LAMP, SOURCES
+from ...sensor.ambient import LAMP, SOURCES, SUN
 from ...statistics import MIN_EFFECTIVE_TERMS
 from ...studies.exploration.explore import (
     BLOCKS,
@@ -118,12 +118,10 @@ def _colour(table: ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
     log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
-    halves = {
-        name: np.ascontiguousarray(values, "<f2") for name, values in (kernels | {"logFluence": log_fluence}).items()
-    }
-    return {"nm": table.led.wavelength_nm, "photons": table.photons} | {
-        name: base64.b64encode(half.tobytes()).decode() for name, half in halves.items()
-    }
+    kernels["logFluence"] = log_fluence
+    halves = {name: np.ascontiguousarray(values, "<f2").tobytes() for name, values in kernels.items()}
+    encoded = {name: base64.b64encode(half).decode() for name, half in halves.items()}
+    return {"nm": table.led.wavelength_nm, "photons": table.photons} | encoded
 
 
 def _fields(part: Led | Photodiode) -> dict[str, Any]:
@@ -176,10 +174,13 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
         "responsivity": electronics.responsivity_a_per_w(photodiode, wavelengths),
         "darkA": dark_a,
         "noise": {
-            "fixedV2": float(fixed.adc_v2 + fixed.amplifier_v2),
-            "perOhm": float(noise.feedback_v2) / LARGE_OHM,
-            "perOhm2": float(noise.shot_v2 + noise.shunt_v2 + noise.amplifier_v2 - fixed.amplifier_v2) / LARGE_OHM**2,
-            "perOhm2A": float(noise.ambient_v2) / (2 if stage.ambient_rejection else 1) / LARGE_OHM**2,
+            "converterV2": float(fixed.adc_v2),
+            "amplifierV2": float(fixed.amplifier_v2),
+            "amplifierPerOhm2": float(noise.amplifier_v2 - fixed.amplifier_v2) / LARGE_OHM**2,
+            "feedbackPerOhm": float(noise.feedback_v2) / LARGE_OHM,
+            "shuntPerOhm2": float(noise.shunt_v2) / LARGE_OHM**2,
+            "darkPerOhm2": float(noise.shot_v2) / LARGE_OHM**2,
+            "shotPerOhm2A": float(noise.ambient_v2) / (2 if stage.ambient_rejection else 1) / LARGE_OHM**2,
         },
     }
 
@@ -224,7 +225,7 @@ def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) 
         "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,
         "rest": scene.blood.rest_blood_fraction,
         "so2": scene.blood.so2,
-        "ambient": None,
+        "ambient": SOURCES.index(SUN),
     }
 
 

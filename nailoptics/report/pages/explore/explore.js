@@ -127,14 +127,23 @@ function fittedOhm(largestA) {
   return e24.findLast((x) => x * step <= most) * step;
 }
 
-/** Noise variance of one reading at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
+/** Noise variance of one reading, by its causes and their sum [V^2], at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
 function stage(kind, lit, ambient, ohm) {
-  const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, { fixedV2, perOhm, perOhm2, perOhm2A } = kind.noise;
+  const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, one = kind.noise, ohm2 = ohm * ohm;
+  const noise = {
+    "shot noise": ohm2 * (one.darkPerOhm2 + one.shotPerOhm2A * lit),
+    // What rejection subtracts has the noise of ambient light, too.
+    "ambient light": ohm2 * one.shotPerOhm2A * (rejects ? 2 : 1) * ambient,
+    "feedback resistor": ohm * one.feedbackPerOhm,
+    "shunt resistance": ohm2 * one.shuntPerOhm2,
+    amplifier: one.amplifierV2 + ohm2 * one.amplifierPerOhm2,
+    converter: one.converterV2,
+  };
   return {
     volts: Math.min(amplified, rangeV) - (rejects ? Math.min((ambient + kind.darkA) * ohm, rangeV) : 0),
     amplified,
-    // What rejection subtracts has the noise of ambient light, too.
-    noiseV2: fixedV2 + ohm * (perOhm + ohm * (perOhm2 + perOhm2A * (lit + (rejects ? 2 : 1) * ambient))),
+    noise,
+    noiseV2: Object.values(noise).reduce((sum, x) => sum + x, 0),
     saturated: amplified >= limitV,
   };
 }
@@ -172,6 +181,15 @@ function forceResolution(readings, point, ledCount) {
   return Math.sqrt((a * a * two - 2 * a * b * both + b * b * one) / (one * two - both * both));
 }
 
+/** Noise variance of one sample of a reading by its causes, those of the body and of a worn sensor among them. [V^2] */
+function noiseBudget(row, layout) {
+  const touch = tables.touch;
+  if (!touch.has_body) return row.noise;
+  const waves = root2(atForce(touch.waves, layout.force).map((of) => of.map((x) => x * layout.rest ** 2)));
+  const moved = [0, 1].map((k) => row.zone[0] * waves[0][k] + row.zone[1] * waves[1][k]), light2 = row.light ** 2;
+  return { ...row.noise, "waves of the body": moved[0] ** 2 + moved[1] ** 2, drift: light2 * (touch.led_drift ** 2 + touch.reading_drift ** 2), lift: light2 * touch.lift ** 2 };
+}
+
 /** Columns whose outer products add up to a covariance of two. */
 function root2([[aa, ab], [, bb]]) {
   const a = Math.sqrt(Math.max(aa, 0)), b = a > 0 ? ab / a : 0;
@@ -205,6 +223,20 @@ function elementsOf(pd, wiredOnly = true) {
     });
   }
   return elements;
+}
+
+/** A part on the other side of the nail's centre line, "u" across or "v" along; of an array the same places are read. */
+function mirrored(part, axis) {
+  const mirror = { ...part, [axis]: -part[axis] || 0, turn: -part.turn || 0 };
+  if (axis === "v" && part.wired) mirror.wired = part.wired.map((k) => part.elements - 1 - k).reverse();
+  return mirror;
+}
+
+/** The nearest centres of a part and others: [distance, [u, v], [u, v]] for each of these, the nearest first. [mm] */
+function separations(part, others) {
+  const centres = (one) => (one.elements ? elementsOf(one) : [one]).map(({ u, v }) => [u, v]);
+  const nearest = (other) => centres(part).flatMap((a) => centres(other).map((b) => [Math.hypot(a[0] - b[0], a[1] - b[1]), a, b])).reduce((a, b) => (b[0] < a[0] ? b : a));
+  return others.map(nearest).sort((a, b) => a[0] - b[0]);
 }
 
 function dieOf(led) {

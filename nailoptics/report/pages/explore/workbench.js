@@ -1,7 +1,7 @@
 // The workbench: display and editing of a layout.
 
 const $ = (id) => document.getElementById(id);
-const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0 };
+const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0, dragging: false, other: null, own: {} };
 const caches = new Map();
 // A force resolution above half of the prior's standard deviation is no information. [N]
 const PRIOR_ONLY_N = 0.5 * tables.touch.prior_pa * Math.hypot(...tables.touch.force_per_pa);
@@ -49,7 +49,27 @@ function remember(before) {
   workbench.past.push(before);
   if (workbench.past.length > 200) workbench.past.shift();
   workbench.future = [];
+  workbench.other = null;
   history.replaceState(null, "", `#${toLink(workbench.layout)}`);
+}
+
+/** The scene's own parts under the force, blood and light that the page shows. */
+const ownLayout = () => ({ ...workbench.layout, leds: copy(tables.layout.leds), photodiodes: copy(tables.layout.photodiodes) });
+const isOwn = () => JSON.stringify([workbench.layout.leds, workbench.layout.photodiodes]) === JSON.stringify([tables.layout.leds, tables.layout.photodiodes]);
+
+/** What the scene's own layout reads, for comparison. */
+function ownResult() {
+  const { force, rest, so2, ambient } = workbench.layout, key = JSON.stringify([force, rest, so2, ambient]);
+  if (workbench.own.key !== key) workbench.own = { key, result: evaluate(ownLayout(), caches) };
+  return workbench.own.result;
+}
+
+/** Show the scene's own layout, or again the one that was shown before it. */
+function showOther() {
+  const shown = copy(workbench.layout), other = workbench.other || ownLayout(), back = workbench.other !== null;
+  change((layout) => Object.assign(layout, { leds: other.leds, photodiodes: other.photodiodes }));
+  workbench.other = back ? null : shown;
+  draw();
 }
 
 /** Change the layout where it keeps its rules; say why not where it does not. */
@@ -67,6 +87,7 @@ function step(from, to) {
   if (!from.length) return;
   to.push(copy(workbench.layout));
   workbench.layout = from.pop();
+  workbench.other = null;
   history.replaceState(null, "", `#${toLink(workbench.layout)}`);
   draw();
 }
@@ -100,10 +121,20 @@ function drawBoard() {
     svg.append(element("line", { class: "pair", x1: led.u, y1: -led.v, x2: row.element.u, y2: -row.element.v }));
   }
   for (const [kind, part] of allParts()) svg.append(drawPart(kind, part, row));
+  if (workbench.dragging) drawSeparations(svg);
   svg.append(element("line", { class: "scale-line", x1: -1, x2: 1, y1: length / 2 + 0.75, y2: length / 2 + 0.75 }));
   const words = [["tip", -length / 2 - 0.3], ["2 mm", length / 2 + 1.25]];
   for (const [text, y] of words) svg.append(element("text", { class: "scale", x: 0, y }, text));
   if (focused) { const again = [...svg.querySelectorAll(".part")].find((one) => one.dataset.name === focused); if (again) again.focus({ preventScroll: true }); }
+}
+
+/** Lines from the dragged part to the nearest others, with their lengths. */
+function drawSeparations(svg) {
+  const [, moved] = chosenPart(), others = allParts().map(([, part]) => part).filter((part) => part.name !== moved.name);
+  for (const [separation, from, to] of separations(moved, others).slice(0, 3)) {
+    svg.append(element("line", { class: "separation", x1: from[0], y1: -from[1], x2: to[0], y2: -to[1] }));
+    svg.append(element("text", { class: "separation", x: (from[0] + to[0]) / 2, y: -(from[1] + to[1]) / 2 }, `${separation.toFixed(2)} mm`));
+  }
 }
 
 function drawPart(kind, part, row) {
@@ -144,6 +175,7 @@ function drawCards() {
   const resolution = (one) => (one.value > PRIOR_ONLY_N ? ["None", ""] : both(one.value, one.error, "N"));
   const [value, error] = resolution(tables.touch.has_body ? result.throughBody : result.electronics);
   cards.push([value, error, tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
+  if (!isOwn()) cards.push([...resolution(tables.touch.has_body ? ownResult().throughBody : ownResult().electronics), "the same of the scene's own layout"]);
   if (tables.touch.has_body) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
@@ -160,6 +192,21 @@ function drawCards() {
     item.append(big, element("span", {}, words));
     return item;
   }));
+}
+
+/** The causes of the selected reading's noise, the largest first, each as a bar as long as its part of the variance. */
+function drawNoise() {
+  const row = workbench.result.rows[workbench.chosen.row], host = $("noise");
+  host.replaceChildren();
+  if (!row || row.few) return;
+  const budget = Object.entries(noiseBudget(row, workbench.layout)).sort((a, b) => b[1] - a[1]), total = budget.reduce((sum, [, v2]) => sum + v2, 0);
+  const rms = (v2) => { const [factor, prefix] = prefixOf(Math.sqrt(v2)); return `${(Math.sqrt(v2) * factor).toPrecision(2)} ${prefix}V`; };
+  for (const [cause, v2] of budget) {
+    if (v2 < 1e-3 * total) continue;
+    const bar = element("i", { style: `width: ${(100 * v2) / total}%` }), share = `${((100 * v2) / total).toFixed(v2 < 0.1 * total ? 1 : 0)} %`;
+    host.append(element("li", {}, element("span", {}, cause), element("span", { class: "bar" }, bar), element("b", {}, rms(v2)), element("small", {}, share)));
+  }
+  $("noise-words").textContent = `${workbench.layout.leds[row.led].name} on ${row.element.name}: ${rms(total)} rms in one sample; percentages are of the variance${row.saturated ? ". The converter is at its limit, where noise says nothing" : ""}.`;
 }
 
 function drawReadings() {
@@ -361,9 +408,26 @@ function drawProperties() {
   select.addEventListener("change", () => edit("kind", Number(select.value)));
   host.append(select, number("u", "u", 0.05, "mm"), number("v", "v", 0.05, "mm"), number("turn", "turn", 15, "°"));
   if (kind === "diode") host.append(number("width", "width", 0.05, "mm"), number("length", "length", 0.05, "mm"), number("elements", "elements", 1, ""));
-  const remove = element("button", { type: "button", id: "remove" }, "Remove");
-  remove.addEventListener("click", removeChosen);
-  host.append(remove);
+  const button = (id, text, title, act) => {
+    const made = element("button", { type: "button", id, title }, text);
+    made.addEventListener("click", act);
+    host.append(made);
+  };
+  for (const axis of ["u", "v"]) {
+    button(`align-${axis}`, `Align ${axis}`, `To the nearest ${axis} of another part`, () => align(part, axis));
+    button(`mirror-${axis}`, `Mirror ${axis}`, `To the other side of the nail's centre line, ${axis} to −${axis}`, () => change((layout) => {
+      for (const list of [layout.leds, layout.photodiodes]) list.forEach((one, i) => { if (one.name === part.name) list[i] = mirrored(one, axis); });
+    }));
+  }
+  button("remove", "Remove", "Delete", removeChosen);
+}
+
+/** Move a part to the nearest coordinate of another that it does not have yet. */
+function align(part, axis) {
+  const others = allParts().map(([, one]) => one[axis]).filter((x) => Math.abs(x - part[axis]) > 1e-6);
+  if (!others.length) { say(`No other part has another ${axis}.`); return; }
+  const nearest = others.reduce((a, b) => (Math.abs(b - part[axis]) < Math.abs(a - part[axis]) ? b : a));
+  change((layout) => { [...layout.leds, ...layout.photodiodes].find((one) => one.name === part.name)[axis] = nearest; });
 }
 
 function removeChosen() {
@@ -433,6 +497,7 @@ function listen() {
   $("undo").addEventListener("click", () => step(workbench.past, workbench.future));
   $("redo").addEventListener("click", () => step(workbench.future, workbench.past));
   $("reset").addEventListener("click", () => change((layout) => Object.assign(layout, copy(tables.layout))));
+  $("other").addEventListener("click", showOther);
   $("add-led").addEventListener("click", () => addPart("led"));
   $("add-photodiode").addEventListener("click", () => addPart("diode"));
   $("save-scene").addEventListener("click", () => save("explored.toml", smolToml.stringify(toScene(workbench.layout)), "application/toml"));
@@ -460,7 +525,7 @@ function listenToKeys() {
   });
   $("board").addEventListener("focusin", (event) => { const part = event.target.closest(".part"); if (part && workbench.chosen.part !== part.dataset.name) choosePart(part.dataset.name); });
   $("board").addEventListener("keydown", (event) => {
-    const selected = chosenPart(), far = event.shiftKey ? 0.5 : 0.05;
+    const selected = chosenPart(), far = event.shiftKey ? 0.5 : Math.max(0.05, snapMm());
     const moves = { ArrowLeft: [-far, 0], ArrowRight: [far, 0], ArrowUp: [0, far], ArrowDown: [0, -far] };
     if (!selected) return;
     const named = (layout) => [...layout.leds, ...layout.photodiodes].find((part) => part.name === selected[1].name);
@@ -483,6 +548,8 @@ function choosePart(name) {
   draw();
 }
 
+const snapMm = () => Number($("snap").value);
+
 function listenToDrags() {
   let before = null, at = null, waiting = false;
   const perPixel = () => { const matrix = $("board").getScreenCTM(); return 1 / matrix.a; };
@@ -492,12 +559,13 @@ function listenToDrags() {
       move(event) {
         at = [at[0] + event.dx * perPixel(), at[1] - event.dy * perPixel()];
         const part = chosenPart()[1], [uMin, uMax, vMin, vMax] = tables.board.outline;
-        // Hundredths of a millimetre are what a layout program shows.
-        part.u = Math.round(100 * Math.min(uMax, Math.max(uMin, at[0]))) / 100;
-        part.v = Math.round(100 * Math.min(vMax, Math.max(vMin, at[1]))) / 100;
+        const snapped = (x) => +(Math.round(x / snapMm()) * snapMm()).toFixed(2);
+        part.u = snapped(Math.min(uMax, Math.max(uMin, at[0])));
+        part.v = snapped(Math.min(vMax, Math.max(vMin, at[1])));
+        workbench.dragging = true;
         if (!waiting) { waiting = true; requestAnimationFrame(() => { waiting = false; draw(); }); }
       },
-      end() { remember(before); draw(); },
+      end() { workbench.dragging = false; remember(before); draw(); },
     },
   }).styleCursor(false);
   // Chromium heeds touch-action of a whole drawing alone; this leaves the page to be scrolled beside the parts.
@@ -547,12 +615,15 @@ function draw() {
   $("undo").disabled = !workbench.past.length;
   $("redo").disabled = !workbench.future.length;
   for (const update of sliders) update();
+  $("other").disabled = isOwn() && !workbench.other;
+  $("other").textContent = workbench.other ? "A/B: back to yours" : "A/B: the scene's own";
   $("ambient").value = workbench.layout.ambient === null ? "" : workbench.layout.ambient;
   drawBoard();
   drawCards();
   drawProperties();
   drawReadings();
   drawSection();
+  drawNoise();
   drawPlots();
   workbench.milliseconds = performance.now() - begin;
 }
