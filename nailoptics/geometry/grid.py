@@ -86,15 +86,15 @@ class Grid:
 def _join(triangles: NDArray[np.int64], below: Indices, above: Indices) -> tuple[Indices, Indices, NDArray[np.bool_]]:
     """Each stack of triangles on the same three vertices as one: what lies between them has no volume. Returns the
     regions (m,) below and above each triangle, and which triangles stay, (m,) bool."""
-    _, first, stack = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True, return_inverse=True)
+    corners = np.ravel_multi_index(np.sort(triangles, axis=1).T, (int(triangles.max()) + 1,) * 3)
+    _, first, stack = np.unique(corners, return_index=True, return_inverse=True)
     turned = (triangles[:, [1, 2, 0]] - triangles[:, [0, 1, 2]] > 0).sum(axis=1) == 1
-    # How often the way through a stack enters each region more than it leaves it.
-    entered = np.zeros((len(first), int(max(below.max(), above.max())) + 1), int)
-    np.add.at(entered, (stack.reshape(-1), above), np.where(turned, -1, 1))
-    np.add.at(entered, (stack.reshape(-1), below), np.where(turned, 1, -1))
+    # How often the way through a stack enters each region more than it leaves it: it leaves one and enters another.
+    regions, up = int(max(below.max(), above.max())) + 1, np.where(turned, -1, 1)
+    pairs, which = np.unique(np.tile(stack, 2) * regions + np.append(above, below), return_inverse=True)
+    entered, (stack, region) = np.bincount(which, np.append(up, -up)), np.divmod(pairs, regions)
+    low, high, first = region[entered < 0], region[entered > 0], first[stack[entered > 0]]
     below, above, keep = below.copy(), above.copy(), np.zeros(len(triangles), bool)
-    first, entered = first[entered.any(axis=1)], entered[entered.any(axis=1)]
-    low, high = entered.argmin(axis=1), entered.argmax(axis=1)
     below[first], above[first] = np.where(turned[first], (high, low), (low, high))
     keep[first] = True
     return below, above, keep
