@@ -184,7 +184,7 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
     rest and pressed.
 
     Args:
-        photograph: Render the finger at rest and pressed (half a minute); by default unless --max-seconds is given.
+        photograph: Render the finger at rest and pressed (some seconds); by default unless --max-seconds is given.
     """
     from .report.pages.colour import COLOUR
     from .studies.colour.nail_colour import colour as study

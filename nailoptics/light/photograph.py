@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from .. import geometry as finger_geometry
 from ..checks import Array
 from ..errors import InputError
-from ..scene import Scene
+from ..scene import Scene, Viewing
 from .backend import choose
 from .reference.mitsuba_scene import rectangle
 from .reference.readings import stock_mitsuba
 from .walk.nail_reflectance import as_seen
-
-Point = tuple[float, float, float]
 
 # The camera looks there; the window is where the nail mirrors it into a camera before the tip and above. [mm]
 TARGET_MM = (0.0, 1.0, -4.0)
@@ -27,18 +25,13 @@ WINDOW_MM, WINDOW_SIZE_MM = (48.0, -30.0, 62.0), 26.0
 # How rough the surfaces are: a nail mirrors, skin shines.
 ROUGHNESS = {"nail": 0.22, "skin": 0.5}
 SKY, WINDOW = 0.95, 5.0
+# Each pixel has so many paths of its own, and they are smoothed after, which has less noise than a filter on the film.
+SAMPLES, SMOOTH_PX = 16, 0.7
 DESK = 0.75
 
 
 def photograph(
-    scene: Scene,
-    tile_mm: Array,
-    on_nail: NDArray[np.bool_],
-    colours: Array,
-    *,
-    size: tuple[int, int] = (800, 600),
-    samples: int = 48,
-    backend: str = "auto",
+    scene: Scene, tile_mm: Array, on_nail: NDArray[np.bool_], colours: Array, *, backend: str = "auto"
 ) -> list[NDArray[np.uint8]]:
     """Pictures of a scene's finger without its board, one for each set of colours, each (height, width, 3).
 
@@ -47,9 +40,8 @@ def photograph(
     colours : (pictures, t, 3) float in 0-1. Linear red, green and blue of each tile, as a diffuse albedo.
     """
     mesh = finger_geometry.build(as_seen(scene), board=False, resolution=2.0)
-    camera_mm = scene.colour.camera_mm
-    if mesh.regions[int(mesh.region_at(np.array([camera_mm]))[0])] != "air":
-        place = ", ".join(f"{value:g}" for value in camera_mm)
+    if mesh.regions[int(mesh.region_at(np.array([scene.colour.camera_mm]))[0])] != "air":
+        place = ", ".join(f"{value:g}" for value in scene.colour.camera_mm)
         raise InputError(f"colour.camera_mm = [{place}]: lies inside the finger; put it above, such as [-12, 38, 58].")
     names = np.array(mesh.regions)
     outer = (mesh.below == 0) | (mesh.above == 0)
@@ -59,7 +51,7 @@ def photograph(
     with stock_mitsuba(choose(backend, volpath=True)) as mi:
         for colour in colours:
             shapes = [_part(mi, mesh, parts[kind], kind, tile_mm, on_nail, colour) for kind in parts]
-            pictures.append(_render(mi, shapes, size, samples, camera_mm))
+            pictures.append(_render(mi, shapes, scene.colour))
     return pictures
 
 
@@ -93,9 +85,10 @@ def _part(
     return shape
 
 
-def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, camera_mm: Point) -> NDArray[np.uint8]:
-    look = mi.ScalarTransform4f().look_at
-    tall = mi.ScalarTransform4f()
+def _render(mi: Any, shapes: list[Any], viewing: Viewing) -> NDArray[np.uint8]:
+    from scipy.ndimage import gaussian_filter
+
+    look, tall, (width, height) = mi.ScalarTransform4f().look_at, mi.ScalarTransform4f(), viewing.photograph_px
     window = look(origin=WINDOW_MM, target=TARGET_MM, up=(0, 0, 1)) @ tall.scale(WINDOW_SIZE_MM / 2)
     lowest = min(float(np.array(mi.traverse(shape)["vertex_positions"])[2::3].min()) for shape in shapes)
     desk = tall.translate((0, 0, lowest)) @ tall.scale(400)
@@ -108,11 +101,11 @@ def _render(mi: Any, shapes: list[Any], size: tuple[int, int], samples: int, cam
         "camera": {
             "type": "perspective",
             "fov": FIELD_OF_VIEW_DEG,
-            "to_world": look(origin=camera_mm, target=TARGET_MM, up=(0, 0, 1)),
-            "film": {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "rgb"},
-            "sampler": {"type": "multijitter", "sample_count": samples},
+            "to_world": look(origin=viewing.camera_mm, target=TARGET_MM, up=(0, 0, 1)),
+            "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
+            "sampler": {"type": "multijitter", "sample_count": SAMPLES},
         },
     } | {f"part{i}": shape for i, shape in enumerate(shapes)}
     scene = mi.load_dict(picture, optimize=False)
-    image = np.array(mi.render(scene, spp=samples, seed=1))
+    image = gaussian_filter(np.array(mi.render(scene, spp=SAMPLES, seed=1)), (SMOOTH_PX, SMOOTH_PX, 0.0))
     return np.array(mi.Bitmap(image).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True))

@@ -80,38 +80,38 @@ class ReflectedLight:
         return replace(self, rays=self.rays + other.rays, **joined)
 
 
+@dataclass
 class NailReflectance:
-    """The finger of a scene without its board, and rays into it; neither is made before it is needed."""
+    """The finger of a scene without its board, and rays into it; neither is made before it is needed.
 
-    def __init__(self, scene: Scene, *, backend: str = "auto", stores: Sequence[LightStore] = ()) -> None:
-        """backend : what walks the rays. stores : where rays may be stored; new ones go to the first."""
-        self.scene, self.backend, self.stores = as_seen(scene), backend, stores
-        self.zones = optics.zones(scene)
+    backend : what walks the rays. stores : where rays may be stored; new ones go to the first.
+    spacing_mm : cells of the grid of distances; wide ones are made sooner, for few rays. [mm]
+    """
+
+    scene: Scene
+    backend: str = "auto"
+    stores: Sequence[LightStore] = ()
+    spacing_mm: float = SPACING_MM
+
+    def __post_init__(self) -> None:
+        self.scene, self.zones = as_seen(self.scene), optics.zones(self.scene)
 
     @cached_property
     def finger(self) -> tuple[Geometry, Interfaces]:
         """The finger's shape, and what the rays meet."""
-        geometry, distances = _built(finger_geometry.shaping(self.scene))
+        geometry, distances = _built(finger_geometry.shaping(self.scene), self.spacing_mm)
         return geometry, Interfaces(geometry, distances)
 
     def reflect(
-        self,
-        wavelength_nm: float,
-        patches: Sequence[Patch],
-        *,
-        least_mu_a_per_mm: np.ndarray,
-        photons: int,
-        seed: int,
-        groups: int,
+        self, wavelength_nm: float, patches: Sequence[Patch], *, mu_a: np.ndarray, photons: int, seed: int, groups: int
     ) -> ReflectedLight:
         """Rays of one wavelength to the patches: those that are stored, or new ones.
 
-        least_mu_a_per_mm : (r,) float. Absorption to trace, the least that will be read. [mm^-1]
+        mu_a : (r,) float. Absorption to trace; what has a quarter of it or less has no finite error. [mm^-1]
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
-        least_mu_a_per_mm = np.asarray(least_mu_a_per_mm, float)
         rows = [[*patch.center_mm, *patch.size_mm, patch.share, patch.port_mm] for patch in patches]
-        parameters = {"patches": rows, "least_mu_a_per_mm": [least_mu_a_per_mm.tolist()]}
+        parameters = {"patches": rows, "mu_a": mu_a.tolist(), "spacing_mm": self.spacing_mm}
         # Neither blood nor melanin, board nor lamp decides the ways of rays into a bare nail.
         bare = {"leds": (Led(name="eye", wavelength_nm=550.0),), "photodiodes": (), "board": Board()}
         light = digest(light_scene(self.scene).model_copy(update=bare))
@@ -122,16 +122,14 @@ class NailReflectance:
             table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
             cycle = len(table) * groups
             geometry, absorbers = self.finger[0], [absorber.region for absorber in optics.absorbing(self.scene)]
-            least = dict(zip(absorbers, least_mu_a_per_mm, strict=True))
-            mu_a = np.array([least.get(name, 0.0) for name in geometry.regions])
-            media = replace(optics.finger_media(self.scene, geometry.regions, wavelength_nm), mu_a=mu_a)
+            traced = dict(zip(absorbers, mu_a, strict=True))
+            of_regions = np.array([traced.get(name, 0.0) for name in geometry.regions])
+            media = replace(optics.finger_media(self.scene, geometry.regions, wavelength_nm), mu_a=of_regions)
             regions = Regions(geometry, media)
             beam = _Beam(patches, table, geometry.bounds_mm[:, 2] + [-ABOVE_MM, ABOVE_MM], regions.air)
-            batch, total, parts = max(BATCH // cycle, 1) * cycle, 0, []
-            for number in range(-(-photons // batch)):
-                count = min(batch, -(-(photons - number * batch) // cycle) * cycle)
-                parts.append(self._batch(regions, beam, count, seed_of(seed, number)))
-                total += count
+            batch, total = max(BATCH // cycle, 1) * cycle, -(-photons // cycle) * cycle
+            counts = (min(batch, total - start) for start in range(0, total, batch))
+            parts = [self._batch(regions, beam, n, seed_of(seed, k)) for k, n in enumerate(counts)]
             index, weight, path, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
             return {}, {
                 "rays": np.bincount(table, minlength=len(patches)) * (total // len(table)),
@@ -139,7 +137,7 @@ class NailReflectance:
                 "group": (index // len(table) % groups).astype(np.uint8),
                 "weight": weight.astype(np.float32),
                 "path_mm": path,
-                "mu_a": least_mu_a_per_mm,
+                "mu_a": mu_a,
                 "cosine": cosine,
                 "gloss": np.asarray(path.max(1) == 0),
             }
@@ -203,10 +201,10 @@ def as_seen(scene: Scene) -> Scene:
 
 
 @lru_cache(maxsize=2)
-def _built(scene: Scene) -> tuple[Geometry, DistanceGrid]:
+def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
     """The geometry without a board, and distances to its interfaces under the nail and around it."""
     geometry = finger_geometry.build(scene, board=False)
     low, high = (np.array(corner) for corner in geometry.bounds_mm)
     low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
     low[2] = max(low[2], -BELOW_MM)
-    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=SPACING_MM)
+    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)

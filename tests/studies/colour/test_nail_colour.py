@@ -18,7 +18,7 @@ from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.report.pages.colour import summary as colour_summary
 from nailoptics.scene import Viewing, load_scene, parse_scene
-from nailoptics.studies.colour.nail_colour import colour
+from nailoptics.studies.colour.nail_colour import SHARES, colour
 from nailoptics.studies.colour.reflectance import GROUPS, WAVELENGTHS_NM, Viewer, delta_e_2000, walk_colour
 
 PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))
@@ -36,8 +36,8 @@ def without_spread(scene):
     return scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})})
 
 
-def walked(seed, photons=40_000):
-    return walk_colour(NailReflectance(SCENE), PATCHES, photons=photons, seed=seed)
+def walked(seed, photons=40_000, **how):
+    return walk_colour(NailReflectance(SCENE), PATCHES, photons=photons, seed=seed, **how)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backen
     for wavelength_nm in (450.0, 545.0, 680.0):
         bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
-        own = bare.reflect(wavelength_nm, PATCHES, least_mu_a_per_mm=at_rest, photons=60_000, seed=9, groups=GROUPS)
+        own = bare.reflect(wavelength_nm, PATCHES, mu_a=at_rest, photons=60_000, seed=9, groups=GROUPS)
         cell = own.group.astype(int) * len(PATCHES) + own.patch
         sums = np.bincount(cell, own.weight * ~own.gloss, GROUPS * len(PATCHES)).reshape(GROUPS, -1)
         fresh = sums * GROUPS / own.rays
@@ -90,7 +90,7 @@ def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
 def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
     bare = NailReflectance(SCENE)
     none = np.full(len(optics.absorbers(SCENE)), 1e-7)
-    found = bare.reflect(700.0, PATCHES[:1], least_mu_a_per_mm=none, photons=4_000, seed=3, groups=GROUPS)
+    found = bare.reflect(700.0, PATCHES[:1], mu_a=none, photons=4_000, seed=3, groups=GROUPS)
     # What does not come back has left by the cut end; nothing is gained or lost on the way.
     assert found.weight == pytest.approx(np.ones(len(found.weight)), abs=1e-3)
     assert 0.75 < len(found.weight) / found.rays.sum() <= 1
@@ -101,7 +101,7 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
 @pytest.mark.long
 def test_a_colours_standard_error_is_true(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
-    found = [walked(seed, 8_000).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
+    found = [walked(seed, 8_000, shares=SHARES).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
     viewer = Viewer()
     lab = np.array([viewer.lab(one)[0] for one in found])
     error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in found])

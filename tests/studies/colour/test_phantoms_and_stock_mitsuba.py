@@ -112,9 +112,7 @@ def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backen
 def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypatch):
     viewer, absorbers = Viewer(), len(optics.absorbers(SCENE))
     stack = FlatStack(BARRIER)
-    found = stack.reflect(
-        550.0, MIDDLE, least_mu_a_per_mm=np.full(absorbers, 1e-7), photons=8_000, seed=5, groups=GROUPS
-    )
+    found = stack.reflect(550.0, MIDDLE, mu_a=np.full(absorbers, 1e-7), photons=8_000, seed=5, groups=GROUPS)
     rays = ColourRays(stack.scene, MIDDLE, (found,) * NODES)
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.zeros((1, len(WAVELENGTHS_NM), absorbers)))
     # Every ray comes back, but for those that chance ended for others that count twice.
