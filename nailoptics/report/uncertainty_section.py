@@ -64,18 +64,17 @@ def _of_readings(result: xr.Dataset, traced: list[dict[str, Any]]) -> list[str]:
     usable = ~result.saturated.any("time")
     if not traced or not usable.any():
         return []
-    names = dict.fromkeys(max(traced, key=lambda row: row[f"{kind}_spread"])["name"] for kind in ("reading", "change"))
-    spreads = (
-        _range(result[f"{kind}_spread"].where(usable), result[f"{kind}_spread_stderr"])
-        for kind in ("reading", "change")
-    )
-    lines = [TEXTS["vary"].format(*spreads, " and ".join(names))]
+    words = list[str]()
+    for kind in ("reading", "change"):
+        most = max(traced, key=lambda row: row[f"{kind}_spread"])["name"]
+        words += [_range(result[f"{kind}_spread"].where(usable), result[f"{kind}_spread_stderr"]), most]
+    lines = [TEXTS["vary"].format(*words)]
     off, shift = [row["name"] for row in traced if abs(row["offset"]) > OFF_CENTRE], result.reading_shift.where(usable)
     if off and np.isfinite(shift).any():
-        ends = " to ".join(f"{100 * x:+.0f} %" for x in (np.nanmin(shift), np.nanmax(shift)))
+        ends = " to ".join(f"{round(100 * x):+d} %" for x in (np.nanmin(shift), np.nanmax(shift)))
         lines.append(TEXTS["shifted"].format(", ".join(off), ends))
     signs, count = int(result.keeps_sign.where(usable, False).sum()), int(usable.sum())
-    unsure = "" if signs == count else "; at others it may, as responses to single priors are added up"
+    unsure = "" if signs == count else TEXTS["unsure"]
     return [*lines, TEXTS["sign"].format(signs, count, unsure), TEXTS["resolved"], TEXTS["not_among"]]
 
 
@@ -113,12 +112,16 @@ def spread_section(result: xr.Dataset) -> str:
         return ""
     rows = _rows(result)
     columns = {f"{kind.capitalize()}, largest std [%]": (f"{kind}_spread", 100.0, 0) for kind in _kinds(result)}
-    lines = [
-        {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])} | cells(row, columns)
-        for row in rows
-        if row["how"] != "not traced"
-        and not all(row[k] <= NO_EFFECT or row[k] < row[f"{k}_stderr"] < np.inf for k, *_ in columns.values())
-    ]
+    lines, unresolved, kinds = list[dict[str, str]](), list[str](), [f"{kind}_spread" for kind in _kinds(result)]
+    for row in (row for row in rows if row["how"] != "not traced"):
+        # What is left of no effect is rounding.
+        row |= {key: 0.0 for k in kinds if row[k] <= NO_EFFECT for key in (k, f"{k}_stderr")}
+        if any(row[k] and not row[k] < row[f"{k}_stderr"] < np.inf for k in kinds):
+            named = {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])}
+            lines.append(named | cells(row, columns))
+        elif any(row[k] for k in kinds):
+            unresolved.append(row["name"])
+    note = TEXTS["note"] + (TEXTS["unresolved"].format(", ".join(unresolved)) if unresolved else "")
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
-    tables = table(lines), small(TEXTS["note"]), details("Sources of the ranges", sources)
+    tables = table(lines), small(note), details("Sources of the ranges", sources)
     return section("Uncertainty over the priors", *conclusions(result, rows), *tables)

@@ -293,13 +293,13 @@ def _with_map(placement: object, parts: object) -> object:
 
 
 def steps_of(path: str) -> list[str | int]:
-    """A dotted path as keys and indices: leds[0].flux_mw is leds, 0, flux_mw; raises ValueError."""
+    """A dotted path as keys and indices: leds[0].flux_mw or leds.0.flux_mw is leds, 0, flux_mw; raises ValueError."""
     steps: list[str | int] = []
     for part in path.split("."):
         match = re.fullmatch(r"([\w\-]+)((?:\[\d+\])*)", part)
         if not match:
             raise ValueError(f'"{path}": "{part}" is no field; write it as in leds[0].flux_mw')
-        steps.append(match[1])
+        steps.append(int(match[1]) if match[1].isdigit() else match[1])
         steps += [int(n) for n in re.findall(r"\d+", match[2])]
     return steps
 

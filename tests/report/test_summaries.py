@@ -59,15 +59,29 @@ def test_the_spread_states_the_signs_that_hold_and_what_is_not_in_it(make):
     result = make(section=False)
     result.saturated[0, 0, 5] = True
     lines = conclusions(with_priors(result, 0.0))
-    assert any("sign of the change holds" in line and "at 2 of 7 readings; at others it may" in line for line in lines)
+    assert any(
+        "sign of the change holds" in line and "at 2 of 7 readings; at the others it may" in line for line in lines
+    )
     assert lines[-1].startswith("Not among these priors: how contact") and not any("shifted" in line for line in lines)
     (line,) = [one for one in conclusions(with_priors(make(section=False), -1.3)) if "shifted" in one]
     assert "(plate absorption)" in line and "+10 % to +80 %" in line
 
 
-def test_a_prior_with_most_effect_on_readings_and_changes_is_named_once(make):
+def test_the_priors_with_most_effect_on_readings_and_on_changes_are_named(make):
     line = conclusions(with_priors(make(section=False), 0.0))[0]
-    assert line.endswith("(one standard deviation), most by plate absorption.")
+    assert "(one standard deviation), most by plate absorption, and changes by" in line
+    assert line.endswith("most by plate absorption.")
+
+
+def test_an_effect_that_is_not_resolved_is_named_and_none_is_a_zero(make):
+    """Expected: a standard deviation below its error has no row but is named; one of rounding is 0."""
+    result = with_priors(make(section=False), 0.0)
+    given = {"reading_spread": 6e-7, "reading_spread_stderr": 4e-8, "change_spread": 0.0, "change_spread_stderr": 0.0}
+    result = result.assign({f"prior_{name}": 0 * result[f"prior_{name}"] + value for name, value in given.items()})
+    assert "(6." not in spread_section(result) and "is not known" not in spread_section(result)
+    result["prior_change_spread"] += 0.01
+    result["prior_change_spread_stderr"] += 0.02
+    assert "so that it is not known: plate absorption;" in spread_section(result)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

@@ -1,6 +1,6 @@
 """The page of a simulated touch: key figures, tables, and figures of force, vessels and volts beside the models."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ MODELS = {"beer_lambert": ("Beer–Lambert (8)", (5, 2.5)), "taylor": ("Taylor (
 def page(result: xr.Dataset) -> str:
     """The page of what `studies.simulate` returns; path density and section may be missing."""
     scene = _scene(result)
+    touch, digit = touch_words(scene), scene.fingertip.digit
     readings, along = photodiode_readings(result, scene), ""
     # More zones than a figure over time can show.
     if "white_band_mm" in result and result.sizes["time"] > 1:
@@ -52,7 +53,7 @@ def page(result: xr.Dataset) -> str:
     shown = _pair_table(reading_rows(readings), readings, scene, kind="readings dense")
     return document(
         kicker="touch to volts",
-        title=_title(scene),
+        title=f"{touch[0].upper()}{touch[1:]}; {digit}{'' if digit == 'thumb' else ' finger'}",
         lead=_sentence(scene, result),
         warnings=_warnings(readings),
         cards=_cards(readings, result, scene),
@@ -114,12 +115,6 @@ def _models_section(result: xr.Dataset, scene: Scene, readings: pd.DataFrame) ->
 def _scene(result: xr.Dataset) -> Scene:
     """The scene that a result carries; raises InputError if it cannot be read."""
     return parse_scene(str(result.attrs["scene"]), name="the result's scene")
-
-
-def _title(scene: Scene) -> str:
-    """What was simulated, in a few words."""
-    touch, digit = touch_words(scene), scene.fingertip.digit
-    return f"{touch[0].upper()}{touch[1:]}; {digit}{'' if digit == 'thumb' else ' finger'}"
 
 
 def _sentence(scene: Scene, result: xr.Dataset) -> str:
@@ -184,6 +179,9 @@ def _signs(readings: pd.DataFrame, result: xr.Dataset) -> list[tuple[str, str]]:
     wrong = [*readings.photodiode[~right]]
     if 0 < len(wrong) < 4:
         words += f"; not {_list(wrong)}"
+    if "keeps_sign" in result:
+        holds = result.keeps_sign.where(~result.saturated.any("time"), False)
+        words += TEXTS["signs_over_priors"].format(int(holds.sum()), len(readings))
     return [(f"{right.sum()} of {len(readings)}", words)]
 
 
@@ -307,8 +305,8 @@ def draw_change(axes: "style.Axes", result: xr.Dataset, scene: Scene, *, led: in
     photodiodes = maps.coloured_along_nail(scene)
     change, hold = result.volts_change, hold_end(result)
     hold_s = float(result.time[hold])
-    scale, letter = prefix(_largest(course for of_led in change for course in of_led))
     thin = _thin(result)
+    scale, letter = prefix(float(abs(thin.volts_change).max()))
     axes.axhline(0, color=style.MUTED, lw=0.8)
     for colour, j in photodiodes:
         moved = f"{significant(float(change[led, j, hold]) / scale, 3, sign=True)} {letter}V"
@@ -333,7 +331,7 @@ def volts(result: xr.Dataset, scene: Scene, *, led: int) -> "style.Figure":
     colours, places = zip(*order, strict=True)
     thin = _thin(result).isel(led=led, photodiode=list(places)).transpose("photodiode", "time", ...)
     rest = result.volts.isel(led=led, photodiode=list(places), time=0).where(thin.detected_fraction.any("time"))
-    scale, letter = prefix(_largest(thin.volts_change))
+    scale, letter = prefix(float(abs(thin.volts_change).max()))
     models = {}
     for name, (label, dashes) in MODELS.items():
         models[label] = (thin[f"volts_{name}"] - rest).values / scale, {"color": style.INK, "ls": (0, dashes)}
@@ -348,11 +346,6 @@ def _thin(result: xr.Dataset) -> xr.Dataset:
     count = result.sizes["time"]
     thin = result.isel(time=np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(int)))
     return thin.assign(volts_change=thin.volts_change.where(thin.detected_fraction.any("time")))
-
-
-def _largest(rows: Iterable[xr.DataArray]) -> float:
-    """The largest distance from 0 in rows that are read one after the other."""
-    return float(np.fmax.reduce([abs(row).max() for row in rows]))
 
 
 def _line(axes: "style.Axes", values: xr.DataArray, **look: Any) -> None:
