@@ -11,12 +11,7 @@ with open(f"{__file__}i", encoding="utf-8") as _stub:
 _HOMES = {name: home for _, home, _, name, *_ in _WORDS} | {"scene": "."}
 __all__ = [name for name in _HOMES if name != "__version__"]
 
-
-def _accessor(shown: object) -> Any:
-    return importlib.import_module(".report.accessor", __name__).Nail(shown)
-
-
-Displayed.accessor = _accessor
+Displayed.accessor = lambda shown: importlib.import_module(".report.accessor", __name__).Nail(shown)
 show_datasets()
 
 

@@ -18,6 +18,9 @@ class Displayed:
         """Figures, page and summary: plot(), report() and summary(), as those of results that are Datasets."""
         return Displayed.accessor(self)
 
+    def __repr__(self) -> str:
+        return repr(self.nail)
+
     def _repr_html_(self) -> str:
         return str(self.nail._repr_html_())
 

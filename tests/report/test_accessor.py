@@ -155,6 +155,7 @@ def test_an_exploration_shows_itself():
     assert explored.nail.scene == explored.scene
     explored.attributes.update(photons=1000, cpu_seconds=1.0, wall_seconds=1.0)
     assert list(all_shown(explored)) == ["board"]
+    assert repr(explored) == "<Exploration: plot() of board; report(), summary(), scene>"
 
 
 def test_the_papers_figures_show_themselves(tmp_path):

@@ -48,7 +48,7 @@ _SIDES = ("proximal", "distal")
 _TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PaperFigures(Displayed):
     """The paper's claims by set of parameters, evaluated, and its figures as files."""
 

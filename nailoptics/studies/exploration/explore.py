@@ -83,7 +83,7 @@ class ColourTable:
     photons: int
 
 
-@dataclass
+@dataclass(repr=False)
 class Exploration(Displayed):
     """Everything that the page knows.
 

@@ -212,7 +212,7 @@ class Effect(Change):
         return "yes" if abs(self.change) - SURE * self.stderr > self.tolerance else "undecided"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Explanation(Displayed):
     """All effects and priors of a scene, those that change readings most first; what it requires; its cost.
 

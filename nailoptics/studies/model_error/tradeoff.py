@@ -110,7 +110,7 @@ class Level:
         return self.reading_noise / math.sqrt(seconds) if math.isfinite(seconds) else 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Tradeoff(Displayed):
     """All levels of model, and the fastest within a tolerance, as a scene.
 

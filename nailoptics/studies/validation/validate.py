@@ -40,7 +40,7 @@ MODULE_INFRARED_NM = 880.0
 REFERENCE_SPO2_ERROR = 2.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation(Displayed):
     """Every quantity beside the model, by name; attributes say how it was made.
 
