@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..assets import read_toml
 from .walls import MasslessNetwork, Walls
 
 Jacobian = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -33,35 +34,13 @@ class Method:
     result: tuple[float, ...]
 
 
-_LAST = (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950)
-# Stiffly accurate, L-stable, of order 4: its last stage is an error estimate of order 3.
-RODAS = Method(
-    gamma=0.25,
-    instants=(0.0, 0.386, 0.21, 0.63, 1.0, 1.0),
-    in_time=(0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0),
-    states=(
-        (),
-        (1.544,),
-        (0.9466785280815826, 0.2557011698983284),
-        (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-        _LAST,
-        (*_LAST, 1.0),
-    ),
-    slopes=(
-        (),
-        (-5.6688,),
-        (-2.430093356833875, -0.2063599157091915),
-        (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
-        (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
-        (8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054),
-    ),
-    result=(*_LAST, 1.0, 1.0),
-)
-# Weights of its stages in the curve between, which is of order 3.
-RODAS_CURVE = (
-    (10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662),
-    (-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872),
-)
+_COEFFICIENTS: dict[str, Any] = {
+    name: tuple(tuple(x) if isinstance(x, list) else x for x in value) if isinstance(value, list) else value
+    for name, value in read_toml("rodas.toml").items()
+}
+# Weights of its stages in the curve between.
+RODAS_CURVE = _COEFFICIENTS.pop("curve")
+RODAS = Method(**_COEFFICIENTS)
 _GAMMA = 1.0 - 0.5**0.5
 # L-stable, of order 2 (Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456).
 ROS2 = Method(

@@ -4,13 +4,13 @@ The shipped ones are in assets/real, each with its source; tables of one's own w
 them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...assets import asset_path
+from ...assets import asset_path, read_toml
 from ...checks import Array
 from ...errors import InputError
 
@@ -20,20 +20,10 @@ if TYPE_CHECKING:
 SPECTRUM_NM = np.arange(400.0, 701.0, 10.0)
 _SPECTRUM = [f"{nm:.0f}_nm" for nm in SPECTRUM_NM]
 NAIL_RGB, SKIN_RGB = ([f"{part}_{channel}" for channel in "rgb"] for part in ("nail", "skin"))
-_PERCENT = (0.0, 100.0)
 # Columns of each table: None for text, else the numbers above the first and up to the second of which all must be.
-COLUMNS: dict[str, Mapping[str, tuple[float, float] | None]] = {
-    "nail_photos": {"day": None, "hb_g_per_l": (20.0, 300.0)} | dict.fromkeys([*NAIL_RGB, *SKIN_RGB], (0.0, 1.0)),
-    # Reflectance as a part of 1 is refused: skin reflects more than 1 %.
-    "skin_spectra": {"place": None, "group": None, "people": (0.0, np.inf), "percentile": _PERCENT}
-    | dict.fromkeys(_SPECTRUM, (1.0, 100.0)),
-    "red_infrared_pulse": {"correlation": (-1.0, 1.0), "spo2_percent": (1.0, 100.0), "ratio_of_ratios": (0.0, 10.0)}
-    | dict.fromkeys(("red_ac_over_dc_percent", "infrared_ac_over_dc_percent"), _PERCENT),
-    "fingertip_waves": dict.fromkeys(
-        ("vasomotion_0.05_0.15_hz_g", "breathing_0.15_0.4_hz_g", "heart_0.7_3_hz_g"), _PERCENT
-    ),
-    "pulse_against_contact_pressure": {"pressure_mmhg": (0.0, 300.0)}
-    | dict.fromkeys(("red_660_nm", "infrared_850_nm"), (0.0, np.inf)),
+COLUMNS = {
+    table: {name: tuple(ends) if ends else None for name, ends in columns.items()}
+    for table, columns in read_toml("real/columns.toml").items()
 }
 # Places of skin, and the percentiles that a table has of each; those of ring fingers are pooled over groups.
 PERCENTILES = {"ring finger": (5, 25, 50, 75, 95), "back of hand": (5, 50, 95)}
