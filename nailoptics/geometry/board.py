@@ -5,12 +5,16 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
+from ..scene.importers.outlines import encloses
 from ..scene.rectangles import Rectangle
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, region_names
 from .surfaces import Array, FingerSurfaces
 
 RIM_MM = 0.15  # width of the opaque epoxy around the board
 EDGE_MM = 0.01  # the rim ends this far before the nail's edges
+NAIL_STEP_MM = 0.5  # the largest cells on the nail
+STEP_MM = 0.2  # those below a board whose outline is drawn, less than half of the usual epoxy's depth
+STRAIGHT_MM = 1e-6  # an edge that runs aside by less is straight
 FACE_MM = 0.01  # of a part that stands out of the board, so much is the face; the walls above are silicon
 
 
@@ -25,7 +29,7 @@ class BentBoard:
         stand out of the underside, the underside, film and cover. [mm]
     rim : The outline with the rim of opaque epoxy around it, as far as the nail carries it.
     parts : Region, rectangle and height below the underside of each part: LEDs, photodiodes, unwired elements.
-    rectangles : Everything on the board that begins or ends somewhere.
+    rectangles : Everything on the board that begins or ends somewhere. step_mm : The largest cells. [mm]
     """
 
     def __init__(self, scene: Scene, surfaces: FingerSurfaces) -> None:
@@ -55,6 +59,14 @@ class BentBoard:
         areas = zip(regions, [*layout.leds, *layout.photodiode_areas, *layout.unwired], stands_out, strict=True)
         self.parts = [(region, r, round(1e-3 * height, 3)) for region, r, height in areas]
         self.rectangles = [self.rim, outline, *layout.barriers, *(s for _, r, _ in self.parts for s in r.strips())]
+        # A drawn border runs in steps through the cells, but for its straight edges.
+        self.step_mm = STEP_MM if layout.border_mm else NAIL_STEP_MM
+        ends = (self.rim.u_min, self.rim.v_min), (self.rim.u_max, self.rim.v_max)
+        for line in layout.border_mm:
+            for edge in zip(line, (*line[1:], line[0]), strict=True):
+                if np.ptp(edge, axis=0).min() < STRAIGHT_MM:
+                    (a, b), (c, d) = np.sort(np.clip(edge, *ends), axis=0).tolist()
+                    self.rectangles.append(Rectangle("edge", a, c, b, d))
 
     def labels(self, theta: Array, v: Array) -> NDArray[np.int32]:
         """Region of the layers above the nail, (a, n, k), in cells with middles theta (a,) [rad], v (n,) [mm]."""
@@ -65,11 +77,16 @@ class BentBoard:
             u = theta * self.radius_mm
             return ((u > r.u_min) & (u < r.u_max))[:, None] & ((v > r.v_min) & (v < r.v_max))
 
-        top = COVER if self.scene.board.cover_um else AIR
-        result[inside(self.rim)] = [COVER] * (film + 1) + [top]
-        result[inside(self.layout.outline)] = [EPOXY] * film + [KAPTON, top]
+        top, rim, board = COVER if self.scene.board.cover_um else AIR, inside(self.rim), inside(self.layout.outline)
+        if self.layout.border_mm:
+            u, v_on = np.meshgrid(theta * self.radius_mm, v, indexing="ij")
+            ways = STEP_MM * np.exp(0.25j * np.pi * np.arange(8))
+            drawn, *beside = (encloses(u + way.real, v_on + way.imag, *self.layout.border_mm) for way in (0j, *ways))
+            board, rim = board & drawn, rim & np.any([drawn, *beside], axis=0)
+        result[rim] = [COVER] * (film + 1) + [top]
+        result[board] = [EPOXY] * film + [KAPTON, top]
         for wall in self.layout.barriers:
-            result[inside(wall), :film] = BARRIER
+            result[inside(wall) & board, :film] = BARRIER
         for region, r, height_mm in self.parts:
             cells = np.any([inside(strip) for strip in r.strips()], axis=0)
             if r.turned_size_mm is not None:

@@ -12,7 +12,6 @@ from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
 from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle, smooth_step
 
 SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
-NAIL_STEP_MM = 0.5
 BODY_STEP_MM = 0.8
 CUT_SLICE_MM = 1.0
 # What no anatomy says, because the depths bound nothing there and only have to stay in their order without flat cells.
@@ -42,7 +41,7 @@ class Nodes:
     def theta(self) -> Array:
         """Angles of the nail's columns around its axis, (a_nail,) float. [rad]"""
         radius, edge = self.surfaces.finger.nail_radius_mm, self.surfaces.nail_half_angle
-        step = min(NAIL_STEP_MM, np.sqrt(8 * SAGITTA_MM * radius)) / self.resolution
+        step = min(self.board.step_mm, np.sqrt(8 * SAGITTA_MM * radius)) / self.resolution
         under = self.board.radius_mm
         required = [-edge * radius, edge * radius]
         required += [u / under * radius for r in self.board.rectangles for u in (r.u_min, r.u_max)]
@@ -78,7 +77,7 @@ class Nodes:
         def step(place: float) -> float:
             if place < surfaces.cut:
                 return 2 * CUT_SLICE_MM
-            size = NAIL_STEP_MM if -end < place < surfaces.tip else BODY_STEP_MM
+            size = self.board.step_mm if -end < place < surfaces.tip else BODY_STEP_MM
             return size / self.resolution
 
         dies = [(r.v_min, r.v_max) for r in self.board.layout.leds]

@@ -7,11 +7,11 @@ from itertools import product
 
 import numpy as np
 
-from .base import Point, Polygon
+from .base import Polygon
 from .finger import Finger
 from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
-from .rectangles import Rectangle, turned
+from .rectangles import Rectangle, area_mm2, turned
 
 ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
 BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given
@@ -38,7 +38,10 @@ class Element:
 
 @dataclass(frozen=True)
 class Layout:
-    """The board as rectangles in nail coordinates: (0, 0) is the centre of the nail plate."""
+    """The board as rectangles in nail coordinates: (0, 0) is the centre of the nail plate.
+
+    outline : its edges, or the box around a drawn border. border_mm : that and its holes; none of a rectangle.
+    """
 
     outline: Rectangle
     leds: tuple[Rectangle, ...]
@@ -46,6 +49,7 @@ class Layout:
     unwired: tuple[Rectangle, ...]
     unwired_height_um: float
     barriers: tuple[Rectangle, ...]
+    border_mm: tuple[Polygon, ...] = ()
 
     @property
     def photodiode_names(self) -> tuple[str, ...]:
@@ -87,7 +91,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     # What is not wired stands in the way like what is; the highest stands for all.
     height_um = max((p.height_um for p in photodiodes if p.wired is not None), default=0.0)
-    return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers)
+    return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers, _border(board))
 
 
 def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[str, Rectangle], tuple[str, Rectangle]]]:
@@ -96,6 +100,14 @@ def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[st
     close = (np.minimum(high[:, None], high) > np.maximum(low[:, None], low)).all(-1)
     for i, j in np.argwhere(np.triu(close, 1)):
         yield parts[i], parts[j]
+
+
+def _border(board: Board) -> tuple[Polygon, ...]:
+    """The drawn border and its holes, in nail coordinates; none of a board without a drawing, or a rectangle. [mm]"""
+    lines, (du, dv) = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm else (), board.center_mm
+    if len(lines) == 1 and np.prod(np.ptp(lines[0], axis=0)) - abs(area_mm2(lines[0])) < ROUNDING_MM:
+        return ()
+    return tuple(tuple((u + du, v + dv) for u, v in line) for line in lines)
 
 
 def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:
@@ -112,12 +124,11 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -
             corners = np.concatenate([boxes - BOARD_MARGIN_MM, boxes + BOARD_MARGIN_MM])
         (u_min, v_min), (u_max, v_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
         outline = Rectangle("board", u_min, u_max, v_min, v_max)
-    # Where a size is given, it takes the place of the file's outline.
-    drawn = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm and board.size_mm is None else ()
+    border = _border(board)
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         off = min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM
-        if off or (drawn and not _lies_within(r, board.center_mm, *drawn)):
+        if off or (border and not _lies_within(r, *border)):
             cure = "move it or enlarge board.size_mm"
             if board.outline_mm is not None:
                 cure = "move it, or give board.origin, the point of the file on the nail's centre"
@@ -127,10 +138,9 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -
     return outline
 
 
-def _lies_within(part: Rectangle, origin: Point, border: Polygon, *holes: Polygon) -> bool:
-    """Whether a part lies within lines drawn around an origin, and off their holes, seen along the part's own edges."""
-    du, dv = origin
-    lines = [[turned((u + du, v + dv), -part.rotation_deg) for u, v in line] for line in (border, *holes)]
+def _lies_within(part: Rectangle, border: Polygon, *holes: Polygon) -> bool:
+    """Whether a part lies within a border and off its holes, seen along the part's own edges."""
+    lines = [[turned(corner, -part.rotation_deg) for corner in line] for line in (border, *holes)]
     width, length = part.size_mm
     return has_room(turned(part.center_mm, -part.rotation_deg), (width / 2, length / 2), lines[0], lines[1:])
 

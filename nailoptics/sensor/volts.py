@@ -84,7 +84,7 @@ def _slid(scene: Scene) -> tuple[float, Board]:
     the parts lie too near to both of these."""
     (u, v), outline = scene.board.center_mm, scene.layout.outline
     corners = tuple((x - u, y - v) for x, y in outline.corners_mm)
-    for cut in ({}, {"size_mm": None, "outline_mm": corners, "outline_holes_mm": ()}):
+    for cut in ({}, {"size_mm": None, "outline_mm": scene.board.outline_mm or corners}):
         for distance_um in (SLIDE_UM, -SLIDE_UM):
             update = cut | {"center_mm": (u, v + 1e-3 * distance_um)}
             slid = scene.model_copy(update={"board": scene.board.model_copy(update=update)})

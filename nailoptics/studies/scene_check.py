@@ -13,7 +13,6 @@ from ..hemodynamics.parameters import far_from_list
 from ..light import backend, optics
 from ..light.detect import rough_readings
 from ..scene import Scene, SceneIn, as_scene
-from ..scene.rectangles import area_mm2
 from ..sensor import electronics
 from ..sensor.ambient import ambient_bound_a
 from ..sensor.electronics import NoiseBudget
@@ -28,8 +27,6 @@ MAY_BE_FULL = 0.6
 # Causes of noise in stage and converter; relative steps of either zone's blood; what "auto" must gain to be named.
 ELECTRONIC = tuple(name.removesuffix("_v2") for name in NoiseBudget._fields)
 BLOOD_STEP, WORTH_SAYING = 0.5, 1.2
-# An outline that leaves out more than this of the box around it is no rectangle.
-NO_RECTANGLE = 0.02
 # What lies on a board and below it, which no file of a layout program says.
 BUILD = ("kapton_um", "clear_epoxy_um", "adhesive_um", "barrier", "cover_um")
 # Forces beside which a change of posture is shown as a false one. [N]
@@ -78,7 +75,7 @@ def check(scene: SceneIn) -> SceneCheck:
         report["assumed"] = {
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
-    report["warnings"] += _beside_the_box(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
+    report["warnings"] += _beyond_the_nail(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)
@@ -117,22 +114,14 @@ def _beyond_current(scene: Scene) -> list[str]:
     return lines
 
 
-def _beside_the_box(scene: Scene) -> list[str]:
-    """What of a board file's outline the model leaves out, and what of the box around it is no board."""
-    if scene.board.outline_mm is None or scene.board.size_mm is not None:
+def _beyond_the_nail(scene: Scene) -> list[str]:
+    """What of a board file's outline the model leaves out."""
+    if scene.board.outline_mm is None:
         return []
-    outline, corners = scene.layout.outline, np.add(scene.board.outline_mm, scene.board.center_mm)
-    low, high = (outline.u_min, outline.v_min), (outline.u_max, outline.v_max)
-    reach_mm = float(max(*(low - corners.min(axis=0)), *(corners.max(axis=0) - high)))
-    no_board = 1 - abs(area_mm2(np.clip(corners, low, high).tolist())) / outline.area_mm2
-    reach, part = f"{reach_mm:.2g} mm", f"{100 * no_board:.0f} %"
-    lines = {
-        f"board: its outline reaches {reach} beyond the nail, where the model of the light ends it": reach_mm > 1e-6,
-        f"board: {part} of the box around its outline is no board, where the model of the light has one": (
-            no_board > NO_RECTANGLE
-        ),
-    }
-    return [line for line, applies in lines.items() if applies]
+    ends, corners = scene.layout.outline.corners_mm[::2], np.add(scene.board.outline_mm, scene.board.center_mm)
+    reach_mm = float(np.max([ends[0] - corners.min(axis=0), corners.max(axis=0) - ends[1]]))
+    text = f"board: its outline reaches {reach_mm:.2g} mm beyond the nail, where the model of the light ends it"
+    return [text] if reach_mm > 1e-6 else []
 
 
 def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:

@@ -113,7 +113,8 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     own: dict[str, Any] = {"unmapped": tuple(part.ref for part in placed if part.ref not in uses)}
     # A layout goes back into a board of KiCad.
     own |= {"parts": None} if board is None else view.fields
-    if whole is not None and "outline_mm" not in table:
+    # Where a size is given, it takes the place of the file's outline.
+    if whole is not None and not {"outline_mm", "size_mm"} & table.keys():
         border, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
         own |= {"outline_mm": border, "outline_holes_mm": tuple(holes)}
     film_um = 0.0 if board is None else round(1e3 * board.thickness_mm, 6)
@@ -278,7 +279,7 @@ def _pads_middle(part: PlacedPart) -> Point:
 
 def proposal(placed: Sequence[PlacedPart]) -> str:
     """A map of the parts that look like LEDs and photodiodes, by library and reference, as a line of a scene file."""
-    shipped = sorted(path.stem for path in (data_dir("assets") / "parts").glob("*.toml"))
+    shipped = sorted((path.stem for path in (data_dir("assets") / "parts").glob("*.toml")), key=len, reverse=True)
     fitted = [part for part in placed if part.ref and part.populated]
     lines = [f"{part.ref} = {{ {use} }}" for part in fitted if (use := _looks_like(part, shipped))]
     if not lines:

@@ -275,3 +275,12 @@ def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Seq
     border, *others = (Line([*line, line[0]]) for line in (corners, *holes))
     inside = border.contains_point(center) and not any(hole.contains_point(center) for hole in others)
     return inside and not any(line.intersects_bbox(box, filled=False) for line in (border, *others))
+
+
+def encloses(x: np.ndarray, y: np.ndarray, corners: Sequence[Point], *holes: Sequence[Point]) -> np.ndarray:
+    """Which points lie within a border and outside of its holes, bool of their shape."""
+    from matplotlib.path import Path as Line
+
+    points = np.column_stack([x.ravel(), y.ravel()])
+    inside, *others = (Line([*line, line[0]]).contains_points(points) for line in (corners, *holes))
+    return np.asarray(inside & ~np.any([~inside, *others], axis=0)).reshape(x.shape)

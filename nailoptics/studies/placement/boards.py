@@ -1,15 +1,20 @@
 """The board of a search or a given layout: on every finger, with its outline and wall spelled out, and bare; and what
 a search may move on it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TypeVar
+
+import numpy as np
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
+from ...scene.importers.outlines import has_room
 from ...scene.layout import SIDES, lay_elements
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
@@ -21,7 +26,7 @@ NAIL_MARGIN_MM = 0.1
 # No board that bears an LED and a photodiode is narrower.
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
-SPECK, SPECK_MM = "speck", 0.05
+SPECK, SPECK_MM, SPECK_PLACES = "speck", 0.05, 33
 # Places are rounded to so many decimals of a millimetre, below which sums of floats differ. [1]
 DECIMALS = 9
 # LEDs that a search places together.
@@ -109,11 +114,12 @@ def base_board(scene: Scene) -> Scene:
     """
     board, gap_mm = scene.board, scene.board.barrier_gap_mm
     room = room_mm(*(worn_on(scene, case) for case in fingers(scene)))
-    if scene.placement and scene.placement.outline_mm is not None:
-        center, size = _on_the_nail(scene.placement.outline_mm, room)
-    elif board.size_mm is None and board.outline_mm is not None:
-        # What of the board's own file lies on the nail.
-        center, size = scene.layout.outline.center_mm, scene.layout.outline.size_mm
+    if (drawn := rules(scene).outline_mm) is not None:
+        center, size = _on_the_nail(drawn, room)
+        (du, dv), lines = board.center_mm, (drawn, *rules(scene).outline_holes_mm)
+        border, *holes = (tuple((x - du, y - dv) for x, y in line) for line in lines)
+        update = {"outline_mm": border, "outline_holes_mm": tuple(holes)}
+        scene = scene.model_copy(update={"board": board.model_copy(update=update)})
     elif board.size_mm is not None:
         center, size = board.center_mm, board.size_mm
     else:
@@ -210,6 +216,12 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
     else:
         axis, way = SIDES[side]
         place = (led[0], way * reach[1]) if axis else (way * reach[0], led[1])
+    if scene.board.outline_mm is not None:
+        # The place nearest to that on which there is a board.
+        lines = scene.board.outline_mm, scene.board.outline_holes_mm
+        places = product(*(np.linspace(-most, most, SPECK_PLACES).tolist() for most in reach))
+        near = sorted(places, key=lambda at: math.dist(at, place))
+        place = next((at for at in near if has_room(at, (SPECK_MM, SPECK_MM), *lines)), place)
     board = scene.board.model_copy(update={"barrier_side": side})
     speck = SINGLE | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
