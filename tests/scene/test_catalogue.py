@@ -7,6 +7,8 @@ from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
 from nailoptics.errors import InputError
 from nailoptics.scene.catalogue import LedPart, ModulePart, PhotodiodePart, load_part
+from nailoptics.scene.importers.board_files import proposal
+from nailoptics.scene.importers.positions import PlacedPart
 from nailoptics.sensor.electronics import responsivity_a_per_w
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
@@ -145,3 +147,31 @@ def test_an_impossible_table_of_a_photodiode_is_refused(tmp_path, field, rows, w
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(InputError, match=words):
         load_part("mine", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "nm", "ua_at_1_mw_per_cm2"), [("sfh2400fa", 870.0, 6.2), ("bp104s", 850.0, 30.0), ("g1738", 940.0, 0.0)]
+)
+def test_more_photodiodes_read_what_their_data_sheets_say(name, nm, ua_at_1_mw_per_cm2):
+    """Expected: within a tenth the sheet's photocurrent, or its area times its responsivity; GaAsP sees no infrared."""
+    part = scene.Photodiode.model_validate({"part": name, "position_mm": (0.0, 0.0)})
+    current_ua = 10 * part.size_mm[0] * part.size_mm[1] * float(responsivity_a_per_w(part, nm))
+    assert current_ua == pytest.approx(ua_at_1_mw_per_cm2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "half_deg", "mw_per_sr"), [("sfh4543", 10.0, 230.0), ("sfh4545", 5.0, 550.0), ("sfh4550", 3.0, 1100.0)]
+)
+def test_emitters_with_a_lens_have_their_intensity_on_the_axis_and_half_of_it_aside(name, half_deg, mw_per_sr):
+    led = scene.Led.model_validate({"name": name, "part": name})
+    angle = np.radians(np.linspace(0.0, 90.0, 50_001))
+    relative = np.interp(np.degrees(angle), led.pattern_deg, led.pattern_relative)
+    on_axis = led.flux_mw / (2 * np.pi * np.trapezoid(relative * np.sin(angle), angle))
+    assert on_axis == pytest.approx(mw_per_sr, rel=0.03)
+    assert np.interp(half_deg, led.pattern_deg, led.pattern_relative) == pytest.approx(0.5, abs=0.01)
+
+
+def test_of_parts_whose_names_begin_alike_the_longer_is_proposed():
+    values = enumerate(("SFH 2400 FA", "SFH2400"))
+    placed = [PlacedPart(f"PD{i}", value, "", (0.0, 0.0), 0.0, "top") for i, value in values]
+    assert proposal(placed) == 'parts = { PD0 = { photodiode = "sfh2400fa" }, PD1 = { photodiode = "sfh2400" } }'
