@@ -38,10 +38,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Layout:
-    """The board as rectangles in nail coordinates: (0, 0) is the centre of the nail plate.
-
-    outline : its edges, or the box around a drawn border. border_mm : that and its holes; none of a rectangle.
-    """
+    """The board as rectangles from the centre of the nail plate; border_mm : a drawn border in its outline, and holes."""
 
     outline: Rectangle
     leds: tuple[Rectangle, ...]

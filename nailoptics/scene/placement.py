@@ -1,6 +1,5 @@
 """What a search for a layout may do: candidates, outline, clearances, and the fingers it must serve."""
 
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -31,12 +30,8 @@ class Candidate(BoardFile, Table):
     """Positions of the LEDs (u, v), in the order of the scene; filled from positions. [mm]"""
     photodiodes_mm: tuple[Point, ...] = ()
     """Positions of the photodiodes (u, v); filled from positions. [mm]"""
-    leds_turned: tuple[bool, ...] = ()
-    """LEDs rotated by 90 degrees; none if not given."""
-    photodiodes_turned: tuple[bool, ...] = ()
-    """Photodiodes rotated by 90 degrees; none if not given."""
     leds_deg: tuple[Rotation, ...] = ()
-    """Rotation of each LED, instead of leds_turned; filled from positions. [deg]"""
+    """Rotation of each LED; filled from positions. [deg]"""
     photodiodes_deg: tuple[Rotation, ...] = ()
     """Rotation of each photodiode; filled from positions. [deg]"""
     led_refs: tuple[tuple[str, str], ...] = ()
@@ -79,10 +74,10 @@ class Candidate(BoardFile, Table):
         if not (self.leds_mm or self.leds) or not (self.photodiodes_mm or self.photodiodes):
             why = "or a file that has both: LEDs as D1 or LED1 and photodiodes as PD1, or any that parts names"
             raise ValueError(f"a candidate needs leds_mm and photodiodes_mm, {why}")
-        for name, kind in product(("leds", "photodiodes"), ("turned", "deg")):
-            places, given = getattr(self, f"{name}_mm"), getattr(self, f"{name}_{kind}")
+        for name in ("leds", "photodiodes"):
+            places, given = getattr(self, f"{name}_mm"), getattr(self, f"{name}_deg")
             if given and len(given) != len(places):
-                raise ValueError(f"{name}_{kind} has {len(given)} entries for {len(places)} places; give one for each")
+                raise ValueError(f"{name}_deg has {len(given)} entries for {len(places)} places; give one for each")
 
 
 class FingerCase(Table):

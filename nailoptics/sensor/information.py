@@ -269,8 +269,7 @@ def pressure_information(information: Array) -> Array:
 
     One after the other the body's, each of variance 1 beforehand, are marginalised (Schur's complement).
     """
-    count = int((np.sqrt(8 * information.shape[-1] + 1) - 1) / 2)
-    if count == 2:
+    if (count := math.isqrt(2 * information.shape[-1])) == 2:
         return information
     rows, columns = np.triu_indices(count)
     matrix = np.empty((*information.shape[:-1], count, count))

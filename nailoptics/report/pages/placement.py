@@ -17,6 +17,7 @@ from ...io import plain_cell
 from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
+from ...studies.placement.objective import ALIKE
 from ...studies.placement.result import budgets as budgets_of
 from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
 from ...studies.placement.tolerances import MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
@@ -36,26 +37,9 @@ NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
 NO_ROOM = "no room or time"
-TOLERATED = (
-    f"Change in percent of what the best is ranked by if board or part lies {STEP_MM:g} mm off, the board is "
-    f"turned by {TURN_DEG:g} degrees, or an LED is {100 * POWER:.0f} % off its power."
-)
-# What a summary has of the bound of the relaxed design.
-BOUND = ("bound", "above_bound")
+TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
-RANKING = {
-    "Error over touches [mN]": ("force_error_n", 1e3, 0),
-    "Resolution [mN]": ("force_resolution_n", 1e3, 0),
-    "Median person [mN]": ("median_resolution_n", 1e3, 0),
-    "Electronics alone [mN]": ("electronics_resolution_n", 1e3, 0),
-    "Prior std [mN]": ("force_resolution_spread_n", 1e3, 0),
-    "SpO2 [%]": ("spo2_error_percent", 1.0, 0),
-    "Share [%]": ("share_resolution", 100.0, 0),
-    "Shunted [%]": ("shunted_fraction", 100.0, 2),
-    "Condition": ("condition_number", 1.0, 3),
-    "Lowest SNR": ("least_snr", 1.0, 3),
-    "Full scale / reading": ("adc_headroom", 1.0, 3),
-}
+RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
 PAGE_ALONE = tuple(RANKING)[-3:]
 
 
@@ -108,13 +92,17 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     if rules.people:
         over = f", or less for {100 * rules.quantile:g} % of {rules.people} people"
     noise = f", with {body_words(best)}" if "electronics_resolution_n" in result else ""
-    others = sum(row["rank"] == 1 for row in ranking) - 1
-    tied = f"{others} others tie with it; it is the simplest of those within 2 %" if others else "none ties with it"
     return (
         f"{name} resolves {force} of force in one sample (rms{over}, 95 % interval {low} to {high}), for any split "
         f"between the proximal and the distal side{noise}. {_ranked_by(rules, first)}{result.sizes['layout']} of "
-        f"{result.attrs['layouts_given']} layouts were traced, {tied}."
+        f"{result.attrs['layouts_given']} layouts were traced. {_tied(ranking)}"
     )
+
+
+def _tied(ranking: list[dict[str, Any]]) -> str:
+    """Which layouts tie with the best, and what of it another seed may propose."""
+    first, *others = [row["layout"] for row in ranking if row["rank"] == 1]
+    return TEXTS["tied"].format(first, ", ".join(others), 100 * ALIKE) if others else f"No other ties with {first}."
 
 
 def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
@@ -358,11 +346,12 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     better = gain(result)
     return {
         "ranking": rows(result),
+        "tied": _tied(rows(result)),
         "rank_by": result.attrs["rank_by"],
         "layouts_given": int(result.attrs["layouts_given"]),
         "limits": [*filter(None, [_over_touches(result)]), *(why(row) for row in budgets_of(result))],
         "best_possible": {"words": _bound(result)}
-        | {name: with_stderr(result, name) for name in BOUND if name in result},
+        | {name: with_stderr(result, name) for name in ("bound", "above_bound") if name in result},
         "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
@@ -376,7 +365,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
     ranking = summary["ranking"]
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
-    out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced"]
+    out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced", summary["tied"]]
     out += [line.replace("\u00a0", " ") for line in (*_people(ranking), *summary["limits"])]
     if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"

@@ -31,9 +31,9 @@ class CandidateLayout:
     origin: str
 
     @property
-    def complexity(self) -> tuple[int | str, ...]:
+    def complexity(self) -> tuple[int, ...]:
         """Least for the simplest of tied layouts: parts, rows of photodiodes, whether these have no mirror image in the
-        LEDs' middle, photodiodes off a grid of 0.25 mm, how far the LEDs lie from the board's edge; the name."""
+        LEDs' middle, photodiodes off a grid of 0.25 mm, how far the LEDs lie from the board's edge."""
         layout = self.scene.layout
         leds, photodiodes = (np.array([r.center_mm for r in areas]) for areas in (layout.leds, layout.photodiode_areas))
         middle, places = leds.mean(0), {tuple(place) for place in np.round(photodiodes, 3)}
@@ -42,7 +42,7 @@ class CandidateLayout:
         asymmetric = all({tuple(place) for place in image} != places for image in images)
         off_grid = np.abs(photodiodes / GRID_MM - np.rint(photodiodes / GRID_MM)).max(1) > ON_GRID
         aside = np.abs(middle - layout.outline.center_mm).max() / GRID_MM
-        return len(leds) + len(photodiodes), rows, int(asymmetric), int(off_grid.sum()), -round(aside), self.name
+        return len(leds) + len(photodiodes), rows, int(asymmetric), int(off_grid.sum()), -round(aside)
 
 
 def candidate(name: str, scene: Scene, origin: str) -> CandidateLayout:
@@ -81,10 +81,7 @@ def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodi
     if not plan.led_refs and len(plan.leds_mm) != len(base.leds):
         raise InputError(f'layout "{plan.name}" places {len(plan.leds_mm)} LEDs, but the scene has {len(base.leds)}.')
     leds_deg, photodiodes_deg = (
-        getattr(plan, f"{kind}_deg")
-        or [90.0 * turned for turned in getattr(plan, f"{kind}_turned")]
-        or [0.0] * len(getattr(plan, f"{kind}_mm"))
-        for kind in ("leds", "photodiodes")
+        getattr(plan, f"{kind}_deg") or [0.0] * len(getattr(plan, f"{kind}_mm")) for kind in ("leds", "photodiodes")
     )
     leds, photodiodes, like = [], [], base.photodiodes[0].model_copy(update=SINGLE)
     for led, i in zip(base.leds, _named_as(base, plan) if plan.led_refs else range(len(base.leds)), strict=True):

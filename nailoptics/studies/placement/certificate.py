@@ -141,8 +141,8 @@ def _least_tangent(
 def _site_bound(design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf) -> Bound:
     """The bound for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
     places, allowed = design.places, design.allowed(site.places_mm)
-    chosen = [places.areas.index(area) for area in site.photodiodes]
     free, staying = information[:, : places.free], information[:, places.free :].sum(1)
+    chosen = design.numbers(site)[: design.count]
     return lower_bound(free, places, chosen, design.objective, given=staying, allowed=allowed, enough=enough)
 
 
@@ -153,13 +153,15 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
     It is the least bound of all sites. That of few photons comes out low, as their noise adds to the information: it
     is traced further until no other is lower, or `TRACED` were.
     """
-    sites, objective = search.ranked, search.objective
-    bounds: dict[SearchedSite, Bound] = {}
+    sites, objective = search.ranked, replace(search.objective, waves_left=1.0)
+    bounds, enough = dict[SearchedSite, Bound](), np.inf
     for site in sites:
-        design = search.designs[site.row]
+        design = replace(search.designs[site.row], objective=objective)
         if report_progress.is_over(SEARCH_SHARE) or design.places.free > MOST_PLACES:
             return None
-        bounds[site] = _site_bound(design, site, design.information(site.places_mm), np.log(sites[0].score))
+        information = design.information(site.places_mm)
+        enough = min(enough, float(np.log(objective.score(information[:, design.numbers(site)].sum(1)))))
+        bounds[site] = _site_bound(design, site, information, enough)
     again, errors = Search(search.base, objective, replace(search.cache, blocks=BLOCKS)), dict[SearchedSite, float]()
     for k in range(TRACED + 1):
         site = min(bounds, key=lambda site: bounds[site].log)

@@ -22,7 +22,7 @@ from ..force.touch_error import TouchError
 from . import boards, candidates, search
 from .candidates import CandidateLayout
 from .certificate import beside_the_bound, certify
-from .objective import JUDGE_SHARE, LayoutScore, Objective, score_layouts, spo2_objective
+from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import over_people, resolution_over_priors
@@ -163,7 +163,7 @@ def _candidates(
     straight = boards.searchable_board(base, rules)
     for person in people:
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
-    layout_search = search.Search(straight, objective, cache)
+    layout_search = search.Search(straight, replace(objective, waves_left=WAVES_LEFT), cache)
     searched = layout_search.run(report_progress) if rules.search else []
     bound = certify(layout_search, report_progress) if searched else None
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):

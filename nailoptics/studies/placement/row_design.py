@@ -16,8 +16,8 @@ from ...scene.rectangles import Rectangle
 from .objective import Objective
 from .sites import LedRow, PhotodiodePlaces, Sites
 
-# Part of the score in which regular photodiodes are as good as the best.
-AS_GOOD = 5e-3
+# Part of the score in which regular photodiodes are as good as the best, where waves count whole.
+AS_GOOD = 0.01
 # Rounds of exchange at most.
 ROUNDS = 6
 # So many combinations of LED places are evaluated each; of more, so many are starting points.
@@ -144,6 +144,10 @@ class RowDesign:
         """Number of photodiodes to be placed."""
         return self.sites.rules.photodiodes - (len(self.places.areas) - self.places.free)
 
+    def numbers(self, site: SearchedSite) -> list[int]:
+        """Which of the places a site's photodiodes take, and those that stay."""
+        return [*map(self.places.areas.index, site.photodiodes), *range(self.places.free, len(self.places.areas))]
+
     def information(self, leds: LedPlaces) -> np.ndarray:
         """Of photodiodes under LEDs at these places, (fingers, m + s, n) float."""
         return self.objective.together([by_place[at] for by_place, at in zip(self.columns, leds, strict=True)])
@@ -174,12 +178,12 @@ class RowDesign:
             return []
         information = self.information(leds)
         totals = information[:, every].sum(2) + information[:, self.places.free :].sum(1)[:, None]
-        scores, best = self.objective.score(totals), []
+        scores, best, as_good = self.objective.score(totals), [], 1 + AS_GOOD / self.objective.waves_left
         for straight in (True, False):
             among = [k for k, chosen in enumerate(every) if self.places.is_straight(chosen) == straight]
             if among:
                 least = min(scores[k] for k in among)
-                k = next(k for k in among if scores[k] <= least * (1 + AS_GOOD))
+                k = next(k for k in among if scores[k] <= least * as_good)
                 best.append(replace(self._site(leds, every[k], totals[:, k]), form="row" if straight else "rows"))
         return best
 
@@ -194,8 +198,7 @@ class RowDesign:
 
     def _best_leds(self, site: SearchedSite) -> LedPlaces:
         """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""
-        leds, reached, areas = site.places_mm, site.score, site.photodiodes
-        chosen = [*map(self.places.areas.index, areas), *range(self.places.free, len(self.places.areas))]
+        leds, reached, areas, chosen = site.places_mm, site.score, site.photodiodes, self.numbers(site)
         for i, by_place in enumerate(self.columns):
             for place in by_place:
                 tried = (*leds[:i], place, *leds[i + 1 :])

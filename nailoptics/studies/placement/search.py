@@ -37,7 +37,7 @@ LAST_STARTS = 8
 # Part of the time for the search.
 SEARCH_SHARE = 0.55
 # Searched layouts that are evaluated with photons of their own beside given ones, and sites for regular ones.
-SHORTLIST, REGULAR = 3, 2
+SHORTLIST, REGULAR, FAR_WORSE = 2, 3, 4.0
 # Sites around which LED places are searched more finely, and into how many parts a step is halved.
 REFINED, FINEST = 2, 4
 
@@ -221,10 +221,10 @@ class Search:
 
 def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) -> list[CandidateLayout]:
     """The best layouts of a search, to be evaluated with independent photons, those of few, whose resolution is biased
-    low, last; and all regular ones."""
+    low, last; and regular ones, but for those that more photons showed to be far worse than the best of them."""
     best = sorted((a for a in results if not a.form), key=lambda a: (-a.photons, a.score))[:SHORTLIST]
-    layouts = []
-    for result in (*best, *(a for a in results if a.form)):
+    regular, layouts = [a for a in results if a.form], []
+    for result in (*best, *(a for a in regular if a.score < FAR_WORSE * min(b.score for b in regular))):
         scene = candidates.searched(
             base, rules, result.places_mm, result.photodiodes, side=result.row.side, name=result.name
         )

@@ -1,6 +1,5 @@
 """How much worse the best layout becomes by tolerances: of gluing, of each part's place, of the LEDs' power."""
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -12,6 +11,7 @@ import xarray as xr
 
 from ...errors import InputError
 from ...scene import Scene
+from ...scene.rectangles import turned
 from ...statistics import Array
 from ...variables import described, jackknifed
 from . import boards, candidates
@@ -89,15 +89,17 @@ def _varied(scene: Scene) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
 
 def _glued(scene: Scene, *, du_mm: float = 0.0, dv_mm: float = 0.0, angle_deg: float = 0.0) -> Scene:
     """The board glued aside, or turned about its middle."""
-    cos, sin, (u, v) = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg)), scene.board.center_mm
-    # Edges lie straight: those of a turned board are its box.
-    width, length = scene.layout.outline.size_mm
-    size_mm = cos * width + abs(sin) * length, abs(sin) * width + cos * length
-    board = scene.board.model_copy(update={"center_mm": (u + du_mm, v + dv_mm), "size_mm": size_mm})
+    turn, (u, v) = partial(turned, angle_deg=angle_deg), scene.board.center_mm
+    # Edges lie straight: those of a turned board are its box; a drawn border turns with it.
+    corners = product(*zip((0.0, 0.0), scene.layout.outline.size_mm, strict=True))
+    size_mm = tuple(np.ptp([*map(turn, corners)], axis=0).tolist())
+    border, *holes = (tuple(map(turn, line)) for line in (scene.board.outline_mm or (), *scene.board.outline_holes_mm))
+    update: dict[str, Any] = {"center_mm": (u + du_mm, v + dv_mm), "size_mm": size_mm}
+    update |= {"outline_mm": border or None, "outline_holes_mm": tuple(holes)}
 
-    def turned(part: PartT) -> PartT:
-        (x, y), at_deg = part.position_mm, (part.rotation_deg + angle_deg) % 360
-        return part.model_copy(update={"position_mm": (cos * x - sin * y, sin * x + cos * y), "rotation_deg": at_deg})
+    def glued(part: PartT) -> PartT:
+        at_deg = (part.rotation_deg + angle_deg) % 360
+        return part.model_copy(update={"position_mm": turn(part.position_mm), "rotation_deg": at_deg})
 
-    parts = {kind: tuple(map(turned, getattr(scene, kind))) for kind in ("leds", "photodiodes")}
-    return scene.model_copy(update={"board": board} | parts)
+    parts = {kind: tuple(map(glued, getattr(scene, kind))) for kind in ("leds", "photodiodes")}
+    return scene.model_copy(update={"board": scene.board.model_copy(update=update)} | parts)

@@ -373,7 +373,10 @@ def test_layouts_are_ranked_by_the_filters_error_over_touches(found, fewer_photo
     rows = {row["layout"]: row for row in result.rows(by_touches)}
     before = {row["layout"]: row for row in result.rows(found)}
     floor_n = float(by_touches.force_error_floor_n[0])
-    assert list(rows) == sorted(rows, key=lambda name: rows[name]["force_error_n"])
+    by_error = sorted(rows, key=lambda name: rows[name]["force_error_n"])
+    proposed, *others = rows
+    assert others == [name for name in by_error if name != proposed]
+    assert proposed == by_error[0] or rows[proposed]["force_error_n"] < 1.04 * rows[by_error[0]]["force_error_n"]
     for name, row in rows.items():
         assert row["force_resolution_n"] == pytest.approx(before[name]["force_resolution_n"])
         assert floor_n < row["force_error_low_n"] < row["force_error_n"] < row["force_error_high_n"]

@@ -1,5 +1,7 @@
 """Of layouts that tie, the simplest is proposed: in rows, symmetric, on a grid; and seeds agree on it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_scenes import PLACEMENT, TWO_LAYOUTS
@@ -8,8 +10,11 @@ from nailoptics import place
 from nailoptics.assets import data_dir
 from nailoptics.errors import as_far_as_reached
 from nailoptics.light.tracing import StageProgress
+from nailoptics.report.pages.placement import _tied
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene
 from nailoptics.scene.rectangles import Rectangle
+from nailoptics.sensor import information
+from nailoptics.sensor.information import PhysiologicalNoise
 from nailoptics.studies.placement import boards, candidates, objective, result, search
 from nailoptics.studies.placement.photon_maps import FingerCondition
 from nailoptics.studies.placement.sites import PhotodiodePlaces
@@ -90,7 +95,7 @@ def test_the_simplest_has_fewest_parts_then_rows_then_a_mirror_image_then_a_grid
 
 def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
     """Two layouts 5 % apart with errors of 10 % that they share are told apart; with errors of their own they tie, and
-    so do layouts 1 % apart that are known exactly."""
+    so do layouts 1 % apart that are known exactly, and 3 % apart with an error of 1 %; 3 % apart, and exact, do not."""
     rng, count = np.random.default_rng(0), 16
 
     def score(value, blocks):
@@ -101,6 +106,33 @@ def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
     assert objective.ties([score(1.05, shared), score(1.0, shared)]).tolist() == [False, True]
     assert objective.ties([score(1.05, own), score(1.0, shared)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.01, 0 * own)]).tolist() == [True, True]
+    assert objective.ties([score(1.0, 0 * own), score(1.03, 0.1 * own)]).tolist() == [True, True]
+    assert objective.ties([score(1.0, 0 * own), score(1.03, 0 * own)]).tolist() == [True, False]
+
+
+def test_a_search_by_the_filters_error_counts_a_part_of_the_waves():
+    """Expected: one sample in which waves count by a part is one at a touch whose body has so much less of them; other
+    aims have them whole."""
+    blood, left = np.array([[2e-3, 1e-3], [1e-3, 3e-3]]), 0.05
+    body = PhysiologicalNoise(blood, led_gain=np.array([[3e-3]]), reading_gain=1e-3)
+    whole, less = (replace(AT, body=replace(body, blood=part * blood)) for part in (1.0, left))
+    scene, rng = parse_scene(TWO_LAYOUTS), np.random.default_rng(0)
+    values = np.abs(rng.normal([1e-4, 0.0, -2e-4, -1e-4], [3e-5, 1e-9, 5e-5, 5e-5], (6, 4))) * [1, 0, -1, -1]
+    totals = [information.fisher_information(response(scene, values, at)).sum(0)[None] for at in (whole, less)]
+    rules = boards.rules(scene).model_copy(update={"rank_by": "force"})
+    search_by = objective.Objective(rules, [whole], waves_left=left)
+    assert search_by.value("force", totals[0]) == pytest.approx(search_by.value("worst", totals[1]), rel=1e-9)
+    assert search_by.value("worst", totals[0]) > 1.1 * search_by.value("force", totals[0])
+
+
+def response(scene, values, at):
+    return information.response(values, scene, 0, scene.photodiodes[0], at)
+
+
+def test_the_page_names_what_ties():
+    rows = [{"layout": name, "rank": rank} for name, rank in (("a", 1), ("b", 1), ("c", 1), ("d", 4))]
+    assert _tied(rows).startswith("Tied with a, which is the simplest of them: b, c.") and "another seed" in _tied(rows)
+    assert _tied([rows[0], rows[3]]) == "No other ties with a."
 
 
 def test_seeds_agree_on_the_simplest_of_what_ties():
