@@ -38,7 +38,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Layout:
-    """The board as rectangles from the centre of the nail plate; border_mm : a drawn border in its outline, and holes."""
+    """The board as rectangles from the centre of the nail plate; border_mm : a drawn border in its outline, holes."""
 
     outline: Rectangle
     leds: tuple[Rectangle, ...]
