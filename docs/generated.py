@@ -1,4 +1,5 @@
-"""Documentation generated from the code: `<!-- NAME -->` in a page is replaced by the text of that name."""
+"""Documentation generated from the code: `<!-- NAME -->` in a page is replaced by the text of that name,
+with the line below it that stands for it where pages are read as they are."""
 
 import ast
 import inspect
@@ -50,7 +51,8 @@ FILLS = {
 
 def fill_in(app: object, name: str, source: list[str]) -> None:
     """Replace the placeholders of a page, when Sphinx reads it, by the generated text."""
-    source[0] = re.sub(r"<!-- (\w+) -->", lambda mark: MADE[mark[1]]() if mark[1] in MADE else mark[0], source[0])
+    placeholder = r"<!-- (\w+) -->(?:\n_Here the built .*_)?"
+    source[0] = re.sub(placeholder, lambda mark: MADE[mark[1]]() if mark[1] in MADE else mark[0], source[0])
 
 
 # Fields
