@@ -36,7 +36,6 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
-NO_ROOM = "no room or time"
 TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
@@ -56,6 +55,7 @@ def page(result: xr.Dataset) -> str:
         kicker="layout optimisation",
         title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
         lead=_lead(result, ranking),
+        warnings=_warnings(result),
         cards=_cards(result, ranking),
         body=[
             section(
@@ -99,6 +99,12 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     )
 
 
+def _warnings(result: xr.Dataset) -> list[str]:
+    """Whether readings of the best layout rest on too few photons for its figures to be relied on."""
+    unknown = int(np.isnan(result.predicted_volts_stderr).sum())
+    return [TEXTS["few_photons"].format(unknown, result.predicted_volts.size)] if unknown else []
+
+
 def _tied(ranking: list[dict[str, Any]]) -> str:
     """Which layouts tie with the best, and what of it another seed may propose."""
     first, *others = [row["layout"] for row in ranking if row["rank"] == 1]
@@ -135,11 +141,10 @@ def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str,
 
 def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
     """The ranking in words, on the page and in the terminal."""
-    known = {
-        head: column
-        for head, column in RANKING.items()
-        if any(math.isfinite(row.get(column[0], math.nan)) for row in ranking)
-    }
+    of_row = [
+        {name for name, cell in row.items() if isinstance(cell, float) and math.isfinite(cell)} for row in ranking
+    ]
+    known = {head: column for head, column in RANKING.items() if column[0] in set().union(*of_row)}
     return [
         {"Layout": row["layout"], "Rank": f"{row['rank']}{' (tied)' if row['tied'] else ''}"} | cells(row, known)
         for row in ranking
@@ -148,10 +153,8 @@ def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
 
 def _people(ranking: list[dict[str, Any]]) -> list[str]:
     """Which person has the coarsest resolution with the best layout and those that the search did not make, and why."""
-    lines = []
-    for row in (
-        row for i, row in enumerate(ranking) if "people_off" in row and (i == 0 or row["origin"] != "searched")
-    ):
+    lines, shown = [], [row for i, row in enumerate(ranking) if i == 0 or row["origin"] != "searched"]
+    for row in (row for row in shown if "people_off" in row):
         reason = f", by {row['worst_reason']}" if row["worst_reason"] else ""
         off = f"; parts lie off the nails of {row['people_off']} people" if row["people_off"] else ""
         worst = f"{row['worst_person']} ({quantity(row['worst_resolution_n'], 'N')})"
@@ -166,15 +169,14 @@ def _bound(result: xr.Dataset) -> str:
     rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
     factor, unit = (1e3, " mN") if set(rules.weights) <= {"worst", "mean", "force"} else (1.0, "")
     percent, where = estimated(result, "above_bound", 100), f"{sites} places"
-    photodiodes = f"{rules.photodiodes} photodiodes " + (
-        "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
-    )
+    grid = "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
+    photodiodes = f"{rules.photodiodes} photodiodes {grid}"
     return TEXTS["bound"].format(percent, photodiodes, where, estimated(result, "bound", factor) + unit)
 
 
 def _limits(result: xr.Dataset) -> str:
     """What the resolution consists of, and how it changes with the tolerances of the best layout."""
-    budgets, names = budgets_of(result), {"floor": "no layout changes"} | CAUSES
+    budgets, names = budgets_of(result), {"floor": "the same for all layouts"} | CAUSES
     causes = {f"{names.get(cause, cause)} [mN]": (cause, 1e3, 3) for cause in list(budgets[0])[1:]}
     body = ""
     if "electronics_resolution_n" in result:
@@ -206,7 +208,7 @@ def _over_touches(result: xr.Dataset) -> str:
         total_n, floor_n = float(layout.finger_force_error_n), float(layout.force_error_floor_n)
         above_n, share = math.sqrt(max(total_n**2 - floor_n**2, 0.0)), 100 * (1 - (floor_n / total_n) ** 2)
         lines.append(
-            f"Over touches, {quantity(above_n, 'N')} of {quantity(total_n, 'N')} with {layout.layout.item()} "
+            f"Over touches, of the {quantity(total_n, 'N')} of {layout.layout.item()} {quantity(above_n, 'N')} "
             f"({share:.2g} % of the variance) depend on the layout."
         )
     return " ".join([*lines, TEXTS["over_touches"].format(quantity(floor_n, "N"))])
@@ -233,7 +235,7 @@ def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
 def _change(change: dict[str, float] | None) -> str:
     """A change with its standard error; of what has no room or saturates, in words."""
     if change is None:
-        return NO_ROOM
+        return "no room or time"
     percent = 100 * change["value"]
     return "over ten times" if percent > MOST_PERCENT else with_error(percent, 100 * change["stderr"], sign=True)
 
@@ -285,6 +287,8 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
             line[f"{zone} blood [mV / %]"] = estimated(reading.isel(blood_zone=k), "predicted_zone_v", 10)
         if "mitsuba_ratio" in reading:
             line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
+        if np.isnan(reading.predicted_volts_stderr):
+            line = dict.fromkeys(line, "–") | {"Photodiode": name, "Reading [V]": "too few photons"}
         lines.append(line)
     return lines
 
@@ -345,6 +349,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
     """The ranking of layouts, and the gain in force resolution over the paper's layout."""
     better = gain(result)
     return {
+        "warnings": _warnings(result),
         "ranking": rows(result),
         "tied": _tied(rows(result)),
         "rank_by": result.attrs["rank_by"],

@@ -41,7 +41,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
     finest, left = best.min(), 0.0
     if force == "force_error" and "people_off" not in shown:
         left = 1e3 * float(shown.force_error_floor_n.max())
-        axes.axvline(left, color=style.MUTED, ls=":", label="no layout changes")
+        axes.axvline(left, color=style.MUTED, ls=":", label="the same for all layouts")
         style.legend_above(figure, axes, ncols=1)
     elif "electronics_resolution_n" in shown:
         alone = 1e3 * shown.electronics_resolution_n.values

@@ -355,6 +355,16 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
 
 
 @pytest.mark.long
+def test_readings_with_too_few_photons_for_an_error_are_warned_of_and_have_no_numbers(found):
+    few = found.assign(predicted_volts_stderr=found.predicted_volts_stderr.copy(deep=True))
+    few.predicted_volts_stderr[0, 0] = np.nan
+    (warning,) = placement.summary(few)["warnings"]
+    known = int(found.predicted_volts_stderr.isnull().sum())
+    assert warning.startswith(f"{known + 1} of {few.predicted_volts.size} readings of the best layout")
+    assert "too few photons</td><td>–</td>" in page(few) and warning in page(few)
+
+
+@pytest.mark.long
 def test_the_page_tells_the_bodys_part(found, tmp_path):
     (tmp_path / "place.html").write_text(page(found), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
