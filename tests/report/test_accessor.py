@@ -128,7 +128,7 @@ def sweep(**axes):
 
 def test_a_sweep_of_one_value_is_a_point_and_another_axis_is_named():
     (axes,) = sweep(force_n=[1.0]).plot().axes
-    assert axes.get_xlabel() == "force_n [N]" and [*axes.lines[0].get_xdata()] == [1.0]
+    assert axes.get_xlabel() == "force [N]" and [*axes.lines[0].get_xdata()] == [1.0]
     (axes,) = sweep(rest_n=[0.1, 0.2], force_n=[1.0, 2.0]).plot().axes
     assert axes.get_title("left") == "force_n = 2 N"
     with pytest.raises(nail.InputError, match='"photographs" needs a sweep of study = "colour"'):

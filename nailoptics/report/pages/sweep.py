@@ -126,7 +126,8 @@ def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
-    axes.set_xlabel(style.plain(f"{name} [{results[name].attrs['units']}]" if numeric else name))
+    words = name.lower().removesuffix(f"_{results[name].attrs.get('units', '').lower()}").replace("_", " ")
+    axes.set_xlabel(style.plain(f"{words} [{results[name].attrs['units']}]" if numeric else words))
     axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
