@@ -131,8 +131,10 @@ def response(scene, values, at):
 
 def test_the_page_names_what_ties():
     rows = [{"layout": name, "rank": rank} for name, rank in (("a", 1), ("b", 1), ("c", 1), ("d", 4))]
-    assert _tied(rows).startswith("Tied with a, which is the simplest of them: b, c.") and "another seed" in _tied(rows)
-    assert _tied([rows[0], rows[3]]) == "No other ties with a."
+    assert _tied(rows).startswith(
+        "Tied with the first, which is the simplest of them: b, c."
+    ) and "another seed" in _tied(rows)
+    assert _tied([rows[0], rows[3]]) == "No other ties with the first."
 
 
 def test_seeds_agree_on_the_simplest_of_what_ties():

@@ -10,7 +10,7 @@ from small_scenes import PLACEMENT
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Priors, Scene, parse_scene
-from nailoptics.studies.placement import verification
+from nailoptics.studies.placement import objective, verification
 from nailoptics.studies.placement.place import place
 from nailoptics.studies.placement.result import gain
 
@@ -42,6 +42,8 @@ def found(chosen_jit) -> list[xr.Dataset]:
     patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
     patch.setattr(verification, "PHOTONS", 1 << 15)
+    # The better of the two comes first with every seed, not the simpler one of what so few photons leave tied.
+    patch.setattr(objective, "ALIKE", 0.0)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
     finally:
