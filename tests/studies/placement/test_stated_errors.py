@@ -42,8 +42,8 @@ def found(chosen_jit) -> list[xr.Dataset]:
     patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
     patch.setattr(finger_walk, "_built", lru_cache(maxsize=8)(finger_walk._built.__wrapped__))
     patch.setattr(verification, "PHOTONS", 1 << 15)
-    # The better of the two comes first with every seed, not the simpler one of what so few photons leave tied.
-    patch.setattr(objective, "ALIKE", 0.0)
+    # The simpler of the two comes first with every seed, however few photons leave it behind.
+    patch.setattr(objective, "ALIKE", 1.0)
     try:
         return [place(scene(), photons=PHOTONS, seed=seed) for seed in SEEDS]
     finally:
