@@ -1,4 +1,4 @@
-"""How well force could be told if nothing were unknown: people who are the fitted model itself, with their own bodies.
+"""How well force could be estimated if nothing were unknown: people who are the fitted model itself, with their own bodies.
 
 What is left is the body's own noise: heartbeat, breathing, vasomotion and drift move the readings as touches do.
 """
@@ -87,13 +87,13 @@ def floor_n(subject: Subject, person: VirtualPerson, kind: str, site: Site, *, s
     touch = person.recording(kind, site, seed=1)
     played = touch_of(person.scene, TOUCHES[kind], site, person.rate_hz)
     recording = modelled(subject, person.scene.model_copy(update={"touch": played}), touch, seed=seed)
-    known, asked = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
-    found = predict(known, recording)
-    return float(np.sqrt(np.mean((found.force_n - found.known_force_n).values[asked] ** 2)))
+    known, requested = exactly_known(subject, person.scene), asked_of(kind, touch.time_s)
+    result = predict(known, recording)
+    return float(np.sqrt(np.mean((result.force_n - result.known_force_n).values[requested] ** 2)))
 
 
 def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
-    """Standard error of a held touch told from one sample (Cramer-Rao), the person known exactly. [N]
+    """Standard error of a held touch estimated from one sample (Cramer-Rao), the person known exactly. [N]
 
     Its noise is that of the readings, half a minute of drift, and the slow waves of the arterial pressure as the
     calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.

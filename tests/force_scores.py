@@ -1,4 +1,4 @@
-"""Virtual people, calibrated and read: how well their force is told, for the benchmark and the tests of it."""
+"""Virtual people, calibrated and read: how well their force is estimated, for the benchmark and the tests of it."""
 
 import hashlib
 import json
@@ -32,7 +32,7 @@ from nailoptics.studies.force.subject import Subject
 KINDS = ("slow", "steps")
 # What people are calibrated on: the protocol, or slow cycles and quick steps.
 CALIBRATIONS = {"protocol": ("protocol",), "cycles": ("calibration", "quick")}
-# Touches up to here are what rms is asked of; the last slow cycle is for closure. [N]
+# Touches up to here are what the goals of rms are for; the last slow cycle is for closure. [N]
 MOST_N = 1.0
 # A reading past which less than this part of its change is left is past closure; looked for up to MOST_SEARCHED_N.
 LEFT_AT_CLOSURE, MOST_SEARCHED_N = 0.05, 4.0
@@ -68,7 +68,7 @@ DIFFERENCES: dict[str, Callable[[Scene, Scene], dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Score:
-    """How well one person's touches of one kind on one side were told.
+    """How well one person's touches of one kind on one side were estimated.
 
     rms_n : over touches; filter_n, cubic_n, components_n, sigmoid_n : of the filter alone and of the baselines. [N]
     covered : part of the touches' samples below closure that the interval covers.
@@ -158,40 +158,40 @@ def recordings_of(person: VirtualPerson, kinds: tuple[str, ...]) -> list[Recordi
 
 
 def asked_of(kind: str, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which samples of some touches may be judged: the last of the slow cycles goes beyond what is asked."""
+    """Which samples of some touches may be judged: the last of the slow cycles goes beyond what is required."""
     last = record.REST_S + record.PERIOD_S * np.flatnonzero(np.array(record.SLOW_N) > MOST_N)[0]
     return np.asarray(time_s < last) if kind == "slow" else np.ones(time_s.shape, bool)
 
 
 def score(subject: Subject, person: VirtualPerson, kind: str, site: record.Site) -> Score:
-    """How well touches are told that the calibration has not seen."""
+    """How well touches are estimated that the calibration has not seen."""
     recording = person.recording(kind, site, seed=1)
-    told = predict(subject, recording)
-    force_n, closure_n = told.known_force_n.values, person.closure_n(site)
-    asked = asked_of(kind, told.time.values) & (force_n >= TOUCH_N)
-    below, above = asked & (force_n < closure_n), force_n > closure_n
-    inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
-    is_open = np.isinf(told.force_high_n.values)
-    half_n = 0.5 * (told.force_high_n.values - told.force_low_n.values)
+    estimated = predict(subject, recording)
+    force_n, closure_n = estimated.known_force_n.values, person.closure_n(site)
+    requested = asked_of(kind, estimated.time.values) & (force_n >= TOUCH_N)
+    below, above = requested & (force_n < closure_n), force_n > closure_n
+    inside = (estimated.force_low_n.values <= force_n) & (force_n <= estimated.force_high_n.values)
+    is_open = np.isinf(estimated.force_high_n.values)
+    half_n = 0.5 * (estimated.force_high_n.values - estimated.force_low_n.values)
     names = ("force_n", *(f"force_{name}_n" for name in ("filter", "cubic", "components", "sigmoid")))
     return Score(
         person.name,
         site,
         kind,
-        *(float(np.sqrt(np.nanmean((told[name].values - force_n)[asked] ** 2))) for name in names),
+        *(float(np.sqrt(np.nanmean((estimated[name].values - force_n)[requested] ** 2))) for name in names),
         covered=float(inside[below].mean()),
         half_width_n=float(np.median(half_n[below])),
         open_above=float(is_open[above].mean()) if above.any() else float("nan"),
-        consistent=bool(told.attrs["consistent"]),
+        consistent=bool(estimated.attrs["consistent"]),
     )
 
 
 def pair(subject: Subject, recording: Recording) -> str:
-    """How a recording fares with a calibration: flagged, covers, or is told wrongly and with confidence."""
-    told = predict(subject, thinned(recording, PAIR_RATE_HZ))
-    if not told.attrs["consistent"]:
+    """How a recording fares with a calibration: flagged, covers, or is estimated wrongly and with confidence."""
+    estimated = predict(subject, thinned(recording, PAIR_RATE_HZ))
+    if not estimated.attrs["consistent"]:
         return "flagged"
-    return "covers" if told.attrs["coverage_95"] >= COVERED else "WRONG"
+    return "covers" if estimated.attrs["coverage_95"] >= COVERED else "WRONG"
 
 
 def thinned(recording: Recording, rate_hz: float) -> Recording:
@@ -231,6 +231,6 @@ def code_of_force() -> str:
 def kept(path: Path, find: Callable[[], Any]) -> Any:
     """What a file holds in JSON, found and written unless it is there."""
     if not path.exists():
-        found = find()
-        write_text(path, json.dumps(asdict(found) if isinstance(found, Score) else found))
+        result = find()
+        write_text(path, json.dumps(asdict(result) if isinstance(result, Score) else result))
     return json.loads(path.read_text(encoding="utf-8"))

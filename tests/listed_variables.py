@@ -9,10 +9,10 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 def assert_listed(folder: Path, *names: str) -> None:
     """Files of these names were written below a folder, with the variables that the page lists, under their words."""
-    found = runpy.run_path(str(DOCS / "collect_variables.py"))["collect"](folder)
+    result = runpy.run_path(str(DOCS / "collect_variables.py"))["collect"](folder)
     listed = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
-    assert found.keys() == {*names}
-    for name, made in found.items():
+    assert result.keys() == {*names}
+    for name, made in result.items():
         for variable, words in made["variables"].items():
             known = listed[name]["variables"].get(variable)
             # A unit is not listed where it is that of what was swept.

@@ -47,7 +47,7 @@ class NailCamera:
 
     def _render(self, media: optics.Media, bed: BedAbsorption, *, spp: int, seed: int) -> NDArray[np.float64]:
         """Radiance of each patch over that of the sky, in three colours, (groups, patches, 3) float."""
-        found = []
+        result = []
         with stock_mitsuba(self.backend) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as folder:
             made = finger_scene(mi, self.mesh, media, bed, sensor=-1, emitters={}, folder=Path(folder))
             made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
@@ -55,10 +55,10 @@ class NailCamera:
             loaded = mi.load_dict(made, optimize=False)
             for i in range(len(self.patches)):
                 image = mi.render(loaded, sensor=i, spp=spp, seed=seed_of(seed, i) % SEEDS)
-                found.append(np.array(image, dtype=float).reshape(-1, 3))
+                result.append(np.array(image, dtype=float).reshape(-1, 3))
         # Pixels of a group lie all over the patch, so that groups differ by chance alone.
         pixels = np.random.default_rng(0).permutation(FILM**2).reshape(self.groups, -1)
-        return np.stack(found)[:, pixels].mean(2).swapaxes(0, 1)
+        return np.stack(result)[:, pixels].mean(2).swapaxes(0, 1)
 
 
 def _camera(mi: Any, patch: Patch) -> dict[str, Any]:

@@ -274,17 +274,17 @@ def only_json(capfd) -> dict:
         raise AssertionError(f"{constant} is not JSON")
 
     out = capfd.readouterr().out
-    found = json.loads(out, parse_constant=refuse)
-    assert isinstance(found, dict) and out.startswith("{") and out.endswith("}\n")
-    return found
+    result = json.loads(out, parse_constant=refuse)
+    assert isinstance(result, dict) and out.startswith("{") and out.endswith("}\n")
+    return result
 
 
-def assert_traced(found: dict, *, engine: str, name: str) -> None:
+def assert_traced(result: dict, *, engine: str, name: str) -> None:
     known = {"readings", "energy", "photons", "engine", "backend", "cpu_seconds", "wall_seconds", "reused"}
-    assert set(found) - known == ({"absorbed", "note"} if engine == "photons" else set()) and known <= set(found)
-    assert (found["engine"], found["backend"]) == (engine, name)
-    assert found["photons"] > 0 and found["cpu_seconds"] > 0 and found["wall_seconds"] > 0
-    for row in found["readings"]:
+    assert set(result) - known == ({"absorbed", "note"} if engine == "photons" else set()) and known <= set(result)
+    assert (result["engine"], result["backend"]) == (engine, name)
+    assert result["photons"] > 0 and result["cpu_seconds"] > 0 and result["wall_seconds"] > 0
+    for row in result["readings"]:
         assert {
             "led",
             "photodiode",
@@ -296,7 +296,7 @@ def assert_traced(found: dict, *, engine: str, name: str) -> None:
         } <= set(row)
         assert 0 < row["detected_fraction"] < 1 and 0 < row["stderr"] < row["detected_fraction"]
         assert set(row["mean_path_mm"]) == set(row["mean_path_stderr_mm"])
-    for part in found["energy"].values() if found["energy"] else ():
+    for part in result["energy"].values() if result["energy"] else ():
         assert set(part) == {"value", "stderr"}
 
 
@@ -305,25 +305,25 @@ def test_trace_of_a_phantom_prints_the_agreed_json(backend_name, folder, capfd, 
     chosen = request.getfixturevalue("chosen_jit") if backend_name == "auto" else backend.choose("scalar")
     (folder / "phantom.toml").write_text(PHANTOM)
     assert run(["trace", "phantom.toml", "--json", "--photons", "20000", "--backend", backend_name]) == 0
-    found = only_json(capfd)
-    assert_traced(found, engine="photons" if chosen.jit else "volpath", name=chosen.name)
-    assert set(found["energy"]) == {"reflected", "transmitted", "absorbed", "lost"}
-    assert sum(part["value"] for part in found["energy"].values()) == pytest.approx(1, abs=1e-3)
-    assert found["photons"] == 20000 and contents(folder).keys() == {"phantom.toml"}
+    result = only_json(capfd)
+    assert_traced(result, engine="photons" if chosen.jit else "volpath", name=chosen.name)
+    assert set(result["energy"]) == {"reflected", "transmitted", "absorbed", "lost"}
+    assert sum(part["value"] for part in result["energy"].values()) == pytest.approx(1, abs=1e-3)
+    assert result["photons"] == 20000 and contents(folder).keys() == {"phantom.toml"}
 
 
 @pytest.mark.long
 def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_jit):
     (folder / "phantom.toml").write_text(PHANTOM)
-    found = []
+    result = []
     for name in (chosen_jit.name, "scalar"):
         assert run(["trace", "phantom.toml", "--json", "--relative-error", "0.02", "--backend", name]) == 0
-        found.append(only_json(capfd))
-    one, two = (f["readings"][0] for f in found)
+        result.append(only_json(capfd))
+    one, two = (f["readings"][0] for f in result)
     stderr = (one["stderr"] ** 2 + two["stderr"] ** 2) ** 0.5
     assert abs(one["detected_fraction"] - two["detected_fraction"]) < 4 * stderr < 0.1 * one["detected_fraction"]
     for part in ("reflected", "transmitted", "absorbed"):
-        a, b = (f["energy"][part] for f in found)
+        a, b = (f["energy"][part] for f in result)
         assert abs(a["value"] - b["value"]) < 4 * (a["stderr"] ** 2 + b["stderr"] ** 2) ** 0.5 < 0.1 * a["value"]
 
 
@@ -331,13 +331,13 @@ def test_both_backends_print_the_same_light_of_a_phantom(folder, capfd, chosen_j
 def test_trace_of_a_finger_prints_the_agreed_json_and_keeps_the_transfer(folder, capfd, chosen_jit):
     options = ["--photons", "100000", "--seed", "3", "--json"]
     assert run(["trace", "prototype", *options, "-o", "deep/transfer.nc"]) == 0
-    found = only_json(capfd)
-    assert_traced(found, engine="photons", name=chosen_jit.name)
-    assert len(found["readings"]) == 8 and found["photons"] == 100_000
-    assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(found["readings"][0]["mean_path_mm"])
+    result = only_json(capfd)
+    assert_traced(result, engine="photons", name=chosen_jit.name)
+    assert len(result["readings"]) == 8 and result["photons"] == 100_000
+    assert {"plate", "bed_1", "bed_2", "epoxy"} <= set(result["readings"][0]["mean_path_mm"])
     assert contents(folder).keys() == {"deep", "deep/transfer.nc"}
     again = Transfer.load(Path("deep/transfer.nc")).at()
-    first = found["readings"][0]
+    first = result["readings"][0]
     assert float(again.detected_fraction[0, 0]) == first["detected_fraction"]
 
 
@@ -416,9 +416,9 @@ def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_ji
 def test_a_shipped_scene_is_found_by_name_from_anywhere(folder, capfd, shared_light):
     for name in ("prototype", "prototype.toml", "scenes/prototype.toml"):
         assert run(["check", name, "--json"]) == 0
-        found = only_json(capfd)
-        assert found["valid"] and found["triangles"] > 1000
-        assert found["two_balances_n"] is None
+        result = only_json(capfd)
+        assert result["valid"] and result["triangles"] > 1000
+        assert result["two_balances_n"] is None
     (folder / "prototype.toml").write_text(PHANTOM)
     assert run(["check", "prototype.toml", "--json"]) == 0
     assert "regions" not in only_json(capfd)  # the user's own file comes first
@@ -441,12 +441,12 @@ def test_schema_and_doctor_print_json(folder, capfd):
     assert run(["schema"]) == 0
     assert only_json(capfd)["$schema"].startswith("https://json-schema.org/")
     assert run(["doctor", "--json"]) == 0
-    found = only_json(capfd)
-    assert {row["backend"] for row in found["findings"]} == {"cuda", "llvm", "metal", "scalar"}
-    assert all(set(row["engines"]) <= {"photons", "volpath"} for row in found["findings"])
-    assert all(row["usable"] == bool(row["engines"]) for row in found["findings"])
-    for engine, name in found["engines"].items():
-        serving = {row["backend"] for row in found["findings"] if engine in row["engines"]}
+    result = only_json(capfd)
+    assert {row["backend"] for row in result["findings"]} == {"cuda", "llvm", "metal", "scalar"}
+    assert all(set(row["engines"]) <= {"photons", "volpath"} for row in result["findings"])
+    assert all(row["usable"] == bool(row["engines"]) for row in result["findings"])
+    for engine, name in result["engines"].items():
+        serving = {row["backend"] for row in result["findings"] if engine in row["engines"]}
         assert name in serving or (name is None and not serving)
     assert run(["doctor"]) == 0
     text = capfd.readouterr().out
@@ -456,9 +456,9 @@ def test_schema_and_doctor_print_json(folder, capfd):
 @pytest.mark.long
 def test_figures_draws_a_set_and_judges_it(folder, capfd):
     assert run(["figures", "-o", "pictures", "--set", "best", "--no-colour", "--json"]) == 0
-    found = only_json(capfd)
-    assert found["claims"] and all((folder / picture).stat().st_size > 10_000 for picture in found["pictures"])
-    assert {row["sets"]["best"]["met"] for row in found["claims"]} <= {True, False}
+    result = only_json(capfd)
+    assert result["claims"] and all((folder / picture).stat().st_size > 10_000 for picture in result["pictures"])
+    assert {row["sets"]["best"]["met"] for row in result["claims"]} <= {True, False}
 
 
 @pytest.mark.slow
@@ -530,8 +530,8 @@ def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
         "CUDA_VISIBLE_DEVICES": "",
         "PYTHONPATH": os.pathsep.join([str(folder / "path"), str(ROOT)]),
     }
-    found = json.loads(spawn("doctor", "--json", env=environment).stdout)
-    assert found["backend"] == "llvm" and found["engines"] == {"photons": "llvm", "volpath": "scalar"}
+    result = json.loads(spawn("doctor", "--json", env=environment).stdout)
+    assert result["backend"] == "llvm" and result["engines"] == {"photons": "llvm", "volpath": "scalar"}
     lines = spawn("doctor", env=environment).stdout
     assert "selected for volpath" in lines and "libllvm19" in lines.splitlines()[-1]
     for name in ("auto", "llvm"):
@@ -670,6 +670,6 @@ def test_the_tab_key_completes_commands_and_formats(folder):
     assert done.returncode == 0, done.stderr
     script = next(path for path in folder.rglob("nailoptics") if "completion" in str(path))
     ask = """. "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); _nailoptics; echo "${COMPREPLY[*]}" """
-    for words, found in ((["ex"], {"explain", "explore", "export"}), (["export", "s", "--format", "sp"], {"spice"})):
+    for words, result in ((["ex"], {"explain", "explore", "export"}), (["export", "s", "--format", "sp"], {"spice"})):
         done = subprocess.run(["bash", "-c", ask, script, "nailoptics", *words], capture_output=True, text=True)
-        assert set(done.stdout.split()) == found, done.stderr
+        assert set(done.stdout.split()) == result, done.stderr

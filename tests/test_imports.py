@@ -62,11 +62,11 @@ MODULES = {".".join(module_name(path)): path for path in FILES}
 @cache
 def statements(source: str) -> list[ast.AST]:
     """All statements of a source, and itself, without the expressions in them; parsed once for all tests."""
-    found: list[ast.AST] = [ast.parse(source)]
-    for node in found:  # grows meanwhile
+    result: list[ast.AST] = [ast.parse(source)]
+    for node in result:  # grows meanwhile
         for body in ("body", "orelse", "finalbody", "handlers", "cases"):
-            found += getattr(node, body, [])
-    return found
+            result += getattr(node, body, [])
+    return result
 
 
 def imported(source: str, module: list[str], *, package: bool) -> Iterator[str]:
@@ -99,12 +99,12 @@ def broken(source: str, module: list[str], *, package: bool) -> list[str]:
     )
 
 
-def test_every_room_has_its_place_in_the_order():
-    found = {path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in FILES} - {"__init__"}
-    assert found <= RANK.keys()
+def test_every_package_has_its_place_in_the_order():
+    result = {path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in FILES} - {"__init__"}
+    assert result <= RANK.keys()
 
 
-def test_a_module_imports_only_from_rooms_before_its_own():
+def test_a_module_imports_only_from_packages_before_its_own():
     wrong = {}
     for name, path in MODULES.items():
         if name != "nailoptics":
@@ -114,7 +114,7 @@ def test_a_module_imports_only_from_rooms_before_its_own():
 
 
 @pytest.mark.parametrize(
-    ("source", "module", "package", "found"),
+    ("source", "module", "package", "result"),
     [
         ("from .. import light", "nailoptics.tissue.properties", False, ["light"]),
         ("from ..light.transfer import Transfer", "nailoptics.scene.files", False, ["light"]),
@@ -133,8 +133,8 @@ def test_a_module_imports_only_from_rooms_before_its_own():
         ('import_module("nailoptics.report.accessor").Nail', "nailoptics.display", False, ["report"]),
     ],
 )
-def test_the_order_is_seen_through_every_kind_of_import(source, module, package, found):
-    assert broken(source, module.split("."), package=package) == found
+def test_the_order_is_seen_through_every_kind_of_import(source, module, package, result):
+    assert broken(source, module.split("."), package=package) == result
 
 
 def names_imported(path: Path) -> set[str]:
@@ -175,12 +175,12 @@ def circle(imports: dict[str, set[str]]) -> list[str]:
             return way[way.index(module) :]
         if module not in finished:
             for other in sorted(imports[module]):
-                if found := search(other, [*way, module]):
-                    return found
+                if result := search(other, [*way, module]):
+                    return result
             finished.add(module)
         return []
 
-    return next((found for module in imports if (found := search(module, []))), [])
+    return next((result for module in imports if (result := search(module, []))), [])
 
 
 def test_no_modules_import_each_other_in_a_circle():
@@ -209,8 +209,8 @@ def test_exported_names_are_unique():
     ids=["the security policy of pages", "random seeds", "atomic writing of files"],
 )
 def test_an_idea_has_one_home(what, home):
-    found = {str(path.relative_to(PACKAGE)) for path in FILES if re.search(what, path.read_text(encoding="utf-8"))}
-    assert found == {home}
+    result = {str(path.relative_to(PACKAGE)) for path in FILES if re.search(what, path.read_text(encoding="utf-8"))}
+    assert result == {home}
 
 
 ROOT = PACKAGE.parent
@@ -326,15 +326,15 @@ def test_help_loads_nothing_slow():
 
 def costs(commands: list[list[str]], attempts: int = 5) -> list[float]:
     """The least CPU time of each command, which take turns, as a machine may be slow for a while. [s]"""
-    found = []
+    result = []
     for _ in range(attempts):
         for command in commands:
             before = os.times()
             environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
             subprocess.run([sys.executable, *command], env=environment, check=True, capture_output=True)
             after = os.times()
-            found.append(after.children_user - before.children_user + after.children_system - before.children_system)
-    return [min(found[k :: len(commands)]) for k in range(len(commands))]
+            result.append(after.children_user - before.children_user + after.children_system - before.children_system)
+    return [min(result[k :: len(commands)]) for k in range(len(commands))]
 
 
 @pytest.mark.long

@@ -223,8 +223,10 @@ def test_an_archive_comes_back_as_it_was_and_numpy_reads_it_too(tmp_path):
     (tmp_path / "archive.npz").write_bytes(data)
     with np.load(tmp_path / "archive.npz") as stored:
         for name, array in ARRAYS.items():
-            for found in (arrays[name], stored[name]):
-                assert found.dtype == array.dtype and found.shape == array.shape and np.array_equal(found, array)
+            for computed in (arrays[name], stored[name]):
+                assert (
+                    computed.dtype == array.dtype and computed.shape == array.shape and np.array_equal(computed, array)
+                )
 
 
 def test_every_single_changed_or_missing_byte_is_found():
@@ -274,9 +276,9 @@ def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
     seen = set()
     while any(writer.poll() is None for writer in writers):
         if path.exists():
-            found = path.read_bytes()
-            assert len(found) == 100_000 and len(set(found)) == 1
-            seen.add(found[:1])
+            computed = path.read_bytes()
+            assert len(computed) == 100_000 and len(set(computed)) == 1
+            seen.add(computed[:1])
     assert [writer.communicate()[1] for writer in writers] == [b""] * 4 and seen
     assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
 
@@ -381,9 +383,9 @@ def test_a_full_disk_ends_trace_and_export_with_one_line(chosen_jit, small_disk,
 def test_a_file_is_put_in_its_place_by_one_module_alone():
     """Rationale: a second way to write files would have faults of its own."""
     ways = ("os.replace", ".replace(path)", "tempfile.mkstemp", "NamedTemporaryFile", ".write_text(", ".savefig(path")
-    found = {
+    computed = {
         path.name
         for path in (ROOT / "nailoptics").rglob("*.py")
         if any(way in path.read_text(encoding="utf-8") for way in ways)
     }
-    assert found == {"io.py"}
+    assert computed == {"io.py"}

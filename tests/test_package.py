@@ -272,8 +272,8 @@ def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
 
 def test_results_name_versions_and_the_commit_where_it_is_known(monkeypatch):
     monkeypatch.setattr(version, "commit", lambda: "0123abc")
-    found = version.code_attributes({"nailoptics": "1", "numpy": "2"})
-    assert found == {"versions": "nailoptics=1 numpy=2", "commit": "0123abc"}
+    result = version.code_attributes({"nailoptics": "1", "numpy": "2"})
+    assert result == {"versions": "nailoptics=1 numpy=2", "commit": "0123abc"}
     monkeypatch.setattr(version, "commit", lambda: None)
     assert list(version.code_attributes()) == ["versions"]
 

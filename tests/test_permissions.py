@@ -51,8 +51,8 @@ def commands(folder: Path, *lines: str) -> list[tuple[int, str]]:
         preexec_fn=as_ordinary_user,
     )
     assert done.returncode == 0, done.stderr
-    found = [line.partition(" ") for line in done.stdout.splitlines()]
-    return [(int(code), said) for code, _, said in found]
+    result = [line.partition(" ") for line in done.stdout.splitlines()]
+    return [(int(code), said) for code, _, said in result]
 
 
 @pytest.fixture
@@ -75,8 +75,8 @@ def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, folder):
         (folder / name).mkdir(mode=mode)
     for path in (folder / "open").iterdir():
         path.chmod(0o000)
-    found = commands(folder, *(f"{store} {trace}" for store in ("hidden", "listed", "shown", "hidden/deep", "open")))
-    for code, said in found:
+    result = commands(folder, *(f"{store} {trace}" for store in ("hidden", "listed", "shown", "hidden/deep", "open")))
+    for code, said in result:
         assert code == 0 and "traced light is not stored" in said and "Permission denied" in said
     for path in (folder / "open").iterdir():
         path.chmod(0o700)

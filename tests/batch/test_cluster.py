@@ -49,8 +49,8 @@ class Cluster:
 
     def nursed(self) -> list[int]:
         """The processes that work under nannies."""
-        found = [child for nanny in self.workers for child in offspring(nanny.pid)]
-        return [pid for pid in found if b"spawn_main" in command_of(pid)]
+        computed = [child for nanny in self.workers for child in offspring(nanny.pid)]
+        return [pid for pid in computed if b"spawn_main" in command_of(pid)]
 
     def end(self, process: subprocess.Popen) -> None:
         """Kill a process of this cluster with all its children."""

@@ -39,10 +39,10 @@ def main() -> None:
     for steps, scene in scenes.items():
         seen = nail.trace(scene, relative_error=0.005, seed=2).at().isel(led=0)
         ours, error = seen.detected_fraction.values, seen.detected_fraction_stderr.values
-        found = [np.stack(batches[steps, group]) for group in GROUPS]
-        other = np.concatenate([rows.mean(0) for rows in found])
-        other_error = np.concatenate([rows.std(0, ddof=1) / np.sqrt(len(rows)) for rows in found])
-        print(f"{'with' if steps else 'without'} index steps, {len(found[0])} batches of {PATHS} paths")
+        result = [np.stack(batches[steps, group]) for group in GROUPS]
+        other = np.concatenate([rows.mean(0) for rows in result])
+        other_error = np.concatenate([rows.std(0, ddof=1) / np.sqrt(len(rows)) for rows in result])
+        print(f"{'with' if steps else 'without'} index steps, {len(result[0])} batches of {PATHS} paths")
         away = (ours - other) / np.hypot(error, other_error)
         for name, a, da, b, db, z in zip(seen.photodiode.values, ours, error, other, other_error, away, strict=True):
             print(f"  {name:<12} photons {a:.4e} +- {da / a:.1%}   volpath {b:.4e} +- {db / b:.1%}   {z:+.1f} errors")
@@ -54,11 +54,11 @@ def main() -> None:
 def volpath(scene: nail.Scene, group: tuple[int, ...]) -> Paths:
     """Paths from the LED's die to a group of photodiodes."""
     shape = geometry.build(scene)
-    found = optics.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
+    result = optics.finger_media(scene, shape.regions, scene.leds[0].wavelength_nm)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
-    rest = np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])
+    rest = np.full((1, len(v)), result.mu_a[shape.regions.index("bed")])
     chosen = backend.choose("auto", volpath=True)
-    return finger_paths(shape, found, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
+    return finger_paths(shape, result, bed=BedAbsorption(v, rest), led=0, photodiodes=group, backend=chosen)
 
 
 if __name__ == "__main__":

@@ -68,9 +68,9 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
         variances.append(batches.var(ddof=1) / len(batches))
     # The true change is the traced one; what two renders cost to see it is their noise.
     stock = change**2 / sum(variances) / cpu
-    found = means[1] - means[0]
+    result = means[1] - means[0]
     print(
-        f"             {found:.3e} +- {np.sqrt(sum(variances)):.1e}   figure of merit {stock:10.3g}  two renders, "
+        f"             {result:.3e} +- {np.sqrt(sum(variances)):.1e}   figure of merit {stock:10.3g}  two renders, "
         f"{cpu:.0f} s; ratio {ours / stock:.3g}"
     )
 

@@ -1,4 +1,4 @@
-"""How well force is told from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
+"""How well force is estimated from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
 
     python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|.. ...]
         [--rate 25] [--rest-s 3600] [--massless] [--calibration protocol|cycles] [--photons 300000]
@@ -15,7 +15,7 @@ under touches that no calibration has seen. Parts:
 - sample: the least standard error (Cramer-Rao) with which one sample tells a held touch of a person who is known
   exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
-  all of them known exactly, told from the samples before each and from all;
+  all of them known exactly, estimated from the samples before each and from all;
 - pairs: who is read with whose calibration, and whether that is flagged or the interval covers all the same;
 - rest: presses of the virtual switch in an hour of rest of every person, with pulse and drift;
 - processor time of a calibration and of a sample.
@@ -128,8 +128,8 @@ class Bench:
             text = calibrated(person, *self.network, kinds=self.kinds)
             return {"subject": text, "cpu_s": time.process_time() - begin}
 
-        found = kept(self.found / f"{person.name}_subject.json", find)
-        return parse_subject(found["subject"]), found["cpu_s"]
+        result = kept(self.found / f"{person.name}_subject.json", find)
+        return parse_subject(result["subject"]), result["cpu_s"]
 
     def record(self) -> None:
         """Record everybody."""
@@ -165,7 +165,7 @@ class Bench:
         for (site, kind), several in rows.items():
             seen = [column[np.isfinite(column)] for column in np.array(several).T]
             yield line("median", site, kind, [np.median(one) if one.size else np.nan for one in seen])
-        yield "asked of medians: " + "; ".join(GOALS)
+        yield "required of medians: " + "; ".join(GOALS)
 
     def keep(self, path: Path | None) -> None:
         """Keep what was scored for the documentation, with the floor where that was found."""
@@ -200,7 +200,7 @@ class Bench:
             yield f"{'median':<10} {site:<9} " + " ".join(f"{stderr_n:7.3f}" for stderr_n in np.median(rows, axis=0))
 
     def floor(self) -> Iterator[str]:
-        """How well each person's touches could be told were everything known, and medians over people."""
+        """How well each person's touches could be estimated were everything known, and medians over people."""
         yield f"{'person':<10} {'side':<9} {'kind':<6} {'floor':>7}  [N]"
         for site in record.SIDES:
             for kind in KINDS:
@@ -229,7 +229,7 @@ class Bench:
                 good, count = good + (name != owner and cells[-1] != "WRONG"), count + (name != owner)
             yield f"{owner:<10} " + " ".join(f"{what:<8}" for what in cells)
         if count:
-            yield f"flagged or covered in {good} of {count} pairs ({good / count:.0%}; at least 90 % are asked)"
+            yield f"flagged or covered in {good} of {count} pairs ({good / count:.0%}; at least 90 % are required)"
 
     def rest(self, rest_s: float) -> Iterator[str]:
         """Presses in some time of rest."""
@@ -243,18 +243,22 @@ class Bench:
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("--people", nargs="*", default=record.people(), choices=record.people())
-    asked.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to find; all if not given")
-    asked.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
-    asked.add_argument("--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings of touches [Hz]")
-    asked.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
-    asked.add_argument("--calibration", choices=tuple(CALIBRATIONS), default="protocol", help="touches to calibrate on")
-    asked.add_argument("--photons", type=int, default=record.PHOTONS, help="of every person's light")
-    asked.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-3")
-    asked.add_argument("--without", choices=tuple(DIFFERENCES), help="people are as the fitted model in this")
-    asked.add_argument("--json", type=Path, help="file that keeps the scores of touches, for the documentation")
-    given = asked.parse_args()
+    requested = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    requested.add_argument("--people", nargs="*", default=record.people(), choices=record.people())
+    requested.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to find; all if not given")
+    requested.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
+    requested.add_argument(
+        "--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings of touches [Hz]"
+    )
+    requested.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
+    requested.add_argument(
+        "--calibration", choices=tuple(CALIBRATIONS), default="protocol", help="touches to calibrate on"
+    )
+    requested.add_argument("--photons", type=int, default=record.PHOTONS, help="of every person's light")
+    requested.add_argument("--massless", action="store_true", help="people without inertia: faster, the same to 1e-3")
+    requested.add_argument("--without", choices=tuple(DIFFERENCES), help="people are as the fitted model in this")
+    requested.add_argument("--json", type=Path, help="file that keeps the scores of touches, for the documentation")
+    given = requested.parse_args()
     with tempfile.TemporaryDirectory() as passing:
         with suppress(KeyboardInterrupt):
             run(given, Bench(given, given.keep or Path(passing)))

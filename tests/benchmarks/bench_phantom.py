@@ -121,14 +121,14 @@ def main() -> int:
 
     columns = ("photons/s", "scatterings/s", "reading", "standard error", "rel. error", "FOM (CPU)", "FOM (wall)")
     print(f"{'':12}" + "".join(f"{column:>15}" for column in columns))
-    for name, found in runs.items():
-        for run in found:
+    for name, result in runs.items():
+        for run in result:
             values = [f"{v / run.cpu_seconds:.3g}" for v in (run.photons, run.scatterings)]
             values += [f"{run.value:.4e}", f"{run.stderr:.1e}", f"{run.stderr / run.value:.2%}"]
             values += [f"{run.merit:.0f}", f"{run.merit_wall:.0f}"]
             print(f"{name:12}" + "".join(f"{value:>15}" for value in values))
-    merit = {name: statistics.median(run.merit for run in found) for name, found in runs.items()}
-    walls = {name: statistics.median(run.merit_wall for run in found) for name, found in runs.items()}
+    merit = {name: statistics.median(run.merit for run in result) for name, result in runs.items()}
+    walls = {name: statistics.median(run.merit_wall for run in result) for name, result in runs.items()}
     ratio = merit["nailoptics"] / merit["plain C"]
     print(
         f"ratio of the medians: {ratio:.1f} per CPU second, {walls['nailoptics'] / walls['plain C']:.1f} on the clock"
@@ -136,9 +136,9 @@ def main() -> int:
     print(f"(required: {LEAST_RATIO:g} per CPU second; photons and scatterings above are per CPU second)")
 
     agree = True
-    for name, found in runs.items():
-        mean = statistics.fmean(run.value for run in found)
-        spread = math.hypot(math.sqrt(sum(run.stderr**2 for run in found)) / len(found), EXACT_STDERR)
+    for name, result in runs.items():
+        mean = statistics.fmean(run.value for run in result)
+        spread = math.hypot(math.sqrt(sum(run.stderr**2 for run in result)) / len(result), EXACT_STDERR)
         print(f"{name}: {mean:.4e}, {(mean - EXACT) / spread:+.1f} standard errors from {EXACT:.4e}")
         agree &= abs(mean - EXACT) < 4 * spread
     return 0 if agree and ratio >= LEAST_RATIO else 1

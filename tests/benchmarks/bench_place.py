@@ -29,27 +29,27 @@ def main() -> None:
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     begin, cpu, unmet = time.perf_counter(), time.process_time(), "reached"
     try:
-        found = place.place(scene, max_seconds=limit)
+        computed = place.place(scene, max_seconds=limit)
     except NotReachedError as error:
-        found, unmet = error.result, str(error)
+        computed, unmet = error.result, str(error)
     wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
     print(f"whole placement        {wall:8.1f} s, {cpu:.0f} s of processor time; {unmet}")
-    print(f"  {found.sizes['led_site']} LED places tried, {found.attrs['photons'] / 1e6:.0f} M photons")
-    for row in result.rows(found):
+    print(f"  {computed.sizes['led_site']} LED places tried, {computed.attrs['photons'] / 1e6:.0f} M photons")
+    for row in result.rows(computed):
         error = row["force_resolution_n_stderr"]
         print(f"  {row['rank']:2d} {row['layout']:22s} {1e3 * row['force_resolution_n']:.3f} +- {1e3 * error:.3f} mN")
-    better = result.gain(found)
+    better = result.gain(computed)
     if better:
         print(f"  {better[0]:.3f} +- {better[1]:.3f} times as fine as the paper's layout")
-    print(f"a further candidate    {1e3 * further(scene, found):8.1f} ms")
+    print(f"a further candidate    {1e3 * further(scene, computed):8.1f} ms")
     print(f"load {os.getloadavg()[0]:.1f}")
 
 
-def further(scene: nail.Scene, found: xr.Dataset) -> float:
+def further(scene: nail.Scene, computed: xr.Dataset) -> float:
     """Median time to judge one more layout on a board whose light is traced. [s]"""
     rules, base = boards.rules(scene), boards.base_board(scene)
     conditions = [place.finger_condition(base, case, rules) for case in boards.fingers(scene)]
-    best = result.chosen(found)
+    best = result.chosen(computed)
     board = boards.bare_board(boards.with_explicit_walls(best, "best"))
     cache = photon_maps.PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=place.BLOCKS)
     cache.extend(board, 1 << 18)

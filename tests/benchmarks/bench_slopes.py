@@ -216,7 +216,7 @@ def merit(photons: int, layout: str = "", *, of_change: bool = False) -> Callabl
 
     scene = parse_scene(layout) if layout else shipped()
 
-    def found() -> float:
+    def result() -> float:
         nail.trace(scene, photons=FEW, seed=1)
         light = nail.trace(scene, photons=photons, seed=2)
         rest = light.at()
@@ -226,7 +226,7 @@ def merit(photons: int, layout: str = "", *, of_change: bool = False) -> Callabl
             relative = (moved.change_stderr / moved.change)[..., 1]
         return float(1 / (np.abs(relative).max() ** 2 * light.cpu_seconds))
 
-    return found
+    return result
 
 
 AT_5_MM = NEAR + lights(PART, (-4.0, 0.0), (1.0, 5.0))
@@ -267,8 +267,8 @@ def measure(name: str, size: int) -> dict[str, float]:
     """Processor seconds, or the figure that a case tells instead, and largest memory, in this process."""
     prepared = CASES[name][0](size)
     begin = spent_s()
-    found = prepared()
-    spent = found if isinstance(found, float) else spent_s() - begin
+    result = prepared()
+    spent = result if isinstance(result, float) else spent_s() - begin
     peak = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return {"cpu_s": spent, "peak_mb": peak / 1e3}
 
@@ -289,13 +289,13 @@ def rows(name: str, codes: list[Path]) -> list[list[str]]:
     for size in CASES[name][1]:
         line = [name, f"{size:,}" if size else ""]
         for k, code in enumerate(codes):
-            found = apart(name, size, code)
-            if found is None:
+            result = apart(name, size, code)
+            if result is None:
                 line += ["refused", "", ""]
                 continue
-            last, before[k] = before[k], (size, found["cpu_s"])
-            slope = f"{log(found['cpu_s'] / last[1]) / log(size / last[0]):.2f}" if last else ""
-            line += [f"{found['cpu_s']:.2f}", slope, f"{found['peak_mb']:.0f}"]
+            last, before[k] = before[k], (size, result["cpu_s"])
+            slope = f"{log(result['cpu_s'] / last[1]) / log(size / last[0]):.2f}" if last else ""
+            line += [f"{result['cpu_s']:.2f}", slope, f"{result['peak_mb']:.0f}"]
         lines.append(line)
     return lines
 

@@ -1,4 +1,4 @@
-"""Touch force told to people of another simulator, which knows nothing of how the package models body and light.
+"""Touch force of people of another simulator, estimated, which knows nothing of how the package models body and light.
 
     python tests/benchmarks/other_people.py FOLDER [--people ann ...] [--rate 50]
 
@@ -331,7 +331,7 @@ def score(folder: Path, recording: Recording) -> dict[str, float]:
     """One row of the table, over touches."""
     path = folder / f"{recording.name}.csv"
     out = folder / recording.name
-    told = run(["predict", str(folder / "subject.toml"), str(path), "-o", str(out)], out.with_suffix(".json"))
+    estimated = run(["predict", str(folder / "subject.toml"), str(path), "-o", str(out)], out.with_suffix(".json"))
     force = columns(path, ["force_n"])[:, 0]
     estimate, low, high = columns(out / "predict.csv", ["force_n", "force_low_n", "force_high_n"]).T
     touch = (force >= 0.15) & (force <= 1.0)
@@ -342,11 +342,11 @@ def score(folder: Path, recording: Recording) -> dict[str, float]:
 
     return {
         "rms_n": over((estimate - force) ** 2, np.mean) ** 0.5,
-        **{f"{name}_n": told["baseline_rms_n"][name] for name in ("filter", "cubic", "components", "sigmoid")},
+        **{f"{name}_n": estimated["baseline_rms_n"][name] for name in ("filter", "cubic", "components", "sigmoid")},
         "covered": over(inside, np.mean),
         "half_width_n": over(0.5 * (high - low), np.median),
         "open": over(np.isinf(high), np.mean),
-        "consistent": float(told["consistent"]),
+        "consistent": float(estimated["consistent"]),
     }
 
 
@@ -399,8 +399,8 @@ def main() -> None:
             for name, row in zip(options.people, rows[f"{kind}_{site}_held"], strict=True)
         ]
         force_page.keep(options.json, "other_people.py", held)
-    for recording, found in rows.items():
-        print_row(("median", recording), {key: statistics.median(row[key] for row in found) for key in found[0]})
+    for recording, result in rows.items():
+        print_row(("median", recording), {key: statistics.median(row[key] for row in result) for key in result[0]})
 
 
 if __name__ == "__main__":

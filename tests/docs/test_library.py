@@ -20,9 +20,9 @@ EDITS = re.findall(r"^\| [^|]+ \| `(scene\.with.*)` \|$", PAGE, re.M)
 
 def block(text: str, begins: str) -> str:
     """The code block whose first line after its language is this one."""
-    found = re.search(rf"^```\{{code-(?:block|cell)\}} \w+\n{begins}\n(.*?)^```$", text, re.M | re.S)
-    assert found
-    return found[1]
+    result = re.search(rf"^```\{{code-(?:block|cell)\}} \w+\n{begins}\n(.*?)^```$", text, re.M | re.S)
+    assert result
+    return result[1]
 
 
 @pytest.mark.parametrize("edit", EDITS)

@@ -111,8 +111,8 @@ def test_the_parts_page_has_every_shipped_part_with_its_source(made):
 
 def test_every_output_variable_has_words_that_read_as_english():
     table = json.loads((DOCS / "output_variables.json").read_text(encoding="utf-8"))
-    for file, found in table.items():
-        for name, one in found["variables"].items():
+    for file, result in table.items():
+        for name, one in result["variables"].items():
             assert one["long_name"], (file, name)
             assert not re.search(r"\b[a-z0-9]+_[a-z0-9]+_", one["long_name"]), (file, name)
 

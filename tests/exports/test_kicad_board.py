@@ -109,7 +109,7 @@ def test_without_a_board_of_its_own_each_die_has_two_pads(tmp_path):
     plain = scene.model_copy(update={"board": scene.board.model_copy(update={"kicad": None})})
     nail.export(plain, tmp_path / "new.kicad_pcb")
     text = (tmp_path / "new.kicad_pcb").read_text()
-    found = read_board(tmp_path / "new.kicad_pcb")
-    assert text.count('(pad "1" smd rect') == text.count('(pad "2" smd rect') == 2 == len(found.footprints)
-    assert {replace(part, package="").pads_middle_mm for part in found.footprints} == {(0.0, 0.0)}
+    result = read_board(tmp_path / "new.kicad_pcb")
+    assert text.count('(pad "1" smd rect') == text.count('(pad "2" smd rect') == 2 == len(result.footprints)
+    assert {replace(part, package="").pads_middle_mm for part in result.footprints} == {(0.0, 0.0)}
     assert '(pad "1" smd rect (at -0.3 0 30) (size 0.4 0.5)' in text

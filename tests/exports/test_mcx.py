@@ -154,8 +154,8 @@ def test_mcx_for_opencl_ends_photons_at_opaque_parts(session):
 
 def test_labels_fit_a_byte_for_every_number_of_zones(scene, geometry):
     many = as_seen(scene.model_copy(update={"blood": type(scene.blood)(zones=32)}), reflecting=False)
-    found = labels(many, build(many), voxels(geometry, 0.3))
-    assert found.dtype == np.uint8 and len(np.unique(found)) > 32
+    result = labels(many, build(many), voxels(geometry, 0.3))
+    assert result.dtype == np.uint8 and len(np.unique(result)) > 32
 
 
 @pytest.mark.parametrize("side_mm", [0.0, -1.0, 0.001, 1.0, float("nan"), float("inf")])
@@ -191,11 +191,11 @@ def test_pmcxcl_reads_an_exported_finger_as_we_do_but_for_the_staircase(tmp_path
     command = [sys.executable, str(paths["run"]), str(paths["led_1"]), "--opencl", "--photons", "400000", "--seed", "7"]
     command += ["-o", str(tmp_path / "found.npz")]
     subprocess.run(command, check=True, capture_output=True, timeout=1000, env=own)
-    found = nailoptics.compare_with(tmp_path / "found.npz", photons=1_000_000, seed=3, backend=chosen_jit.name)
-    assert len(found.readings) == 8 and found.program == "pmcxcl"
-    for name, pair in found.readings.items():
+    result = nailoptics.compare_with(tmp_path / "found.npz", photons=1_000_000, seed=3, backend=chosen_jit.name)
+    assert len(result.readings) == 8 and result.program == "pmcxcl"
+    for name, pair in result.readings.items():
         ratio, stderr = pair.ratio
         assert abs(ratio - 1) < 0.06 + 3 * stderr and stderr < 0.15, name
-    assert abs(found.total.ratio[0] - 1) < 0.06 and found.total.ratio[1] < 0.02
-    for pair in found.changes.values():
+    assert abs(result.total.ratio[0] - 1) < 0.06 and result.total.ratio[1] < 0.02
+    for pair in result.changes.values():
         assert abs(pair.deviations) < 3 and pair.ratio[1] < 0.05

@@ -109,12 +109,12 @@ def test_the_runner_finds_the_photodiode_of_each_place(oximeter, folder):
 
 def test_keywords_are_those_of_pmmc(folder):
     session = read_session(folder, 2)
-    found = run_session.mmc_config(session, source=3, photons=10, seed=5, threads=2)
-    assert found["elem"].min() == 1 and found["elem"].max() == len(found["node"])
-    assert found["elemprop"].max() == len(found["prop"]) - 1
-    assert found["srcpos"] == session["nailoptics"]["sources"][3]["position_mm"]
-    assert found["detpos"].shape == (len(session["nailoptics"]["photodiodes"]), 4)
-    assert (found["nphoton"], found["seed"], found["nthread"]) == (10, 5, 2)
+    result = run_session.mmc_config(session, source=3, photons=10, seed=5, threads=2)
+    assert result["elem"].min() == 1 and result["elem"].max() == len(result["node"])
+    assert result["elemprop"].max() == len(result["prop"]) - 1
+    assert result["srcpos"] == session["nailoptics"]["sources"][3]["position_mm"]
+    assert result["detpos"].shape == (len(session["nailoptics"]["photodiodes"]), 4)
+    assert (result["nphoton"], result["seed"], result["nthread"]) == (10, 5, 2)
 
 
 def test_the_page_says_what_this_scene_loses(oximeter, folder, geometry, tmp_path):
@@ -172,13 +172,13 @@ def test_pmmc_reads_an_exported_finger_as_we_do(pmmc, chosen_jit, tmp_path):
     command = [sys.executable, str(paths["run"]), str(paths["led_1"]), "--photons", "500000", "--seed", "7"]
     command += ["--threads", "1", "-o", str(tmp_path / "detected.npz")]
     subprocess.run(command, check=True, capture_output=True, timeout=1000)
-    found = nailoptics.compare_with(tmp_path / "detected.npz", photons=2_000_000, seed=3, backend=chosen_jit.name)
-    assert len(found.readings) == 8 and not found.unread
-    assert max(abs(pair.deviations) for pair in found.readings.values()) < 3
-    assert found.p_value > 0.003
-    assert abs(found.total.deviations) < 3 and found.total.ratio[1] < 0.02
-    for pair in found.changes.values():
+    result = nailoptics.compare_with(tmp_path / "detected.npz", photons=2_000_000, seed=3, backend=chosen_jit.name)
+    assert len(result.readings) == 8 and not result.unread
+    assert max(abs(pair.deviations) for pair in result.readings.values()) < 3
+    assert result.p_value > 0.003
+    assert abs(result.total.deviations) < 3 and result.total.ratio[1] < 0.02
+    for pair in result.changes.values():
         assert abs(pair.deviations) < 3
         assert pair.ratio[1] < 0.04
-    for name, pair in found.paths_mm.items():
+    for name, pair in result.paths_mm.items():
         assert abs(pair.deviations) < 3.5, name

@@ -45,24 +45,24 @@ def test_errors_are_true(scene, shared):
     """Of many pairs of runs of one truth, differences spread as their standard errors say, and p-values evenly, also
     where neighbouring photodiodes share photons."""
     made = [synthetic(seed, shared=shared) for seed in range(300)]
-    found = [compared(a, OtherDetection("other", scene, 0, b)) for a, b in zip(made[::2], made[1::2], strict=True)]
-    pairs = [list(f.readings.values()) + [f.total] for f in found]
-    pairs = [row + list(f.changes.values()) + list(f.paths_mm.values()) for row, f in zip(pairs, found, strict=True)]
+    result = [compared(a, OtherDetection("other", scene, 0, b)) for a, b in zip(made[::2], made[1::2], strict=True)]
+    pairs = [list(f.readings.values()) + [f.total] for f in result]
+    pairs = [row + list(f.changes.values()) + list(f.paths_mm.values()) for row, f in zip(pairs, result, strict=True)]
     apart = np.array([[pair.deviations for pair in row] for row in pairs])
     # Of n values the standard deviation is known to 1 / sqrt(2 n): five of its errors of a thousand values at most.
     assert np.std(apart) == pytest.approx(1, abs=0.06)
-    assert np.abs(apart.mean(axis=0)).max() < 4 / math.sqrt(len(found))
-    assert np.mean([f.chi2 for f in found]) == pytest.approx(8, abs=4 * math.sqrt(16 / len(found)))
-    p = np.sort([f.p_value for f in found])
+    assert np.abs(apart.mean(axis=0)).max() < 4 / math.sqrt(len(result))
+    assert np.mean([f.chi2 for f in result]) == pytest.approx(8, abs=4 * math.sqrt(16 / len(result)))
+    p = np.sort([f.p_value for f in result])
     assert np.abs(p - (np.arange(len(p)) + 0.5) / len(p)).max() < 1.63 / math.sqrt(len(p))
 
 
 def test_another_truth_is_seen(scene):
-    found = compared(synthetic(1), OtherDetection("other", scene, 0, synthetic(2, brighter=1.2)))
-    ratio, stderr = found.total.ratio
-    assert found.p_value < 1e-3 and ratio == pytest.approx(1 / 1.2, abs=4 * stderr)
-    assert f"chi^2 {found.chi2:.1f} of 8 readings" in "\n".join(found.lines())
-    assert json.dumps(found.as_dict())
+    result = compared(synthetic(1), OtherDetection("other", scene, 0, synthetic(2, brighter=1.2)))
+    ratio, stderr = result.total.ratio
+    assert result.p_value < 1e-3 and ratio == pytest.approx(1 / 1.2, abs=4 * stderr)
+    assert f"chi^2 {result.chi2:.1f} of 8 readings" in "\n".join(result.lines())
+    assert json.dumps(result.as_dict())
 
 
 def test_a_change_that_few_photons_carry_has_no_error(scene):
@@ -76,8 +76,8 @@ def test_a_change_that_few_photons_carry_has_no_error(scene):
         paths[photon < carriers, 1:4] = 1.0
         return LedTrace(PHOTONS, np.zeros(8), photon, which, np.ones(len(photon)), paths, {}, (1,))
 
-    found = compared(seen_by_all(100), OtherDetection("other", scene, 0, seen_by_all(20)))
-    assert all(np.isfinite(pair.ours_stderr) and np.isnan(pair.theirs_stderr) for pair in found.changes.values())
+    result = compared(seen_by_all(100), OtherDetection("other", scene, 0, seen_by_all(20)))
+    assert all(np.isfinite(pair.ours_stderr) and np.isnan(pair.theirs_stderr) for pair in result.changes.values())
 
 
 def test_paths_in_the_bed_are_compared_as_one(scene):
@@ -87,9 +87,9 @@ def test_paths_in_the_bed_are_compared_as_one(scene):
     ours, theirs = synthetic(1), synthetic(2)
     bed, step = theirs.path_mm[:, 1:3].sum(1), np.float32(0.8)
     theirs.path_mm[:, 1], theirs.path_mm[:, 2] = step * bed, (1 - step) * bed
-    found = compared(ours, OtherDetection("other", scene, 0, theirs))
-    assert {"plate", "bed", "bone"} <= found.paths_mm.keys() and not any("bed_" in name for name in found.paths_mm)
-    pair = found.paths_mm["bed"]
+    result = compared(ours, OtherDetection("other", scene, 0, theirs))
+    assert {"plate", "bed", "bone"} <= result.paths_mm.keys() and not any("bed_" in name for name in result.paths_mm)
+    pair = result.paths_mm["bed"]
     assert abs(pair.deviations) < 4 and pair.ours == pytest.approx(2.0, abs=5 * pair.ours_stderr)
     assert pair.ours_stderr == pytest.approx(np.sqrt(2 / len(ours.weight)), rel=0.1)
 
@@ -102,9 +102,9 @@ def write(path, known, **other) -> None:
 
 def test_a_file_is_read_as_it_was_written(scene, tmp_path):
     write(tmp_path / "detected.npz", scene)
-    found = read_detected(tmp_path / "detected.npz")
-    assert (found.program, found.led, found.trace.photons) == ("other", 0, PHOTONS)
-    assert (found.trace.path_mm == synthetic(5).path_mm).all()
+    result = read_detected(tmp_path / "detected.npz")
+    assert (result.program, result.led, result.trace.photons) == ("other", 0, PHOTONS)
+    assert (result.trace.path_mm == synthetic(5).path_mm).all()
 
 
 @pytest.mark.parametrize(

@@ -60,5 +60,5 @@ def test_neighbours_share_whole_faces_and_interfaces_are_among_them(name, reques
         return {(*itertools.chain(*three), *sorted((a, b))) for three, a, b in pairs}
 
     between = low != high
-    found = keys(mesh.nodes[shared[between]], low[between], high[between])
-    assert found == keys(geometry.vertices[geometry.triangles], geometry.below, geometry.above)
+    result = keys(mesh.nodes[shared[between]], low[between], high[between])
+    assert result == keys(geometry.vertices[geometry.triangles], geometry.below, geometry.above)

@@ -49,15 +49,15 @@ def energy(scene: Scene, photons: int = 200_000, seed: int = 1) -> dict[str, tup
     return {name: (part["value"], part["stderr"]) for name, part in parts.items()}
 
 
-def meets(found: tuple[float, float], exact: float, floor: float = 1e-6) -> bool:
-    return abs(found[0] - exact) < 4.5 * found[1] + floor
+def meets(result: tuple[float, float], exact: float, floor: float = 1e-6) -> bool:
+    return abs(result[0] - exact) < 4.5 * result[1] + floor
 
 
 @jit
 @pytest.mark.parametrize("mu_a", [0.0, 1e-6, 1e-3, 1.0, 30.0, 1000.0])
 def test_absorption_alone_is_exponential(jit_backend, mu_a):
-    found = energy(stack({"mu_a_per_mm": mu_a}))
-    assert meets(found["transmitted"], math.exp(-mu_a)) and found["reflected"][0] == 0 and found["lost"][0] == 0
+    result = energy(stack({"mu_a_per_mm": mu_a}))
+    assert meets(result["transmitted"], math.exp(-mu_a)) and result["reflected"][0] == 0 and result["lost"][0] == 0
 
 
 def adding_doubling(mu_a: float, mu_s: float, g: float, n: float) -> tuple[float, float]:
@@ -82,10 +82,10 @@ def adding_doubling(mu_a: float, mu_s: float, g: float, n: float) -> tuple[float
     ],
 )
 def test_slabs_from_thin_to_thick_meet_adding_doubling(jit_backend, mu_a, mu_s, g, n):
-    found = energy(stack({"mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "g": g, "n": n}), photons=60_000)
+    result = energy(stack({"mu_a_per_mm": mu_a, "mu_s_per_mm": mu_s, "g": g, "n": n}), photons=60_000)
     reflected, transmitted = adding_doubling(mu_a, mu_s, g, n)
     # Sixteen quadrature angles are good to a few 1e-4.
-    assert meets(found["reflected"], reflected, floor=6e-4) and meets(found["transmitted"], transmitted, floor=6e-4)
+    assert meets(result["reflected"], reflected, floor=6e-4) and meets(result["transmitted"], transmitted, floor=6e-4)
 
 
 @jit
@@ -93,12 +93,12 @@ def test_slabs_from_thin_to_thick_meet_adding_doubling(jit_backend, mu_a, mu_s, 
 def test_one_scattering_turns_light_as_henyey_and_greenstein_say(jit_backend, g):
     """Thin matched layer: of what is scattered the part (1 - g^2)/(2g) ((1+g^2)^-1/2 - (1+g)^-1) + ... goes back."""
     depth = 0.01
-    found = energy(stack({"thickness_mm": 1.0, "mu_s_per_mm": depth, "g": g}), photons=1_000_000)
+    result = energy(stack({"thickness_mm": 1.0, "mu_s_per_mm": depth, "g": g}), photons=1_000_000)
     cosine = np.linspace(-1, 1, 400_001)
     density = 0.5 * (1 - g * g) / (1 + g * g - 2 * g * cosine) ** 1.5
     back = float(np.trapezoid(density[cosine < 0], cosine[cosine < 0]))
     # Twice scattered light is of second order in the depth, with logarithms from light along the layer.
-    assert meets(found["reflected"], back * depth, floor=4 * depth**2 + 1e-6)
+    assert meets(result["reflected"], back * depth, floor=4 * depth**2 + 1e-6)
 
 
 @jit
@@ -111,26 +111,26 @@ def test_a_clear_plate_reflects_as_fresnel_says(jit_backend, n):
 @jit
 def test_total_reflection_keeps_light_in_and_all_of_it_leaves_in_the_end(jit_backend):
     """Nothing absorbs, n 2.5: what is trapped can only leave by scattering, so reflected and transmitted are 1."""
-    found = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
-    assert meets((found["reflected"][0] + found["transmitted"][0], found["lost"][1]), 1.0)
-    assert found["absorbed"][0] == pytest.approx(0, abs=1e-9)
+    result = energy(stack({"mu_s_per_mm": 5.0, "n": 2.5}), photons=20_000)
+    assert meets((result["reflected"][0] + result["transmitted"][0], result["lost"][1]), 1.0)
+    assert result["absorbed"][0] == pytest.approx(0, abs=1e-9)
 
 
 @jit
 @pytest.mark.parametrize("thickness_mm", [1e-3, 1.0, 1000.0])
 def test_layers_of_a_micrometre_and_of_a_metre(jit_backend, thickness_mm):
-    found = energy(
+    result = energy(
         stack({"thickness_mm": thickness_mm, "mu_a_per_mm": 0.7 / thickness_mm, "n": 1.4}, n_above=1.4, n_below=1.4)
     )
-    assert meets(found["transmitted"], math.exp(-0.7))
+    assert meets(result["transmitted"], math.exp(-0.7))
 
 
 @jit
 def test_a_micrometre_under_a_metre_keeps_its_digits(jit_backend):
-    found = energy(
+    result = energy(
         stack({"thickness_mm": 1000.0}, {"thickness_mm": 1e-3, "mu_a_per_mm": 500.0}, {"thickness_mm": 1000.0})
     )
-    assert meets(found["transmitted"], math.exp(-0.5)) and found["transmitted"][1] < 2e-3
+    assert meets(result["transmitted"], math.exp(-0.5)) and result["transmitted"][1] < 2e-3
 
 
 @jit
@@ -296,7 +296,7 @@ def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend, monkeypat
     from nailoptics.light.walk import finger as finger_walk
 
     scene, build = prototype_with(), geometry.build
-    found = []
+    result = []
     for resolution, seed in ((1.0, 1), (9.0, 2)):
         monkeypatch.setattr(geometry, "build", partial(build, resolution=resolution))
         finger_walk._built.cache_clear()
@@ -304,7 +304,7 @@ def test_readings_do_not_hang_on_the_fineness_of_the_mesh(jit_backend, monkeypat
         batch = tracer.batch(0, photons=250_000, seed=seed)
         assert batch.energy["lost"][0] < 1e-4 * batch.photons
         total, square = batch.weight.sum(), (batch.weight**2).sum()
-        found.append((total / batch.photons, float(stderr_of_mean(total, square, batch.photons))))
+        result.append((total / batch.photons, float(stderr_of_mean(total, square, batch.photons))))
     finger_walk._built.cache_clear()
-    (one, error), (other, more) = found
+    (one, error), (other, more) = result
     assert abs(one - other) < 4 * math.hypot(error, more) and error < 0.05 * one

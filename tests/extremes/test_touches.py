@@ -140,5 +140,5 @@ def test_a_step_on_a_pole_of_the_method_is_taken_shorter(monkeypatch):
         return unrolled[0](*arguments) if calls % 3 else 1.0 / 0.0
 
     monkeypatch.setattr(massless, "_unrolled", lambda units: (often_on_a_pole, unrolled[1]))
-    found = respond(parameters("best"), time, proximal_pressure_pa=5e3)["capillary_diameter_m"]
-    assert calls > 30 and np.allclose(found, expected, rtol=2e-6)
+    computed = respond(parameters("best"), time, proximal_pressure_pa=5e3)["capillary_diameter_m"]
+    assert calls > 30 and np.allclose(computed, expected, rtol=2e-6)

@@ -16,9 +16,9 @@ RATE_BY_HEARTPY = 58.899
 
 def test_the_rate_of_a_recorded_plethysmogram_is_that_of_another_library():
     counts = np.loadtxt(RECORDED, skiprows=12)
-    found = find_beats(np.arange(len(counts)) / 100.0, counts)
-    assert abs(found.rate_per_min - RATE_BY_HEARTPY) < 1.0
-    assert abs(len(found.peak_s) - len(counts) / 100.0 * RATE_BY_HEARTPY / 60.0) < 1.5
+    result = find_beats(np.arange(len(counts)) / 100.0, counts)
+    assert abs(result.rate_per_min - RATE_BY_HEARTPY) < 1.0
+    assert abs(len(result.peak_s) - len(counts) / 100.0 * RATE_BY_HEARTPY / 60.0) < 1.5
 
 
 @pytest.mark.parametrize("rate", [40.0, 70.0, 110.0, 180.0])
@@ -29,18 +29,18 @@ def test_the_rate_of_a_pulse_is_found_through_noise_and_drift(rate, noise):
     pulse = cardiac_pressure(time_s, rate_per_min=rate, mean_pressure_pa=0.0, pulse_pressure_pa=1.0)
     drift = 3.0 * np.sin(2 * np.pi * 0.07 * time_s) + 0.1 * time_s
     noisy = pulse + drift + noise * np.random.default_rng(3).standard_normal(len(time_s))
-    found = find_beats(time_s, noisy)
-    assert abs(found.rate_per_min - rate) < 0.5 + 0.005 * rate
-    assert abs(len(found.peak_s) - 30.0 * rate / 60.0) < 2
-    assert found.usual.mean() > 0.9
+    result = find_beats(time_s, noisy)
+    assert abs(result.rate_per_min - rate) < 0.5 + 0.005 * rate
+    assert abs(len(result.peak_s) - 30.0 * rate / 60.0) < 2
+    assert result.usual.mean() > 0.9
 
 
 def test_the_rate_follows_a_heart_that_quickens():
     time_s = np.arange(0.0, 60.0, 0.01)
     slow = cardiac_pressure(time_s, rate_per_min=60.0, mean_pressure_pa=0.0, pulse_pressure_pa=1.0)
     fast = cardiac_pressure(time_s, rate_per_min=75.0, mean_pressure_pa=0.0, pulse_pressure_pa=1.0)
-    found = find_beats(time_s, np.where(time_s < 30.0, slow, fast))
-    assert abs(found.rate_at(15.0, 8.0) - 60.0) < 1.0 and abs(found.rate_at(45.0, 8.0) - 75.0) < 1.0
+    result = find_beats(time_s, np.where(time_s < 30.0, slow, fast))
+    assert abs(result.rate_at(15.0, 8.0) - 60.0) < 1.0 and abs(result.rate_at(45.0, 8.0) - 75.0) < 1.0
 
 
 @pytest.mark.parametrize(

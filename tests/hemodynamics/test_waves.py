@@ -27,8 +27,8 @@ def test_the_cardiac_oscillator_returns_to_its_rate_and_height() -> None:
     state = np.concatenate([[0.0], (0.5 * height[:, None] * [1.0, 0.0]).ravel()])
     for _ in range(int(60 / 0.01)):
         state = BEAT.propagate(state, 0.01)[0]
-    found = np.hypot(*state[1:].reshape(-1, 2).T)
-    assert found == pytest.approx(height, rel=0.01)
+    result = np.hypot(*state[1:].reshape(-1, 2).T)
+    assert result == pytest.approx(height, rel=0.01)
     # 66 whole beats.
     assert state[1:].reshape(-1, 2)[:, 1] == pytest.approx(0.0, abs=0.01 * height[0])
 

@@ -115,13 +115,13 @@ def on_board(*rows: tuple[tuple[float, float], ...] | None) -> Scene:
 
 @pytest.mark.jit
 def test_maps_of_a_response_that_follows_the_cosine_are_those_of_none(jit_backend):
-    found = []
+    result = []
     for response in (None, FLAT):
         tracer = BoardTracer(on_board(response, response), spacing_mm=0.3)
         starts, *everywhere = tracer.everywhere(0, photons=1 << 13, seed=1)
         own = [arrivals(0, photons=1 << 13, seed=1) for arrivals in (tracer.arrivals, partial(tracer.leaving, 1))]
-        found.append([starts, *(column for one in (*everywhere, *own) for column in vars(one).values())])
-    assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*found, strict=True))
+        result.append([starts, *(column for one in (*everywhere, *own) for column in vars(one).values())])
+    assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*result, strict=True))
 
 
 @pytest.mark.long

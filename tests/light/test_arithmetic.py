@@ -48,9 +48,9 @@ def test_functions_of_floats_are_numpys(jit_backend):
     angle = np.concatenate([np.linspace(-np.pi, np.pi, 20_001), np.geomspace(1e-6, 1, 100), [np.pi / 2]])
     away = np.geomspace(1e-3, 1e3, len(angle))
     across, along = ((away * f(angle)).astype(np.float32) for f in (np.sin, np.cos))
-    found, exact = np.array(atan2(mi.Float(across), mi.Float(along))), np.arctan2(across.astype(float), along)
+    result, exact = np.array(atan2(mi.Float(across), mi.Float(along))), np.arctan2(across.astype(float), along)
     # Four roundings of float32, of a relative 6e-8 each, and those of Dr.Jit's arc sine, 4e-7 at most.
-    assert np.all(np.abs(found - exact) <= 6.4e-7 * np.abs(exact))
+    assert np.all(np.abs(result - exact) <= 6.4e-7 * np.abs(exact))
     assert np.array_equal(atan2(mi.Float(0, -2, 2), mi.Float(0, 0, 0)), np.float32([0, -np.pi / 2, np.pi / 2]))
 
 
@@ -80,7 +80,7 @@ def test_one_kernel_reads_a_table_wherever_it_lies(jit_backend):
     from nailoptics.light.walk.interfaces import table_of_rows
 
     def kernels(table_of):
-        found, index = set(), dr.opaque(mi.UInt32, 0, 8) + dr.arange(mi.UInt32, 8)
+        result, index = set(), dr.opaque(mi.UInt32, 0, 8) + dr.arange(mi.UInt32, 8)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             for start in range(0, 64, 4):
                 rows = memory[start : start + 4000].reshape(-1, 4)
@@ -88,9 +88,9 @@ def test_one_kernel_reads_a_table_wherever_it_lies(jit_backend):
                 dr.kernel_history_clear()
                 read = dr.gather(mi.Vector4f, read, index)
                 dr.eval(read)
-                found |= {one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT}
+                result |= {one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT}
                 assert np.array_equal(read, rows[:8].T)
-        return found
+        return result
 
     memory = np.arange(4064, dtype=np.float32)
     assert len(kernels(table_of_rows)) == 1

@@ -139,9 +139,9 @@ def test_newest_library_first_and_each_file_once(fresh, tmp_path):
         (folder / name).touch()
     (folder / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
     (tmp_path / "other").symlink_to("lib")
-    found = backend._llvm_in(folder, tmp_path / "other", tmp_path / "missing")
+    result = backend._llvm_in(folder, tmp_path / "other", tmp_path / "missing")
     newest = ["libLLVM.so.19.1", "libLLVM-17.so.1", "libLLVM-15.so.1"]
-    assert [Path(path).name for path in found] == [*newest, "libLLVM.dylib"]
+    assert [Path(path).name for path in result] == [*newest, "libLLVM.dylib"]
 
 
 def test_findings_name_one_backend_as_taken(fresh, monkeypatch):

@@ -161,8 +161,8 @@ def test_light_from_a_to_b_is_light_from_b_to_a(chosen_jit, scene, photons):
             }
         )
         tracer = BoardTracer(one)
-        found = [tracer.arrivals(0, photons=photons, seed=i) for i in range(2)]
-        swapped.append(together(found, blood_point(one, 0), [one.layout.photodiodes[0].area]))
+        result = [tracer.arrivals(0, photons=photons, seed=i) for i in range(2)]
+        swapped.append(together(result, blood_point(one, 0), [one.layout.photodiodes[0].area]))
     (there, there_error), (back, back_error) = swapped
     error = np.hypot(there_error, back_error)
     assert np.all(np.abs(there - back)[0, [0, 2, 3]] < 4 * error[0, [0, 2, 3]])
@@ -174,10 +174,10 @@ def test_map_as_a_dataset_integrates_to_the_light_on_the_board(scene, chosen_jit
     one = PhotonMap(scene.layout.outline, values=2 + len(point.beds), spacing_mm=0.5)
     arrivals = tracer.arrivals(0, photons=1 << 17, seed=0)
     one.add(arrivals, point.values(arrivals))
-    found = map_dataset([led.name for led in scene.leds], [one])
-    assert dict(found.sizes) == {"led": 1, "u": 16, "v": 18, "blood_zone": 2}
-    assert 0.1 < float(found.irradiance.sum()) * 0.25 < 1
-    assert bool((found.direct <= found.irradiance + 1e-12).all())
+    result = map_dataset([led.name for led in scene.leds], [one])
+    assert dict(result.sizes) == {"led": 1, "u": 16, "v": 18, "blood_zone": 2}
+    assert 0.1 < float(result.irradiance.sum()) * 0.25 < 1
+    assert bool((result.direct <= result.irradiance + 1e-12).all())
     assert one.photons == 1 << 17 and parse_scene(to_toml(scene)) == scene
 
 
@@ -218,9 +218,9 @@ def test_a_turned_rectangle_of_a_map_holds_what_came_within_its_edges():
     summed.add(light, light.weight[:, None])
     turned = [Rectangle.around("a", (-2.0, -1.0), (1.6, 0.6), angle) for angle in (35.0, 80.0, 0.0)]
     inside, error = readings(light, light.weight[:, None], turned)
-    found = summed.over(turned).mean(0)
-    assert found.shape == inside.shape and np.all(error < 0.03 * inside)
+    result = summed.over(turned).mean(0)
+    assert result.shape == inside.shape and np.all(error < 0.03 * inside)
     # Cells cut at the edge share some of their points with their neighbours: within the points' own noise.
-    assert np.all(np.abs(found - inside) < 2 * error)
+    assert np.all(np.abs(result - inside) < 2 * error)
     alone = np.stack([summed.over([one]).mean(0)[0] for one in turned])
-    assert np.allclose(alone, found)
+    assert np.allclose(alone, result)

@@ -118,14 +118,14 @@ def test_a_change_shares_its_noise_with_what_it_starts_from():
     assert np.all(abs(seen.change[..., 1]) > 20 * seen.change_stderr[..., 1])
     trace = transfer.traces[0]
     slope = optics.absorption(transfer.scene, 800.0, blood_fraction=states)[:, 0] - trace.mu_a
-    rng, found = np.random.default_rng(4), []
+    rng, result = np.random.default_rng(4), []
     mine = trace.photodiode == 0
     weight = trace.weight[mine, None] * np.exp(-trace.path_mm[mine] @ slope.T)
     for _ in range(400):
         count = rng.poisson(1.0, mine.sum())
-        found.append(float(count @ (weight[:, 1] - weight[:, 0])) / trace.photons)
+        result.append(float(count @ (weight[:, 1] - weight[:, 0])) / trace.photons)
     # The line of 30 nm hardly matters for the spread; 400 resamplings know a spread to 3.5 %.
-    assert np.std(found) == pytest.approx(float(seen.change_stderr[0, 0, 1]), rel=0.15)
+    assert np.std(result) == pytest.approx(float(seen.change_stderr[0, 0, 1]), rel=0.15)
 
 
 def test_electrons_weigh_wavelengths_by_photons_per_watt():

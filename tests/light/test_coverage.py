@@ -55,8 +55,8 @@ def covers(runs: list[Estimates], truth: Estimates) -> None:
         count = len(runs)
         for limit, nominal in ((1.0, 0.683), (1.96, 0.95)):
             # Values of one run may err together: chance is that of the runs.
-            found, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(nominal * (1 - nominal) / count)
-            assert abs(found - nominal) < 3.5 * chance, (name, limit, found)
+            result, chance = float(np.mean(np.abs(z) < limit)), math.sqrt(nominal * (1 - nominal) / count)
+            assert abs(result - nominal) < 3.5 * chance, (name, limit, result)
         assert np.abs(z.mean(0)).max() < 4.5 / math.sqrt(count), (name, z.mean(0))
 
 

@@ -135,10 +135,10 @@ def test_both_engines_agree_on_a_slab_with_many_parts(jit_backend):
 def test_seconds_count_from_the_scene_on(jit_backend):
     """Expected: processor time that the process spent, but for what its clock does not resolve."""
     before = time.process_time()
-    found = read_rest(finger(), photons=1 << 14, seed=1)
+    result = read_rest(finger(), photons=1 << 14, seed=1)
     spent = time.process_time() - before
-    assert found.transfer is not None
-    whole, photons, setup = found.cpu_seconds, found.transfer.cpu_seconds, found.transfer.setup_seconds
+    assert result.transfer is not None
+    whole, photons, setup = result.cpu_seconds, result.transfer.cpu_seconds, result.transfer.setup_seconds
     assert photons > 0 and setup > 0 and photons + setup <= whole <= spent and whole > 0.9 * spent
 
 

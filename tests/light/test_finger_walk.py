@@ -53,12 +53,12 @@ def test_photons_and_volpath_read_the_same_on_a_photodiode_of_the_finger(jit_bac
     scene = scene.model_copy(update={"board": board, "photodiodes": (scene.photodiodes[0].model_copy(update=large),)})
     seen = nail.trace(scene, relative_error=0.015, seed=1).at().isel(led=0, photodiode=0)
     shape = geometry.build(scene)
-    found = optics.finger_media(scene, shape.regions, 800.0)
+    result = optics.finger_media(scene, shape.regions, 800.0)
     v = np.linspace(*(np.asarray(shape.bounds_mm)[:, 1] + [-0.2, 0.2]), 101)
     traced = readings.finger_paths(
         shape,
-        found,
-        bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")])),
+        result,
+        bed=mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), result.mu_a[shape.regions.index("bed")])),
         led=0,
         photodiodes=(0,),
         backend=backend.choose("auto", volpath=True),
@@ -133,7 +133,7 @@ def test_parts_left_out_read_the_same_with_and_without_faces(jit_backend):
     Expected: independent traces of both agree at every photodiode, and know their sum to 2 %."""
     scene, photons = prototype(), 1 << 18
     scene = scene.model_copy(update={"light": scene.light.model_copy(update={"left_out": tuple(geometry.AROUND)})})
-    found = []
+    result = []
     for seed, kept in enumerate((tuple(geometry.AROUND), ())):
         tracer = FingerTracer(scene, with_faces=kept)
         batch = tracer.batch(0, photons=photons, seed=seed)
@@ -141,8 +141,8 @@ def test_parts_left_out_read_the_same_with_and_without_faces(jit_backend):
         assert all((tracer.geometry.regions.index(part) in met) == bool(kept) for part in geometry.AROUND)
         assert batch.path_mm[:, optics.absorbers(scene).index("bone")].any() == bool(kept)
         sums = [np.bincount(batch.photodiode, batch.weight**k, minlength=8) / photons for k in (1, 2)]
-        found.append((sums[0], (sums[1] - sums[0] ** 2) / photons))
-    (with_faces, variance), (without, other) = found
+        result.append((sums[0], (sums[1] - sums[0] ** 2) / photons))
+    (with_faces, variance), (without, other) = result
     assert ((with_faces - without) ** 2 / (variance + other)).sum() < 26.1  # 8 readings: one time in a thousand
     assert np.sqrt((variance + other).sum()) < 0.02 * without.sum()
 
@@ -176,12 +176,12 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
     Expected: the ratio of two states, in which most noise cancels, agrees to a small part of what the bed takes."""
     scene, more = prototype(elements=NEAREST), 0.1
     shape = geometry.build(scene)
-    found = optics.finger_media(scene, shape.regions, 800.0)
-    bed = float(found.mu_a[shape.regions.index("bed")])
-    found = readings.finger_states(
+    result = optics.finger_media(scene, shape.regions, 800.0)
+    bed = float(result.mu_a[shape.regions.index("bed")])
+    result = readings.finger_states(
         scene,
         shape,
-        found,
+        result,
         mitsuba_scene.BedAbsorption(np.array([-20.0, 20.0]), np.array([[bed] * 2, [bed + more] * 2])),
         led=0,
         # The ratio is settled before the level.
@@ -193,7 +193,7 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
     left = np.exp(-more * path.astype(float))
     ratio = (trace.weight @ left) / trace.weight.sum()
     own = np.linalg.norm(np.bincount(trace.photon, trace.weight * (left - ratio))) / trace.weight.sum()
-    assert abs(ratio - found.ratio[0, 1]) < 3 * np.hypot(own, found.ratio_stderr[0, 1]) < 0.5 * (1 - ratio)
+    assert abs(ratio - result.ratio[0, 1]) < 3 * np.hypot(own, result.ratio_stderr[0, 1]) < 0.5 * (1 - ratio)
 
 
 @pytest.mark.jit

@@ -274,14 +274,14 @@ def test_a_square_sees_what_counting_exits_in_it_gives(jit_backend, led, center)
 def test_each_layer_takes_what_lambert_says(jit_backend):
     """Light that nothing scatters loses 1 - exp(-mu_a d) of itself in each layer; the parts make up all of it."""
     first, second = layer(thickness=2.0, mu_a=0.4, mu_s=0.0), layer(thickness=3.0, mu_a=0.2, mu_s=0.0)
-    found = nail.trace(stack(first, second, photodiodes=[SQUARE]), photons=1 << 18, seed=3)
-    absorbed = found.absorbed()["led"]
+    result = nail.trace(stack(first, second, photodiodes=[SQUARE]), photons=1 << 18, seed=3)
+    absorbed = result.absorbed()["led"]
     for name, exact in (("l0", 1 - np.exp(-0.8)), ("l1", np.exp(-0.8) - np.exp(-1.4))):
         assert abs(absorbed[name]["value"] - exact) < 4 * absorbed[name]["stderr"] < 0.01 * exact
     assert sum(one["value"] for one in absorbed.values()) == pytest.approx(
-        found.energy()["absorbed"]["value"], abs=1e-12
+        result.energy()["absorbed"]["value"], abs=1e-12
     )
-    assert abs(found.energy()["lost"]["value"]) < 1e-12
+    assert abs(result.energy()["lost"]["value"]) < 1e-12
 
 
 def test_photodiodes_at_one_distance_share_their_error_and_say_so(jit_backend):

@@ -111,12 +111,12 @@ def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
     walked = tracer.walk(0, photons=photons, seed=1911_05_03)
     ended = np.flatnonzero(walked.outcome >= DETECTED)
     plain = walked.outcome[ended] - DETECTED, walked.weight[ended], tracer.by_zone(walked.path_mm[:, ended])
-    found = []
+    result = []
     for photodiode, light, path in ((split.photodiode, split.weight, split.path_mm), plain):
         scores = np.stack([light, light * path[:, 0], light * path[:, 1:3].sum(1)])
         sums, squares = (np.stack([np.bincount(photodiode, s**k, minlength=count) for s in scores]) for k in (1, 2))
-        found.append((sums / photons, stderr_of_mean(sums, squares, photons)))
-    (ours, error), (other, more) = found
+        result.append((sums / photons, stderr_of_mean(sums, squares, photons)))
+    (ours, error), (other, more) = result
     assert np.sum((ours - other) ** 2 / (error**2 + more**2)) < 60
     assert np.all(error[0] / ours[0] < 0.8 * more[0] / other[0])
     energy = {part: total / photons for part, (total, _) in split.energy.items()}

@@ -168,8 +168,8 @@ def test_very_many_readings_are_fitted_as_their_means_in_narrow_ranges(fit, monk
     rng, time = np.random.default_rng(2), np.linspace(0.0, 1.0, 60_000)
     diameter_m = 7e-6 + 2e-6 * np.sin(9 * time) * np.exp(-time)
     volts = 0.3 + 0.2 * np.exp(-1.2e10 * diameter_m**2) + 1e-5 * rng.normal(size=time.size) + 2e-4 * time
-    found = fit(diameter_m, volts)
+    result = fit(diameter_m, volts)
     monkeypatch.setattr(reduced_optics, "MOST_READINGS", time.size)
     one_by_one = fit(diameter_m, volts)
-    assert found.constants == pytest.approx(one_by_one.constants, rel=1e-6)
-    assert found.residual_rms_v == pytest.approx(one_by_one.residual_rms_v, rel=1e-6)
+    assert result.constants == pytest.approx(one_by_one.constants, rel=1e-6)
+    assert result.residual_rms_v == pytest.approx(one_by_one.residual_rms_v, rel=1e-6)

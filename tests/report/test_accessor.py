@@ -168,12 +168,12 @@ def test_the_papers_figures_show_themselves(tmp_path):
 
 def test_every_title_of_a_study_has_its_report():
     """Expected: a Dataset of a public study is shown, and KINDS names no report that does not exist."""
-    found = set()
+    computed = set()
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                found |= {node.value} & KINDS.keys()
-    assert found >= {kind for kind in KINDS if kind.startswith("nailoptics") and "batch" not in kind}
+                computed |= {node.value} & KINDS.keys()
+    assert computed >= {kind for kind in KINDS if kind.startswith("nailoptics") and "batch" not in kind}
     for kind in KINDS:
         assert Nail(xr.Dataset(attrs={"title": kind})).figures
 

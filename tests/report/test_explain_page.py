@@ -21,7 +21,7 @@ def effect(name: str, change: float, stderr: float, **fields: Any) -> Effect:
 
 
 @pytest.fixture
-def found() -> Explanation:
+def result() -> Explanation:
     bone = effect("bone", 0.004, 0.001, changes={"light": {"left_out": ["bone"]}})
     effects = (
         effect("plate <absorption>", -0.62, 0.01, unknown=True),
@@ -35,8 +35,8 @@ def found() -> Explanation:
     return Explanation(effects, together, scene, 0.02, 1000, "llvm", 1.0)
 
 
-def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
-    paths = EXPLANATION.write(found, tmp_path)
+def test_the_page_begins_with_the_largest_effect_and_its_error(result, tmp_path):
+    paths = EXPLANATION.write(result, tmp_path)
     page = paths["report"].read_text(encoding="utf-8")
     head, body = page.split("</header>")
     assert "<h1>plate &lt;absorption&gt; changes ir proximal.6 by −62.0 ± 1.0\u00a0%</h1>" in head
@@ -44,27 +44,27 @@ def test_the_page_begins_with_the_largest_effect_and_its_error(found, tmp_path):
     assert "[light] left_out = [&quot;bone&quot;]" in body and "changes no reading by more than 0.70 %" in body
     assert "though it matters: cover." in body and "more photons are needed: index steps, ambient light" in body
     assert "not known" in body and "pooled" not in page
-    assert load_scene(paths["scene"]) == found.required
+    assert load_scene(paths["scene"]) == result.required
 
 
-def test_an_undecided_effect_is_no_headline_beside_a_significant_one(found, tmp_path):
+def test_an_undecided_effect_is_no_headline_beside_a_significant_one(result, tmp_path):
     noisy = effect("forward scattering", -0.9, 0.4)
     assert noisy.matters == "undecided"
-    for shown, name in (((noisy, *found.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
-        page = EXPLANATION.write(replace(found, effects=shown), tmp_path)["report"]
+    for shown, name in (((noisy, *result.effects), "plate &lt;absorption&gt;"), ((noisy,), "forward scattering")):
+        page = EXPLANATION.write(replace(result, effects=shown), tmp_path)["report"]
         assert f"<h1>{name} changes" in page.read_text(encoding="utf-8")
 
 
-def test_the_picture_names_every_effect_that_is_known(found):
-    axes = explain.draw(found).axes[0]
+def test_the_picture_names_every_effect_that_is_known(result):
+    axes = explain.draw(result).axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
-    assert names == [one.name for one in found.effects if np.isfinite(one.change)]
+    assert names == [one.name for one in result.effects if np.isfinite(one.change)]
     dots = np.concatenate([line.get_xdata() for line in axes.lines if line.get_marker() == "o"])
     assert np.allclose(sorted(dots), [0.4, 3, 20, 50, 62])
 
 
-def test_what_ended_too_early_says_so_first(found, tmp_path):
-    cut = replace(found, attributes={"cut_off": "max_seconds ended the study"}, effects=(), together=None)
+def test_what_ended_too_early_says_so_first(result, tmp_path):
+    cut = replace(result, attributes={"cut_off": "max_seconds ended the study"}, effects=(), together=None)
     paths = EXPLANATION.write(cut, tmp_path)
     assert paths["scene"].read_text(encoding="utf-8").startswith("# Cut off: max_seconds ended the study\n")
     page = paths["report"].read_text(encoding="utf-8")

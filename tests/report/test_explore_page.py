@@ -285,8 +285,8 @@ def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown:
     rng, table = np.random.default_rng(4), explored.colours[1].fluence
     log = RegularGridInterpolator([table.radius_mm.values, table.depth_mm.values], half(np.log(table.values)))
     for place in rng.uniform([0.2, 0.1], [9.0, 2.9], (20, 2)).tolist():
-        found = shown.evaluate("([r, z]) => logFluence(colours[1], r, z)", place)
-        assert found == pytest.approx(log(place)[0], rel=1e-6)
+        computed = shown.evaluate("([r, z]) => logFluence(colours[1], r, z)", place)
+        assert computed == pytest.approx(log(place)[0], rel=1e-6)
     pictures = []
     for along in (0.0, 0.5):
         shown.evaluate("(along) => change((layout) => { layout.photodiodes[0].v += along; })", along)
@@ -310,14 +310,14 @@ def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
     rng, buildable = np.random.default_rng(4), 0
     for _ in range(60):
         moves = rng.normal(scale=10 ** rng.uniform(-2, 0.5), size=(40, 3)).tolist()
-        found, text = shown.evaluate(
+        computed, text = shown.evaluate(
             """(moves) => { const layout = copy(tables.layout);
             [...layout.leds, ...layout.photodiodes].forEach((part, k) => {
                 part.u += moves[k][0]; part.v += moves[k][1]; part.turn += 30 * moves[k][2]; });
             return [problems(layout), smolToml.stringify(toScene(layout))]; }""",
             moves,
         )
-        if not found:
+        if not computed:
             parse_scene(text, name="moved")
             buildable += 1
     assert 2 < buildable < 60

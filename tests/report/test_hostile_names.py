@@ -99,8 +99,8 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     assert_text_alone(html.table(oximeter._errors(result)), name)
     bias = SimpleNamespace(value=1.0, stderr=0.1, bound=1.0)
     level = SimpleNamespace(name=name, reading=bias, signal=bias, seconds=lambda tolerance: 1.0)
-    found = SimpleNamespace(levels=[level], chosen=level, tolerance=0.02)
-    assert_text_alone(html.table(tradeoff._rows(found)), name)
+    computed = SimpleNamespace(levels=[level], chosen=level, tolerance=0.02)
+    assert_text_alone(html.table(tradeoff._rows(computed)), name)
 
 
 @pytest.mark.parametrize("name", ["".join(HOSTILE)], ids=["all"])

@@ -31,9 +31,9 @@ def tab(browser: Any) -> Iterator[Any]:
 
 
 def _left_s(tab: Any) -> int:
-    found = LEFT.search(tab.inner_text("#now"))
-    assert found
-    return int(found.group(1))
+    result = LEFT.search(tab.inner_text("#now"))
+    assert result
+    return int(result.group(1))
 
 
 def _wait_until(tab: Any, expression: str) -> None:

@@ -118,12 +118,12 @@ def test_a_check_is_reported_in_sentences():
     pair = {"led": "ir", "photodiode": "a", "distance_mm": 1.5, "volts": 0.25}
     pair |= {"volts_stderr": 0.01, "feedback_ohm": 1e6, "noise_v": {"shot": 2e-6}}
     diode = {"name": "a", "position_mm": [0.5, -2.0], "size_mm": [1.0, 0.25], "rotation_deg": 90.0}
-    found = {"photodiodes": [diode], "not_wired": 2, "board_mm": [2.825, 9.0]}
+    computed = {"photodiodes": [diode], "not_wired": 2, "board_mm": [2.825, 9.0]}
     lit = {"led": "ir", "nail_w_per_m2": 400.0, "eye_w_per_m2": 0.01, "light_j": 1e-6, "charge_c": None}
-    found |= {"pairs": [pair], "warnings": ["hot"], "noise": "shot noise limits", "exposure": [lit]}
-    found |= {"ignored": {"x.kicad_pcb": [f"R{i}" for i in range(9)]}}
-    found |= {"candidates": [{"name": "mine", "leds": 1, "photodiodes": 4}]}
-    lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | found)
+    computed |= {"pairs": [pair], "warnings": ["hot"], "noise": "shot noise limits", "exposure": [lit]}
+    computed |= {"ignored": {"x.kicad_pcb": [f"R{i}" for i in range(9)]}}
+    computed |= {"candidates": [{"name": "mine", "leds": 1, "photodiodes": 4}]}
+    lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | computed)
     assert "photodiodes: 1, and 2 that are not wired, on a board of 2.83 x 9 mm" in lines
     assert [line.split() for line in lines if "(0.5, -2)" in line] == [
         ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "1", "0.25", "+-", "0.01"]

@@ -69,8 +69,8 @@ def test_a_scene_from_a_board_is_complete_without_it(tmp_path):
 )
 def test_origin_side_and_turn_place_the_board_on_the_nail(tmp_path, more, side, places):
     scene = load_scene(write(tmp_path, more=more, side=side))
-    found = [(*part.position_mm, part.rotation_deg) for part in (*scene.leds, *scene.photodiodes)]
-    assert found == [pytest.approx(one) for one in places]
+    computed = [(*part.position_mm, part.rotation_deg) for part in (*scene.leds, *scene.photodiodes)]
+    assert computed == [pytest.approx(one) for one in places]
 
 
 def test_parts_on_the_scene_and_those_of_the_file_go_together(tmp_path):
@@ -351,8 +351,8 @@ def test_a_written_board_keeps_the_references_of_its_file(tmp_path):
     )
     scene = load_scene(path)
     assert [(p.ref, p.value) for p in result.kicad_parts(scene)] == [("D1", "led_660"), ("PD1", "left")]
-    base, found = boards.base_board(scene), [Rectangle("", u - 0.25, u + 0.25, 1.0, 2.0) for u in (0.0, 1.0, 2.0)]
-    best = candidates.searched(base, boards.rules(scene), [(-2.0, 1.0)], found, side=None, name="search")
+    base, computed = boards.base_board(scene), [Rectangle("", u - 0.25, u + 0.25, 1.0, 2.0) for u in (0.0, 1.0, 2.0)]
+    best = candidates.searched(base, boards.rules(scene), [(-2.0, 1.0)], computed, side=None, name="search")
     # The file's one photodiode, at u = 1 mm, goes to the nearest place; names and references of the others are new.
     assert [(one.name, one.reference) for one in best.photodiodes] == [("PD2", None), ("left", "PD1"), ("PD3", None)]
     parts = result.kicad_parts(best)

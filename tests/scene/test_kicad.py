@@ -76,13 +76,13 @@ def board(tmp_path, text):
 
 @pytest.mark.parametrize("text", [KICAD_5, KICAD_8, KICAD_9], ids=["5", "8", "9"])
 def test_parts_and_outline_are_read_alike_of_every_version(tmp_path, text):
-    found = board(tmp_path, text)
-    led, hole = found.footprints
+    result = board(tmp_path, text)
+    led, hole = result.footprints
     assert replace(led, pads_middle_mm=(0.0, 0.0)) == PlacedPart(
         "D1", "660nm", "LED_SMD:LED_0603", (103.0, -102.0), 30.0, "bottom"
     )
-    assert (hole.ref, hole.side) == ("REF**", "top") and found.auxiliary_mm == (105.0, -104.0)
-    outline = join(found.edges, "x")
+    assert (hole.ref, hole.side) == ("REF**", "top") and result.auxiliary_mm == (105.0, -104.0)
+    outline = join(result.edges, "x")
     assert area_mm2(outline.corners_mm) == pytest.approx(80 - (4 - math.pi), abs=0.02)
     (drilled,) = outline.holes_mm
     xs, ys = zip(*drilled, strict=True)
@@ -108,8 +108,8 @@ def test_parts_and_outline_are_read_alike_of_every_version(tmp_path, text):
     ],
 )
 def test_every_shape_of_an_outline_is_known(tmp_path, shape, area):
-    found = board(tmp_path, f"(kicad_pcb (version 20171130) {shape})")
-    assert area_mm2(join(found.edges, "x").corners_mm) == pytest.approx(area, abs=0.06)
+    result = board(tmp_path, f"(kicad_pcb (version 20171130) {shape})")
+    assert area_mm2(join(result.edges, "x").corners_mm) == pytest.approx(area, abs=0.06)
 
 
 def test_a_part_lies_on_the_bottom_whatever_its_copper_is_called(tmp_path):
@@ -136,8 +136,8 @@ def test_of_several_boards_in_a_file_the_one_with_the_parts_is_taken():
 
 
 def test_an_origin_that_nobody_set_is_none(tmp_path):
-    found = board(tmp_path, "(kicad_pcb (version 20171130) (setup (aux_axis_origin 0 0)))")
-    assert found.auxiliary_mm is None and found.grid_mm is None
+    result = board(tmp_path, "(kicad_pcb (version 20171130) (setup (aux_axis_origin 0 0)))")
+    assert result.auxiliary_mm is None and result.grid_mm is None
 
 
 def test_a_written_layout_is_read_back(tmp_path):
@@ -147,13 +147,13 @@ def test_a_written_layout_is_read_back(tmp_path):
     )
     outline = Outline(((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0)), (((2.0, -3.0), (3.0, -3.0), (3.0, -2.0)),))
     write_board(tmp_path / "best.kicad_pcb", parts, [(0.25, 0.25), (1.0, 0.25)], outline, thickness_mm=0.025)
-    found = read_board(tmp_path / "best.kicad_pcb")
-    ox, oy = found.auxiliary_mm
-    moved = [(p.ref, p.value, p.rotation_deg, p.side) for p in found.footprints]
+    result = read_board(tmp_path / "best.kicad_pcb")
+    ox, oy = result.auxiliary_mm
+    moved = [(p.ref, p.value, p.rotation_deg, p.side) for p in result.footprints]
     assert moved == [(p.ref, p.value, p.rotation_deg, p.side) for p in parts]
-    places = [(p.position_mm[0] - ox, p.position_mm[1] - oy) for p in found.footprints]
+    places = [(p.position_mm[0] - ox, p.position_mm[1] - oy) for p in result.footprints]
     assert places == [pytest.approx(p.position_mm) for p in parts]
-    again = join(found.edges, "x")
+    again = join(result.edges, "x")
     lines = [[(round(x - ox, 6), round(y - oy, 6)) for x, y in one] for one in (again.corners_mm, *again.holes_mm)]
     assert sorted(map(sorted, lines)) == sorted(map(sorted, (outline.corners_mm, *outline.holes_mm)))
     first = (tmp_path / "best.kicad_pcb").read_text()

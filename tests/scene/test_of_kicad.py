@@ -37,15 +37,15 @@ def away_deg(angle):
 
 @pytest.mark.parametrize("version", [6, 9])
 def test_a_board_is_read_as_kicad_made_it(version):
-    found = read_board(FILES / f"version_{version}.kicad_pcb")
-    assert {part.ref for part in found.footprints} == set(PARTS) and found.auxiliary_mm == ORIGIN
-    for part in found.footprints:
+    result = read_board(FILES / f"version_{version}.kicad_pcb")
+    assert {part.ref for part in result.footprints} == set(PARTS) and result.auxiliary_mm == ORIGIN
+    for part in result.footprints:
         place, angle, side = PARTS[part.ref]
         assert part.position_mm == pytest.approx(place, abs=1e-9) and part.side == side
         assert away_deg(part.rotation_deg - angle) < 1e-6
-    values = {part.ref: part.value for part in found.footprints}
+    values = {part.ref: part.value for part in result.footprints}
     assert (values["R1"], values["PD1"]) == ("0.10", 'Q "x" (a) \\ µ')
-    outline = join(found.edges, "x")
+    outline = join(result.edges, "x")
     assert abs(area_mm2(outline.corners_mm)) == pytest.approx(BOARD_MM2, abs=0.01)
     assert sorted(abs(area_mm2(hole)) for hole in outline.holes_mm) == pytest.approx(HOLES_MM2, abs=0.01)
 
@@ -84,10 +84,10 @@ def test_moved_there_and_back_a_board_is_the_same_to_the_byte(tmp_path, version)
     assert moved_board(path, placed, []) == path.read_text()
     away = {ref: ((x + 1.25, y - 0.5), angle + 73.25) for ref, ((x, y), angle) in placed.items() if ref[0] != "J"}
     moved.write_text(moved_board(path, away, []))
-    found = {part.ref: part for part in read_board(moved).footprints}
+    result = {part.ref: part for part in read_board(moved).footprints}
     for ref, (place, angle) in (placed | away).items():
-        assert found[ref].position_mm == pytest.approx(place, abs=1e-9)
-        assert away_deg(found[ref].rotation_deg - angle) < 1e-6
+        assert result[ref].position_mm == pytest.approx(place, abs=1e-9)
+        assert away_deg(result[ref].rotation_deg - angle) < 1e-6
     lines = [
         (a, b) for a, b in zip(path.read_text().splitlines(), moved.read_text().splitlines(), strict=True) if a != b
     ]
@@ -103,9 +103,9 @@ def test_moved_there_and_back_a_board_is_the_same_to_the_byte(tmp_path, version)
     ],
 )
 def test_position_files_agree_with_the_board(name, how, within_mm):
-    found = read_positions(FILES / name, **how)
-    assert {part.ref for part in found} == set(PARTS)
-    for part in found:
+    result = read_positions(FILES / name, **how)
+    assert {part.ref for part in result} == set(PARTS)
+    for part in result:
         place, angle, side = PARTS[part.ref]
         want = [a - b for a, b in zip(place, ORIGIN, strict=True)]
         assert part.position_mm == pytest.approx(want, abs=within_mm) and part.side == side

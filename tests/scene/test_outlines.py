@@ -30,8 +30,8 @@ def test_an_outline_is_read_from_corners_and_from_a_board(tmp_path):
     (tmp_path / "o.csv").write_text("x_mm,y_mm\n" + "".join(f"{x},{y}\n" for x, y in SQUARE))
     assert read_outline(tmp_path / "o.csv") == Outline(SQUARE)
     write_board(tmp_path / "o.kicad_pcb", [], [], Outline(SQUARE, (HOLE,)), thickness_mm=0.025)
-    found = read_outline(tmp_path / "o.kicad_pcb")
-    for line, expected in zip((found.corners_mm, *found.holes_mm), (SQUARE, HOLE), strict=True):
+    result = read_outline(tmp_path / "o.kicad_pcb")
+    for line, expected in zip((result.corners_mm, *result.holes_mm), (SQUARE, HOLE), strict=True):
         assert line == tuple(pytest.approx(corner) for corner in expected)
 
 
@@ -47,8 +47,8 @@ def test_a_written_drawing_opens_without_repair(tmp_path):
 def test_lines_in_any_order_and_direction_are_one_outline():
     lines = [line[::-1] if i % 2 else line for i, line in enumerate(sides(SQUARE) + sides(HOLE))]
     random.Random(1).shuffle(lines)
-    found = join(lines, "x")
-    assert found.corners_mm == SQUARE and found.holes_mm == (HOLE,)
+    result = join(lines, "x")
+    assert result.corners_mm == SQUARE and result.holes_mm == (HOLE,)
 
 
 def test_ends_that_nearly_meet_are_one_place_and_doubled_lines_count_once():
@@ -84,8 +84,8 @@ def test_what_is_neither_border_nor_hole_is_left_out():
 )
 def test_of_boards_that_share_an_edge_the_one_with_parts_is_taken(around, area):
     panel = [((0, 0), (10, 0), (10, 10), (0, 10)), ((10, 0), (15, 0), (15, 6), (10, 6))]
-    found = join([line for board in panel for line in sides(board)], "x", around=around)
-    assert area_mm2(found.corners_mm) == pytest.approx(area) and not found.holes_mm
+    result = join([line for board in panel for line in sides(board)], "x", around=around)
+    assert area_mm2(result.corners_mm) == pytest.approx(area) and not result.holes_mm
 
 
 def test_any_lines_make_an_outline_or_an_error():
@@ -98,11 +98,11 @@ def test_any_lines_make_an_outline_or_an_error():
         lines = [line for box in boxes for line in sides(box)]
         lines += [tuple((draw.randint(0, 8), draw.randint(0, 8)) for _ in "ab") for _ in range(draw.randint(0, 4))]
         try:
-            found = join(lines, "x")
+            result = join(lines, "x")
         except InputError as error:
             assert "open at" in str(error)
         else:
-            assert area_mm2(found.corners_mm) >= max(map(area_mm2, boxes)) - 1e-9
+            assert area_mm2(result.corners_mm) >= max(map(area_mm2, boxes)) - 1e-9
 
 
 def test_a_thousand_lines_that_cross_one_another_are_refused():
@@ -115,8 +115,8 @@ def test_a_thousand_lines_that_cross_one_another_are_refused():
 def test_ten_thousand_holes_are_found():
     holes = [[(x + 0.2 * a, y + 0.2 * b) for a, b in HOLE] for x in range(100) for y in range(100)]
     lines = [line for one in (((-1, -1), (100, -1), (100, 100), (-1, 100)), *holes) for line in sides(one)]
-    found = join(lines, "x")
-    assert len(found.holes_mm) == 10_000
+    result = join(lines, "x")
+    assert len(result.holes_mm) == 10_000
 
 
 @pytest.mark.parametrize(

@@ -57,8 +57,8 @@ BOTH = [(10.0, "top"), (20.0, "top"), (-12.0, "bottom"), (-18.0, "bottom")]
     ],
 )
 def test_x_that_may_be_negated_is_a_warning(caplog, places, said, words):
-    found = [PlacedPart(f"PD{i}", "", "", (x, 0.0), 0.0, side) for i, (x, side) in enumerate(places)]
-    warn_of_bottom({"positions": "pos.csv"} | said, found, found)
+    result = [PlacedPart(f"PD{i}", "", "", (x, 0.0), 0.0, side) for i, (x, side) in enumerate(places)]
+    warn_of_bottom({"positions": "pos.csv"} | said, result, result)
     assert words in caplog.text and bool(words) == ("negate_x_on_bottom = true" in caplog.text)
 
 

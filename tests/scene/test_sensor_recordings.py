@@ -15,21 +15,21 @@ GOOD = "time_s,force_n,site,a,b\n0,0,proximal,1.0,2.0\n0.01,0.1,proximal,,2.1\n0
 def _read(tmp_path: Path, text: str) -> object:
     file = tmp_path / "recording.csv"
     file.write_text(text)
-    found = read_sensor_recording(file)
-    return found.of(found.names)
+    result = read_sensor_recording(file)
+    return result.of(result.names)
 
 
 def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path: Path) -> None:
     file = tmp_path / "recording.csv"
     file.write_text(GOOD)
-    found = read_sensor_recording(file)
-    assert found.names == ("a", "b")
-    np.testing.assert_array_equal(found.volts, [[1.0, np.nan, 1.2], [2.0, 2.1, 2.2]])
-    np.testing.assert_array_equal(found.site, [1.0, 1.0, np.nan])
-    found.save(tmp_path / "out" / file.name)
+    result = read_sensor_recording(file)
+    assert result.names == ("a", "b")
+    np.testing.assert_array_equal(result.volts, [[1.0, np.nan, 1.2], [2.0, 2.1, 2.2]])
+    np.testing.assert_array_equal(result.site, [1.0, 1.0, np.nan])
+    result.save(tmp_path / "out" / file.name)
     again = read_sensor_recording(tmp_path / "out" / file.name)
     for name in ("time_s", "volts", "force_n", "site"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+        np.testing.assert_array_equal(getattr(again, name), getattr(result, name))
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_times_of_a_clock_keep_all_their_digits(tmp_path: Path) -> None:
     file = tmp_path / "recording.csv"
     time_s = 1763900000.0 + np.arange(3) / 1000
     file.write_text("time_s,a\n" + "".join(f"{t!r},{k}\n" for k, t in enumerate(time_s.tolist())))
-    found = read_sensor_recording(file)
-    file.write_text(recording_csv(found))
+    result = read_sensor_recording(file)
+    file.write_text(recording_csv(result))
     np.testing.assert_array_equal(read_sensor_recording(file).time_s, time_s)
     file.write_text("time_s,a\n1763900000.002,1\n1763900000.001,2\n")
     with pytest.raises(InputError, match=r"1763900000\.001 does not come after 1763900000\.002"):
@@ -98,27 +98,27 @@ def test_reading_takes_memory_for_numbers_not_for_text(tmp_path: Path) -> None:
 def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
     file = tmp_path / "recording.csv"
     file.write_text(GOOD)
-    found = read_sensor_recording(file)
-    assert found.of(("b", "a")).names == ("b", "a")
+    result = read_sensor_recording(file)
+    assert result.of(("b", "a")).names == ("b", "a")
     with pytest.raises(InputError, match="has no column 'c'"):
-        found.of(("a", "b", "c"))
+        result.of(("a", "b", "c"))
     with pytest.raises(InputError, match="column 'b' is no reading of this board"):
-        found.of(("a",))
+        result.of(("a",))
 
 
 def test_what_spreadsheets_add_is_no_fault(tmp_path: Path) -> None:
     """A byte order mark, commas at the end of each line, quotes, Windows' line ends and comments."""
     plain = read_sensor_recording(_written(tmp_path, GOOD))
     adorned = "# made today\n" + GOOD.replace("\n", ",,\n").replace("time_s", '"time_s"').replace("\n", "\r\n")
-    found = read_sensor_recording(_written(tmp_path, "\ufeff" + adorned))
-    assert found.names == plain.names
-    np.testing.assert_array_equal(found.volts, plain.volts)
+    result = read_sensor_recording(_written(tmp_path, "\ufeff" + adorned))
+    assert result.names == plain.names
+    np.testing.assert_array_equal(result.volts, plain.volts)
 
 
 def test_a_load_cell_that_reads_just_below_zero_is_not_pressed(tmp_path: Path) -> None:
-    found = read_sensor_recording(_written(tmp_path, "time_s,force_n,a\n0,-0.002,1\n1,0.5,2\n2,,1\n3,-0.05,2\n"))
-    assert found.force_n is not None
-    np.testing.assert_array_equal(found.force_n, [0.0, 0.5, np.nan, 0.0])
+    result = read_sensor_recording(_written(tmp_path, "time_s,force_n,a\n0,-0.002,1\n1,0.5,2\n2,,1\n3,-0.05,2\n"))
+    assert result.force_n is not None
+    np.testing.assert_array_equal(result.force_n, [0.0, 0.5, np.nan, 0.0])
 
 
 def _written(tmp_path: Path, text: str) -> Path:

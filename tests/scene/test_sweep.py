@@ -21,28 +21,28 @@ def sweep(tmp_path, text):
 
 
 def test_a_product_has_every_pair_and_its_last_axis_varies_fastest(tmp_path):
-    found = sweep(
+    result = sweep(
         tmp_path,
         BASE
         + '[[axes]]\npath = "blood.so2"\nlinspace = [0.8, 0.9, 3]\n'
         + '[[axes]]\npath = "leds.ir.position_mm"\nvalues = [[-1.2, -1.0], [-1.2, 1.0]]\n',
     )
-    assert found.dims == {"so2": 3, "position_mm": 2}
+    assert result.dims == {"so2": 3, "position_mm": 2}
     expected = list(itertools.product([0.8, 0.85, 0.9], [(-1.2, -1.0), (-1.2, 1.0)]))
-    assert [(s.blood.so2, s.leds[0].position_mm) for s in found.scenes] == [
+    assert [(s.blood.so2, s.leds[0].position_mm) for s in result.scenes] == [
         (pytest.approx(so2), place) for so2, place in expected
     ]
 
 
 def test_a_zip_walks_all_axes_together(tmp_path):
-    found = sweep(
+    result = sweep(
         tmp_path,
         BASE
         + 'combine = "zip"\n[[axes]]\npath = "touch.force_n"\nvalues = [0.5, 1.0]\n'
         + '[[axes]]\npath = "leds[0].flux_mw"\nlogspace = [0.1, 10.0, 2]\n',
     )
-    assert found.dims == {"sample": 2}
-    assert [(s.touch.force_n, s.leds[0].flux_mw) for s in found.scenes] == [(0.5, 0.1), (1.0, pytest.approx(10.0))]
+    assert result.dims == {"sample": 2}
+    assert [(s.touch.force_n, s.leds[0].flux_mw) for s in result.scenes] == [(0.5, 0.1), (1.0, pytest.approx(10.0))]
 
 
 def test_a_latin_hypercube_has_one_sample_in_every_stratum(tmp_path):
@@ -60,8 +60,8 @@ def test_a_latin_hypercube_has_one_sample_in_every_stratum(tmp_path):
 
 def test_what_is_not_given_follows_what_is_swept(tmp_path):
     """A digit sets the sizes of the finger, a part those of the LED: the axis counts as if it were in the file."""
-    found = sweep(tmp_path, BASE + '[[axes]]\npath = "finger.digit"\nvalues = ["index", "little"]\n')
-    assert [s.finger.width_mm for s in found.scenes] == [17.5, 14.5]
+    result = sweep(tmp_path, BASE + '[[axes]]\npath = "finger.digit"\nvalues = ["index", "little"]\n')
+    assert [s.finger.width_mm for s in result.scenes] == [17.5, 14.5]
 
 
 def test_scenes_can_be_listed_and_swept_together(tmp_path):

@@ -83,8 +83,8 @@ def test_forces_with_two_balances_are_reported():
     assert blood_model(parse_scene(listed + "[touch]\n" + DISTAL)).forces_with_two_balances_n().size == 0
     two = blood_model(parse_scene(soft)).forces_with_two_balances_n()
     assert 0.0 < two.min() < two.max() <= 1.0
-    found = {"regions": [], "triangles": 1, "vessels": "best"}
-    report = found | {"scene": "soft", "valid": True, "two_balances_n": [two.min(), two.max()]}
+    result = {"regions": [], "triangles": 1, "vessels": "best"}
+    report = result | {"scene": "soft", "valid": True, "two_balances_n": [two.min(), two.max()]}
     assert f"warning: between {two.min():g} and {two.max():g} N" in check_lines(report)[-1]
     assert len(check_lines(report)) == len(check_lines(report | {"two_balances_n": None})) + 1
 

@@ -74,8 +74,8 @@ def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, m
     """Four seeds: chi squared of 3 degrees of freedom below its 99.9 % quantile, at an error of less than 3 %."""
     monkeypatch.setattr("nailoptics.sensor.ambient.PHOTONS", 1 << 14)
     scene = parse_scene(covered(0))
-    found = [trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=seed) for seed in range(4)]
-    current, error, bare = np.moveaxis(np.array(found)[..., 0], 1, 0)
+    result = [trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=seed) for seed in range(4)]
+    current, error, bare = np.moveaxis(np.array(result)[..., 0], 1, 0)
     chi2 = (((current - current.mean(0)) / error) ** 2).sum(0)
     assert (chi2 < 16.3).all() and (error < 0.03 * current).all(), (chi2, error / current)
     assert (current < bare).all()
@@ -108,8 +108,8 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     scene = parse_scene(covered(cover))
     tracer = BoardTracer(scene)
     shape = tracer.tracer.geometry
-    found = optics.finger_media(scene, shape.regions, 800.0)
-    n = found.n[shape.regions.index("epoxy")]
+    result = optics.finger_media(scene, shape.regions, 800.0)
+    n = result.n[shape.regions.index("epoxy")]
     area, mu_a = shape.photodiodes[0].area_mm2, optics.absorption(scene, 800.0)
     each = []
     for seed in range(4):
@@ -118,13 +118,13 @@ def test_a_sky_of_the_other_engine_agrees_with_reciprocity(jit_backend, cover):
     ours, error = np.mean(each), np.std(each, ddof=1) / 2
     low, high = np.asarray(shape.bounds_mm)[:, 1]
     v = np.linspace(low - 0.2, high + 0.2, 101)
-    bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), found.mu_a[shape.regions.index("bed")]))
+    bed = mitsuba_scene.BedAbsorption(v, np.full((1, len(v)), result.mu_a[shape.regions.index("bed")]))
     with (
         readings.stock_mitsuba(backend.choose("auto", volpath=True)) as mi,
         tempfile.TemporaryDirectory() as folder,
     ):
         sensor = shape.photodiodes[0].region
-        made = mitsuba_scene.finger_scene(mi, shape, found, bed, sensor=sensor, emitters={}, folder=Path(folder))
+        made = mitsuba_scene.finger_scene(mi, shape, result, bed, sensor=sensor, emitters={}, folder=Path(folder))
         made["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
         loaded = mi.load_dict(made, optimize=False)
         theirs = np.array([readings._render(mi, loaded, paths=1 << 14, seed=s)[0] for s in range(30)]) * area / np.pi

@@ -136,11 +136,11 @@ def test_light_from_outside_adds_its_current_and_its_noise():
 
 def test_a_dark_slot_takes_the_mean_away_and_adds_its_own_noise():
     bare, slotted = Electronics(), Electronics(ambient_rejection="dark_slot")
-    plain, found = (read(1e-7, LED, DIODE, one, ambient_a=2e-7) for one in (bare, slotted))
+    plain, result = (read(1e-7, LED, DIODE, one, ambient_a=2e-7) for one in (bare, slotted))
     dark = read(0.0, LED, DIODE, bare, ambient_a=2e-7)
-    assert found.volts == pytest.approx(0.55e-7 * bare.feedback_ohm, rel=1e-9)
-    assert found.noise_v2 == pytest.approx(plain.noise_v2 + dark.noise_v2, rel=1e-12)
-    assert found.amplified_v == plain.amplified_v and not found.saturated
+    assert result.volts == pytest.approx(0.55e-7 * bare.feedback_ohm, rel=1e-9)
+    assert result.noise_v2 == pytest.approx(plain.noise_v2 + dark.noise_v2, rel=1e-12)
+    assert result.amplified_v == plain.amplified_v and not result.saturated
     # The stage is full all the same.
     assert read(1e-7, LED, DIODE, slotted, ambient_a=1e-5).saturated
 

@@ -100,8 +100,10 @@ def test_a_spread_of_paths_is_separated_from_truncation():
     x = per_blood(transfer.scene) * blood.setting.values
     traced = (1 + scale * x) ** -shape
     part = (np.exp(-shape * scale * x) - traced) / (1 - traced[-1])
-    found, error = (blood[name].sel(way="predicted", part="one_path") for name in ("part_error", "part_error_stderr"))
-    assert np.all(np.abs(found - part)[1:] < 4 * error[1:]) and float(error[-1]) < 0.05 * abs(part[-1])
+    computed, error = (
+        blood[name].sel(way="predicted", part="one_path") for name in ("part_error", "part_error_stderr")
+    )
+    assert np.all(np.abs(computed - part)[1:] < 4 * error[1:]) and float(error[-1]) < 0.05 * abs(part[-1])
     assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-8
 
 
@@ -129,12 +131,12 @@ def test_the_page_names_no_part_that_is_not_known():
     Expected: the largest of the parts that are known; none where none is.
     """
     draw = np.random.default_rng(4).gamma(2.0, 2.5, 2000)
-    found = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
-    assert np.isnan(found.part_error.sel(part="blood_scattering")).any()
-    *_, (_, words) = compare_page._cards(found)
+    computed = judged(made_up(draw, draw), "blood", slopes=np.full((2, 1, 8), np.nan))
+    assert np.isnan(computed.part_error.sel(part="blood_scattering")).any()
+    *_, (_, words) = compare_page._cards(computed)
     assert "largest part" in words and "scatters" not in words
-    found["part_error"] = found.part_error * np.nan
-    assert not any("largest part" in words for _, words in compare_page._cards(found))
+    computed["part_error"] = computed.part_error * np.nan
+    assert not any("largest part" in words for _, words in compare_page._cards(computed))
 
 
 def test_a_straight_line_fits_an_exponential_up_to_where_theory_says():
@@ -175,14 +177,14 @@ def test_what_a_comparison_prints_holds_the_truth_as_often_as_it_says():
     made-up traces they hold what twenty times the photons give, in 17 or more (fewer would come once in 60 times)."""
     rng = np.random.default_rng(21)
 
-    def found(photons: int, seed: int) -> xr.Dataset:
+    def computed(photons: int, seed: int) -> xr.Dataset:
         transfer = made_up(*rng.gamma(2.0, 2.0, (2, photons)), seed=seed)
         # The slope by the bed's scattering comes from traces of its own.
         error = 0.1 * np.sqrt(3_000 / photons)
         slopes = np.stack([0.5 + error * rng.standard_normal((1, 8)), np.full((1, 8), error)])
         return judged(transfer, "blood", slopes=slopes).isel(led=0, sweep=0, photodiode=0)
 
-    truth, each = found(60_000, 77), [found(3_000, seed) for seed in range(20)]
+    truth, each = computed(60_000, 77), [computed(3_000, seed) for seed in range(20)]
     for name in ("range_error", "error", "part_error", "alpha_d2", "bed_alpha_d2", "reading"):
         exact, error = (truth[f"{name}{end}"].isel(point=-1) for end in ("", "_stderr"))
         ends = [one.isel(point=-1) for one in each]
@@ -251,15 +253,17 @@ def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
     rng, outcomes, held = np.random.default_rng(0), {0.05: [], 0.09: [], 0.01: []}, []
     dims, shape = ("sweep", "led", "photodiode", "way", "model", "point"), (1, 1, 8, 1, 1, 1)
     names = {"sweep": ["force"], "led": ["ir"], "photodiode": list("abcdefgh"), "way": ["fitted"], "model": ["taylor"]}
-    for truth, found in outcomes.items():
+    for truth, computed in outcomes.items():
         for _ in range(150):
             error = truth + 0.01 * rng.standard_normal(shape)
             data = {"range_error": (dims, error), "range_error_stderr": (dims, np.full(shape, 0.01))}
             one = verdict(xr.Dataset(data, names), 0.05)
-            found.append(one.outcome)
+            computed.append(one.outcome)
             held.append(one.worst_low <= truth <= one.worst_high)
             assert one.worst_error == error.max() and one.photodiode == "abcdefgh"[error.argmax()]
-    share = {truth: {word: found.count(word) / 150 for word in set(found)} for truth, found in outcomes.items()}
+    share = {
+        truth: {word: computed.count(word) / 150 for word in set(computed)} for truth, computed in outcomes.items()
+    }
     assert share[0.05].get("missed", 0) < 0.1 and share[0.05].get("met", 0) < 0.01
     # The largest of eight lies above the truth by chance; the interval that is printed knows.
     assert 0.95 <= np.mean(held) < 1
@@ -307,9 +311,9 @@ def test_the_prototype_is_compared_from_the_command_line(jit_backend, tmp_path, 
     folder = ["-o", str(tmp_path), "--photons", "60000", "--json"]
     assert cli.run(["compare", "prototype", *folder, "--require", "1e-4"]) == 4
     printed = capsys.readouterr()
-    found = json.loads(printed.out)
-    assert found["verdict"]["outcome"] == "missed" and "does not stay within 0.01 % of the swing" in printed.err
-    assert len(found["comparisons"]) == 16
+    computed = json.loads(printed.out)
+    assert computed["verdict"]["outcome"] == "missed" and "does not stay within 0.01 % of the swing" in printed.err
+    assert len(computed["comparisons"]) == 16
     page = (tmp_path / "compare.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 5 and "src=" not in page and "http:" not in page and "https:" not in page
     assert cli.run(["compare", "prototype", "-o", str(tmp_path), "--require", "-1"]) == 2
@@ -338,10 +342,10 @@ def test_the_prototype_agrees_with_itself_within_its_errors(jit_backend):
 def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
     transfer = made_up(np.array([0.5, 1.0]), np.array([0.2, 0.1]))
     for over, units in ((("blood", "saturation"), "1"), (("force",), "N"), (("force", "blood"), None)):
-        found = judged(transfer, *over)
+        computed = judged(transfer, *over)
         for name in ("setting", "limit"):
-            assert found[name].attrs.get("units") == units
-            assert (found[name].attrs.get("ancillary_variables") == "setting_units") == (units is None)
+            assert computed[name].attrs.get("units") == units
+            assert (computed[name].attrs.get("ancillary_variables") == "setting_units") == (units is None)
 
 
 def test_the_page_shows_names_that_attack_a_browser_as_text(tmp_path):

@@ -57,9 +57,9 @@ def traced(chosen_jit) -> Transfer:
 
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Reading at rest, its error, its change by 1 N as a part of it and the error of that, (photodiode,) each."""
-    found = readings_over_states(replace(transfer, scene=scene), ends(scene), weight_by_responsivity=True)
-    level, change = found.fraction[0, :, 0], found.change[0, :, 1]
-    return level, found.stderr[0, :, 0], change / level, found.change_stderr[0, :, 1] / level
+    result = readings_over_states(replace(transfer, scene=scene), ends(scene), weight_by_responsivity=True)
+    level, change = result.fraction[0, :, 0], result.change[0, :, 1]
+    return level, result.stderr[0, :, 0], change / level, result.change_stderr[0, :, 1] / level
 
 
 @pytest.mark.parametrize("scale", ["log", "linear"])
@@ -90,13 +90,13 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
         seeds=(0,),
     )
     transfer = Transfer(scene, (light,), "none", engine="made up", versions={"numpy": "0"})
-    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
-    value, error = found.level.total
+    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
+    value, error = result.level.total
     sd, depth = np.log(4) / (2 * Z95), float(light.mu_a[names.index("plate")]) * length_mm
     exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
     assert value == pytest.approx(np.full((1, 8), exact), rel=0.01) and (error < 1e-6).all()
     # No light went through the bed, so touch changes nothing.
-    assert (found.signal.base_answer == 0).all() and not found.signal.keeps_sign.any()
+    assert (result.signal.base_answer == 0).all() and not result.signal.keeps_sign.any()
 
 
 @pytest.mark.slow
@@ -113,12 +113,12 @@ def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, va
     assert (moved > 5 * reread[1] / reread[0]).any()
 
 
-def drawn(scene: Scene, found: PriorSensitivity, count: int, seed: int) -> Iterator[Scene]:
+def drawn(scene: Scene, result: PriorSensitivity, count: int, seed: int) -> Iterator[Scene]:
     """The scene at so many draws from the joint prior, not beyond three standard deviations."""
     random = np.random.default_rng(seed)
-    for row in random.multivariate_normal(np.zeros(len(found.priors)), found.correlation, count):
+    for row in random.multivariate_normal(np.zeros(len(result.priors)), result.correlation, count):
         one = scene
-        for at, prior in zip(np.clip(row, -3, 3), found.priors, strict=True):
+        for at, prior in zip(np.clip(row, -3, 3), result.priors, strict=True):
             mean, sd = prior_of(prior)
             value = float(np.exp(mean + sd * at) if prior.scale == "log" else mean + sd * at)
             one = at_value(one, prior.field, min(value, 1.0) if prior.field == "blood.so2" else value)
@@ -128,8 +128,8 @@ def drawn(scene: Scene, found: PriorSensitivity, count: int, seed: int) -> Itera
 @pytest.mark.long
 def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     """Expected: what one prior each changes adds up to joint draws; what two of them add together is small."""
-    found, draws = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False), []
-    for one in drawn(traced.scene, found.level, 160, seed=7):
+    result, draws = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False), []
+    for one in drawn(traced.scene, result.level, 160, seed=7):
         with warnings.catch_warnings():
             # Some draws lie far from the trace; they count with all others.
             warnings.simplefilter("ignore", ReweightWarning)
@@ -137,8 +137,8 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
     level = np.log([one[0] for one in draws]).std(0, ddof=1)
     signal = np.array([one[2] for one in draws]).std(0, ddof=1)
     # Of 160 draws a standard deviation is known to 6 %, all photodiodes alike; lognormal tails make it some more.
-    assert found.level.total[0][0] == pytest.approx(level, rel=0.3)
-    assert found.signal.total[0][0] == pytest.approx(signal, rel=0.3)
+    assert result.level.total[0][0] == pytest.approx(level, rel=0.3)
+    assert result.signal.total[0][0] == pytest.approx(signal, rel=0.3)
 
 
 @pytest.mark.slow
@@ -146,17 +146,17 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
 def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced, seed):
     """Expected: of 40 draws, all priors at once, 88 to 99 % of readings and signals lie within the stated interval."""
     transfer = trace(traced.scene, photons=1_000_000, seed=1)
-    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
+    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
     fresh = []
-    for k, one in enumerate(drawn(traced.scene, found.level, 40, seed=seed)):
+    for k, one in enumerate(drawn(traced.scene, result.level, 40, seed=seed)):
         with warnings.catch_warnings():
             # A touch that presses nearly all blood out is read with few of its photons; it counts with all others.
             warnings.simplefilter("ignore", ReweightWarning)
             fresh.append(relative(trace(one, photons=100_000, seed=100 + k), one))
-    for stated, read in ((found.level, np.log([one[0] for one in fresh])), (found.signal, [one[2] for one in fresh])):
+    for stated, read in ((result.level, np.log([one[0] for one in fresh])), (result.signal, [one[2] for one in fresh])):
         low, high = np.percentile(stated.draws(0)[:, 0], [2.5, 97.5], axis=0)
         covered = ((read > low) & (read < high)).mean(axis=0)
-        what = "readings" if stated is found.level else "signals"
+        what = "readings" if stated is result.level else "signals"
         print(f"covered, seed {seed}: {covered.mean():.3f} of {what}, at each photodiode {np.round(covered, 3)}")
         assert 0.88 <= covered.mean() <= 0.99
 
@@ -205,8 +205,8 @@ def test_the_standard_error_of_a_spread_is_true(traced):
     each = []
     for k in range(parts):
         part = replace(light.select(of == k), photons=light.photons // parts)
-        found = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
-        each.append([(*one.total, one.base_answer[0]) for one in (found.level, found.change, found.signal)])
+        result = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
+        each.append([(*one.total, one.base_answer[0]) for one in (result.level, result.change, result.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
     for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
         truth = one.total[0][0]
@@ -222,23 +222,23 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     transfer = trace(scene, photons=400_000, seed=1)
     without = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
     assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
-    found = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
-    assert found.untraced == () and [one.field for one in found.level.priors][1] == "finger.plate_scattering"
-    value, error = (each[1] for each in found.level.by_prior)
+    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
+    assert result.untraced == () and [one.field for one in result.level.priors][1] == "finger.plate_scattering"
+    value, error = (each[1] for each in result.level.by_prior)
     assert (value > 3 * error).sum() > 4
     # A plate that scatters the most passes the least, where the photodiodes see enough light.
-    nodes = found.level.nodes[1, :, 0, 0, :, 0]
+    nodes = result.level.nodes[1, :, 0, 0, :, 0]
     assert (nodes[2, 2:6] < nodes[1, 2:6]).all()
-    value, error = found.level.total
+    value, error = result.level.total
     assert (value + 2 * error >= without.level.total[0]).all() and (value - 2 * error > without.level.total[0]).any()
 
 
 @pytest.mark.long
 def test_a_finger_of_which_all_is_known_has_no_spread(traced):
     scene = prototype(*all_but())
-    found = readings_over_priors(replace(traced, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
-    assert found.sizes["prior"] == 0 and (found.reading_spread < 1e-9).all() and (found.signal_spread < 1e-9).all()
-    assert spread_summary(found) == {} and spread_section(found) == ""
+    result = readings_over_priors(replace(traced, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
+    assert result.sizes["prior"] == 0 and (result.reading_spread < 1e-9).all() and (result.signal_spread < 1e-9).all()
+    assert spread_summary(result) == {} and spread_section(result) == ""
 
 
 def test_a_sign_holds_where_nearly_all_draws_have_it_beyond_noise():
@@ -262,11 +262,11 @@ def test_signs_by_few_draws_are_those_of_very_many():
     slope, bend = random.normal(0.0, 0.16, (6, 400)), random.normal(0.0, 0.04, (6, 400))
     nodes = np.stack([slope * u + bend * u**2 for u in (-root3, 0.0, root3)], 1)
     half = 0.5 * np.eye(6) + 0.5
-    found = PriorSensitivity(tuple(priors), 1 + nodes[:, :, None] * np.ones((1, 1, 5, 1)), np.ones((5, 400)), half)
+    result = PriorSensitivity(tuple(priors), 1 + nodes[:, :, None] * np.ones((1, 1, 5, 1)), np.ones((5, 400)), half)
     normal = random.multivariate_normal(np.zeros(6), half, 200_000)
     part = (1 + normal @ slope + normal**2 @ bend > 0).mean(0)
     assert (part > 0.985).sum() > 30 and (part < 0.965).sum() > 30
-    assert found.keeps_sign[part > 0.985].all() and not found.keeps_sign[part < 0.965].any()
+    assert result.keeps_sign[part > 0.985].all() and not result.keeps_sign[part < 0.965].any()
 
 
 def test_correlated_priors_add_up_as_their_correlation_says():
@@ -277,12 +277,12 @@ def test_correlated_priors_add_up_as_their_correlation_says():
     nodes = np.stack([[a * linear, a * bent], [b * linear, b * bent]])
     nodes = np.moveaxis(nodes, 2, 1)[:, :, None] * np.ones((1, 1, 5, 1))
     for r in (0.0, 0.6, -0.8):
-        found = PriorSensitivity(tuple(priors), nodes, np.zeros((5, 2)), np.array([[1, r], [r, 1]]))
-        assert found.by_prior[0] == pytest.approx(np.outer(np.abs([a, b]), [1, 2**0.5]))
+        result = PriorSensitivity(tuple(priors), nodes, np.zeros((5, 2)), np.array([[1, r], [r, 1]]))
+        assert result.by_prior[0] == pytest.approx(np.outer(np.abs([a, b]), [1, 2**0.5]))
         # 512 draws have these correlations exactly, and those of their squares nearly.
         expected = np.sqrt([a**2 + b**2 + 2 * r * a * b, 2 * (a**2 + b**2 + 2 * r**2 * a * b)])
-        assert found.total[0] == pytest.approx(expected, rel=0.08)
-        assert found.shift[0] == pytest.approx([0, a + b], abs=1e-9)
+        assert result.total[0] == pytest.approx(expected, rel=0.08)
+        assert result.shift[0] == pytest.approx([0, a + b], abs=1e-9)
 
 
 def test_shipped_correlations_are_possible_and_left_out_for_own_ranges():
@@ -306,30 +306,30 @@ def test_the_shift_is_that_of_the_mean_over_the_priors_from_the_scene():
     def answer(one: Scene) -> np.ndarray:
         return np.full((5, 1), one.finger.plate_scattering)
 
-    found = over_priors(scene, [prior], answer)
+    result = over_priors(scene, [prior], answer)
     assert scene.finger.plate_scattering == 1
-    assert found.shift[0] == pytest.approx([1.0]) and found.total[0] == pytest.approx([1 / Z95])
-    assert found.keeps_sign.all()
+    assert result.shift[0] == pytest.approx([1.0]) and result.total[0] == pytest.approx([1 / Z95])
+    assert result.keeps_sign.all()
     # Far from 0 at the scene, but not over the prior.
-    nodes = np.array([0.02, 0.3, 0.6])[None, :, None, None] + 0 * found.nodes
-    assert not PriorSensitivity((prior,), nodes, 0.6 * found.base, np.eye(1)).keeps_sign.any()
+    nodes = np.array([0.02, 0.3, 0.6])[None, :, None, None] + 0 * result.nodes
+    assert not PriorSensitivity((prior,), nodes, 0.6 * result.base, np.eye(1)).keeps_sign.any()
 
 
 @pytest.mark.slow
 def test_a_simulated_touch_reports_its_prior_uncertainty_if_enabled(chosen_jit):
-    found = simulate(
+    result = simulate(
         prototype("blood.so2", ranges=(PriorRange(field="finger.plate_absorption", low=0.9, high=1.1),)),
         photons=60_000,
         seed=1,
     )
-    fields = [str(field) for field in found.prior_field.values]
+    fields = [str(field) for field in result.prior_field.values]
     assert "blood.so2" not in fields and set(fields) == set(all_but("blood.so2"))
-    how = dict(zip(fields, found.prior_how.values.tolist(), strict=True))
+    how = dict(zip(fields, result.prior_how.values.tolist(), strict=True))
     assert how["finger.plate_absorption"] == "reweighted" and how["finger.bed_scattering"] == "not traced"
-    narrow = found.prior_reading_spread.values[fields.index("finger.plate_absorption")]
-    assert 0 < narrow.max() < 0.05 and found.prior_range.values[0].tolist() == [0.9, 1.1]
+    narrow = result.prior_reading_spread.values[fields.index("finger.plate_absorption")]
+    assert 0 < narrow.max() < 0.05 and result.prior_range.values[0].tolist() == [0.9, 1.1]
     for name in ("reading_spread", "change_spread", "signal_spread"):
-        assert (found[name] > 0).all() and (found[f"{name}_stderr"] > 0).all()
+        assert (result[name] > 0).all() and (result[f"{name}_stderr"] > 0).all()
     silent = simulate(prototype(spread=False), photons=60_000, seed=1)
     assert "prior" not in silent.dims and "reading_spread" not in silent
 

@@ -36,11 +36,11 @@ def scene(tmp_path, *, positions=POSITIONS, text=SCENE):
 
 
 def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
-    found = check(load_scene(scene(tmp_path)))
-    assert [(p["led"], p["distance_mm"]) for p in found["pairs"]] == [("ir", 4.0), ("red", pytest.approx(17**0.5))]
-    assert found["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
-    assert found["ignored"] == {"pos.csv": ["C1"]} and found["warnings"] == []
-    assert [led["name"] for led in found["leds"]] == ["ir", "red"]
+    result = check(load_scene(scene(tmp_path)))
+    assert [(p["led"], p["distance_mm"]) for p in result["pairs"]] == [("ir", 4.0), ("red", pytest.approx(17**0.5))]
+    assert result["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
+    assert result["ignored"] == {"pos.csv": ["C1"]} and result["warnings"] == []
+    assert [led["name"] for led in result["leds"]] == ["ir", "red"]
 
 
 @pytest.mark.long
@@ -116,8 +116,8 @@ def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capf
 
 
 def test_a_phantom_is_checked_without_a_finger():
-    found = check(load_scene(data_dir("scenes") / "phantom.toml"))
-    assert found["leds"] and "pairs" not in found
+    result = check(load_scene(data_dir("scenes") / "phantom.toml"))
+    assert result["leds"] and "pairs" not in result
 
 
 @pytest.mark.parametrize(

@@ -384,10 +384,10 @@ def test_too_little_time_gives_what_was_reached(chosen_jit):
 
 def test_half_of_the_time_is_left_to_the_priors(monkeypatch):
     """Where time alone ends the trace, which would take all of it; not where it is a limit beside another aim."""
-    asked = []
+    required = []
 
     def light(scene, **requested):
-        asked.append(requested["max_seconds"])
+        required.append(requested["max_seconds"])
         raise InputError("enough")
 
     monkeypatch.setattr(import_module("nailoptics.studies.simulate"), "worn_light", light)
@@ -396,7 +396,7 @@ def test_half_of_the_time_is_left_to_the_priors(monkeypatch):
             simulate(prototype(), max_seconds=8, **options)
     with pytest.raises(InputError, match="enough"):
         simulate(prototype().with_({"priors.spread": False}), max_seconds=8)
-    assert asked == [4, 8, 8, 8]
+    assert required == [4, 8, 8, 8]
 
 
 @pytest.mark.jit

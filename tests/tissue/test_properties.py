@@ -40,12 +40,12 @@ def test_blood_is_linear_in_saturation_and_broadcasts():
 @pytest.mark.parametrize("region", tissue.REGIONS)
 def test_every_region_has_physical_properties_from_400_to_1000_nm(region):
     wavelength_nm = np.linspace(400, 1000, 601)
-    found, (mu_s, g, n) = tissue.absorption(region, wavelength_nm), tissue.scattering(region, wavelength_nm)
-    for values in (found.base_per_mm, found.per_blood_fraction_per_mm, mu_s, g, n):
+    result, (mu_s, g, n) = tissue.absorption(region, wavelength_nm), tissue.scattering(region, wavelength_nm)
+    for values in (result.base_per_mm, result.per_blood_fraction_per_mm, mu_s, g, n):
         assert values.shape == (601,) and np.isfinite(values).all() and (values >= 0).all()
     assert (g < 1).all() and (n >= 1).all() and (n < 2).all()
     one = tissue.absorption(region, 800).base_per_mm
-    assert isinstance(one, float) and one == pytest.approx(found.base_per_mm[400])
+    assert isinstance(one, float) and one == pytest.approx(result.base_per_mm[400])
 
 
 @pytest.mark.parametrize("region", tissue.REGIONS)

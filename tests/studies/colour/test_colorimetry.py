@@ -59,13 +59,13 @@ def test_the_number_of_nodes_is_what_the_colours_error_needs():
         return albedo / 2 * (1 + np.exp(-4 / 3 * root)) * np.exp(-root)
 
     exact = viewer.lab(reflected(fine))
-    found = []
+    result = []
     for count in (NODES - 1, NODES):
         box = ChebyshevBox(*np.log(WAVELENGTHS_NM[[[0], [-1]]]), [count])
         each = np.array([reflected(4.6 * (node / 500) ** -1.421) for node in np.exp(box.nodes[:, 0])])
-        found.append(float(delta_e_2000(viewer.lab((box.weights(np.log(WAVELENGTHS_NM)) @ each).diagonal()), exact)))
+        result.append(float(delta_e_2000(viewer.lab((box.weights(np.log(WAVELENGTHS_NM)) @ each).diagonal()), exact)))
     # A hundredth of the standard error that colours are traced to.
-    assert found[1] < 0.003 < found[0], found
+    assert result[1] < 0.003 < result[0], result
 
 
 def test_the_error_of_a_colour_is_that_of_its_replicates():

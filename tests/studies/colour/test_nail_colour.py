@@ -90,40 +90,40 @@ def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
 def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
     bare = NailReflectance(SCENE)
     none = np.full(len(optics.absorbers(SCENE)), 1e-7)
-    found = bare.reflect(700.0, PATCHES[:1], mu_a=none, photons=4_000, seed=3, groups=GROUPS)
+    result = bare.reflect(700.0, PATCHES[:1], mu_a=none, photons=4_000, seed=3, groups=GROUPS)
     # What does not come back has left by the cut end; nothing is gained or lost on the way.
-    assert found.weight == pytest.approx(np.ones(len(found.weight)), abs=1e-3)
-    assert 0.75 < len(found.weight) / found.rays.sum() <= 1
+    assert result.weight == pytest.approx(np.ones(len(result.weight)), abs=1e-3)
+    assert 0.75 < len(result.weight) / result.rays.sum() <= 1
     # Gloss at normal incidence on n = 1.5, a little more where the nail curves away.
-    assert found.gloss.sum() / found.rays.sum() == pytest.approx(0.041, abs=0.012)
+    assert result.gloss.sum() / result.rays.sum() == pytest.approx(0.041, abs=0.012)
 
 
 @pytest.mark.long
 def test_a_colours_standard_error_is_true(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
-    found = [walked(seed, 8_000, shares=SHARES).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
+    result = [walked(seed, 8_000, shares=SHARES).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
     viewer = Viewer()
-    lab = np.array([viewer.lab(one)[0] for one in found])
-    error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in found])
+    lab = np.array([viewer.lab(one)[0] for one in result])
+    error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in result])
     ratio = lab.std(0, ddof=1) / np.sqrt((error**2).mean(0))
     # Of 20 repeats a standard deviation is known to 16 %.
     assert np.all(np.abs(np.log(ratio)) < 0.55) and abs(np.log(ratio).mean()) < 0.25
     inside = np.abs(lab - lab.mean(0)) < 1.96 * error
     assert 0.88 < inside.mean() < 0.99
-    change = np.array([viewer.lab(one)[:, :, 1] - viewer.lab(one)[:, :, 0] for one in found])
+    change = np.array([viewer.lab(one)[:, :, 1] - viewer.lab(one)[:, :, 0] for one in result])
     errors = np.array([nail.statistics.jackknife(one) for one in change])
     assert abs(np.log(change[:, 0].std(0, ddof=1) / np.sqrt((errors**2).mean(0))).mean()) < 0.35
-    moved = np.array([delta_e_2000(viewer.lab(one)[:, :, 1], viewer.lab(one)[:, :, 0]) for one in found])
+    moved = np.array([delta_e_2000(viewer.lab(one)[:, :, 1], viewer.lab(one)[:, :, 0]) for one in result])
     stderr = np.array([nail.statistics.jackknife(one) for one in moved])
     assert 0.8 < (np.abs(moved[:, 0] - moved[:, 0].mean(0)) < 1.96 * stderr).mean()
 
 
 @pytest.mark.long
 def test_each_place_gets_the_rays_that_its_colour_and_its_change_need(jit_backend):
-    found = colour(without_spread(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
+    result = colour(without_spread(SCENE), forces_n=(0.0, 4.0), tolerance=1.2, change_tolerance=0.6, seed=3)
     # Two rounds foresee the errors to some per cent; only what is reached ends them.
-    assert float(found.colour_stderr.max()) <= 1.2 and float(found.delta_e_2000_stderr.max()) <= 0.6
-    assert "lab_spread" not in found
+    assert float(result.colour_stderr.max()) <= 1.2 and float(result.delta_e_2000_stderr.max()) <= 0.6
+    assert "lab_spread" not in result
 
 
 def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, monkeypatch):
@@ -147,41 +147,41 @@ def test_a_stored_colour_is_the_same_and_walks_no_ray(jit_backend, tmp_path, mon
 @pytest.mark.long
 def test_priors_span_peoples_nails_and_skin(jit_backend, coarse_cells, tmp_path):
     """Rationale: nails of 160 people have L* 62.4 (5.9) and a* 10.8 (3.6), of which 5-95 % lie at 4.4-16.4."""
-    found = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
-    spread = found.lab_spread.sel(site="nail").values
-    assert (found.lab_spread_stderr.sel(site="nail").values < 0.5 * spread).all() and spread[1] > 1
+    result = colour(parse_scene(SMALL_FINGER_BEST), forces_n=(0.0,), photons=60_000, seed=6)
+    spread = result.lab_spread.sel(site="nail").values
+    assert (result.lab_spread_stderr.sel(site="nail").values < 0.5 * spread).all() and spread[1] > 1
     # Bounds within which 95 % of the interval hold 85 to 99 % of these people.
-    usual = found.lab.values[len(found.place) // 2, 0]
+    usual = result.lab.values[len(result.place) // 2, 0]
     assert 50 < usual[0] < 75 and 4.4 < usual[1] < 16.4 and 1 < usual[2] < 17
     assert 4.2 < spread[0] < 7.8 and 2.6 < spread[1] < 4.8
-    redness = found.prior_lab.sel(prior="plate scattering", site="nail").values[:, 1]
-    assert str(found.prior_field.sel(prior="plate scattering").item()) == "finger.plate_scattering"
+    redness = result.prior_lab.sel(prior="plate scattering", site="nail").values[:, 1]
+    assert str(result.prior_field.sel(prior="plate scattering").item()) == "finger.plate_scattering"
     assert (np.diff(redness) < 0).all()
     # L* and b* of skin within the widest that was published, less and more two standard deviations of both.
-    skin = found.lab.values[0, 0]
+    skin = result.lab.values[0, 0]
     low = np.min([YUN_LAB[0] - 2 * YUN_LAB[1], *IADR_LAB], axis=0)
     high = np.max([YUN_LAB[0] + 2 * YUN_LAB[1], *IADR_LAB], axis=0)
-    reach = 1.96 * found.lab_spread.sel(site="skin").values
+    reach = 1.96 * result.lab_spread.sel(site="skin").values
     assert (skin + reach > low).all() and (skin - reach < high).all() and (low[:2] < skin[:2]).all()
-    write_dataset(found, tmp_path / "colour.nc")
+    write_dataset(result, tmp_path / "colour.nc")
     assert_listed(tmp_path, "colour.nc")
 
 
 @pytest.mark.long
 def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_backend):
     scene = without_spread(load_scene("scenes/nail_colour.toml"))
-    found = colour(scene, photons=60_000, seed=2)
-    band = found.white_band_mm.values
+    result = colour(scene, photons=60_000, seed=2)
+    band = result.white_band_mm.values
     # A white band from 2 N on at the earliest, no longer than the nail beyond the bone and its edge.
     beyond_bone_mm = scene.finger.nail_length_mm / 2 - scene.finger.bone_end_mm + scene.blood.bone_edge_mm
     assert (band[:3] == 0).all() and (np.diff(band[2:]) >= 0).all() and 0.5 < band[-1] < beyond_bone_mm
-    redness = found.lab.values[2:6, :, 1].mean(0)
+    redness = result.lab.values[2:6, :, 1].mean(0)
     # Redder from 0.3 N on, no more beyond 1 N.
     assert redness[1] > redness[0] + 0.2 and redness[2] > redness[1] and abs(redness[3] - redness[2]) < 1.0
-    errors = found.delta_e_2000_stderr.values
+    errors = result.delta_e_2000_stderr.values
     # Changes come from the same rays, so they are far sharper than the colours themselves.
-    assert errors[1:-1, 2].max() < 0.5 * found.colour_stderr.values.max()
-    printed = json.loads(json.dumps(colour_summary(found)))
+    assert errors[1:-1, 2].max() < 0.5 * result.colour_stderr.values.max()
+    printed = json.loads(json.dumps(colour_summary(result)))
     assert printed["illuminant"] == "D65" and len(printed["states"]) == 5 and len(printed["lab_stderr"]) == 3
     place = printed["states"][0]["places"][5]
     assert {"v_mm", "lab", "srgb", "delta_e_2000"} <= set(place) and place["delta_e_2000"] == 0

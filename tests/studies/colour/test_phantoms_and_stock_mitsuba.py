@@ -75,10 +75,10 @@ def stacked(layers: list[iadpython.Sample], *, over_air: bool) -> float:
     above, below = (iadpython.simple_layer_matrices(one) for one in layers)
     both = iadpython.add_layers(first, above[0], above[0], above[1], above[1], below[0], below[0], below[1], below[1])
     top, bottom = (iadpython.start.boundary_layer(first, top=upper) for upper in (True, False))
-    found = iadpython.add_slide_above(first, *top, *both)
+    result = iadpython.add_slide_above(first, *top, *both)
     if over_air:
-        found = iadpython.add_slide_below(first, *found, *bottom)
-    return float(first.UX1_and_UXU(found[0], found[2])[0])
+        result = iadpython.add_slide_below(first, *result, *bottom)
+    return float(first.UX1_and_UXU(result[0], result[2])[0])
 
 
 def test_two_halves_of_a_slab_make_the_slab():
@@ -112,8 +112,8 @@ def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backen
 def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypatch):
     viewer, absorbers = Viewer(), len(optics.absorbers(SCENE))
     stack = FlatStack(BARRIER)
-    found = stack.reflect(550.0, MIDDLE, mu_a=np.full(absorbers, 1e-7), photons=8_000, seed=5, groups=GROUPS)
-    rays = ColourRays(stack.scene, MIDDLE, (found,) * NODES)
+    result = stack.reflect(550.0, MIDDLE, mu_a=np.full(absorbers, 1e-7), photons=8_000, seed=5, groups=GROUPS)
+    rays = ColourRays(stack.scene, MIDDLE, (result,) * NODES)
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.zeros((1, len(WAVELENGTHS_NM), absorbers)))
     # Every ray comes back, but for those that chance ended for others that count twice.
     lab = viewer.lab(rays.reflectance(REST, Viewing(lit_by="sky", gloss=True)))

@@ -57,10 +57,10 @@ def test_a_kernel_of_its_form_is_found_from_photons_drawn_from_it(wall):
     weight = area2 / len(x) * truth(x, y)
     kernel = PairProjection(basis, RADIAL).solve(basis.matrix(x, y).T @ weight[:, None], weight=weight.mean())[:, 0]
     x, y, _ = places(basis, rng, 2000)
-    found = RADIAL(x, y) * (basis.matrix(x, y) @ kernel)
+    result = RADIAL(x, y) * (basis.matrix(x, y) @ kernel)
     # The photons' places are random, so that their number at each pair of nodes is; their weights are exact.
-    assert np.sqrt(np.mean((found / truth(x, y) - 1) ** 2)) < 0.1
-    assert np.mean(found / truth(x, y)) == pytest.approx(1.0, abs=0.01)
+    assert np.sqrt(np.mean((result / truth(x, y) - 1) ** 2)) < 0.1
+    assert np.mean(result / truth(x, y)) == pytest.approx(1.0, abs=0.01)
 
 
 def test_stored_tables_are_those_of_the_blood_and_photodiodes():

@@ -42,12 +42,12 @@ def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tu
     lit = boards.bare_board(scene).model_copy(update={"leds": (led,)})
     tracer = BoardTracer(lit, spacing_mm=0.3)
     arrived = tracer.arrivals(0, photons=LED_PHOTONS, seed=seed)
-    value, found = blood_point(lit, 0).values(arrived)[:, 0], []
+    value, result = blood_point(lit, 0).values(arrived)[:, 0], []
     for place in places_mm:
         on = np.all(abs(arrived.place_mm - place) < EDGE_MM / 2, axis=1)
         each = np.bincount(arrived.photon[on], value[on])
-        found.append((each.sum(), np.sqrt((each**2).sum())))
-    return tuple(np.array(found).T / LED_PHOTONS)  # type: ignore[return-value]
+        result.append((each.sum(), np.sqrt((each**2).sum())))
+    return tuple(np.array(result).T / LED_PHOTONS)  # type: ignore[return-value]
 
 
 def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndarray:
@@ -60,7 +60,7 @@ def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndar
     board = scene.board.model_copy(update={"barrier": False})
     scene = scene.model_copy(update={"board": board, "photodiodes": (diode,)})
     explored = study.explore(scene, photons=photons, seed=seed)
-    reach, found = np.array(explored.scene.layout.outline.size_mm) / 2 - EDGE_MM, []
+    reach, result = np.array(explored.scene.layout.outline.size_mm) / 2 - EDGE_MM, []
     for k in range(3):
         die = rng.uniform(-reach, reach)
         places = die + rng.uniform(-FAR_MM, FAR_MM, (60, 2))
@@ -68,8 +68,8 @@ def pulls(seed: int, *, photons: int = PHOTONS, response: Any = None) -> np.ndar
         places = places[(apart > NEAR_MM) & (apart < FAR_MM) & np.all(abs(places) < reach, axis=1)][:20]
         estimate, error = read(explored, die, explored.scene.leds[0].size_mm, places)
         truth, spread = traced(explored.scene, die, places, seed=100 * seed + k)
-        found.append((estimate - truth) / np.hypot(error, spread))
-    return np.concatenate(found)
+        result.append((estimate - truth) / np.hypot(error, spread))
+    return np.concatenate(result)
 
 
 @pytest.mark.slow

@@ -114,10 +114,10 @@ def test_what_is_no_recording_is_refused_by_both(
     bad, made = str(tmp_path / "bad.csv"), tmp_path / "made"
     assert message in _refused(capsys, ["predict", str(folder / "me.toml"), bad, "-o", str(made)], written=made)
     subject = tmp_path / "new.toml"
-    asked = ["calibrate", "prototype", bad, "-o", str(subject)]
+    requested = ["calibrate", "prototype", bad, "-o", str(subject)]
     with pytest.MonkeyPatch.context() as patch:
         _without_a_trace(patch)
-        assert message in _refused(capsys, asked, written=subject)
+        assert message in _refused(capsys, requested, written=subject)
 
 
 CALIBRATING = [
@@ -154,8 +154,15 @@ def test_what_cannot_calibrate_is_refused(
     subject = tmp_path / "new.toml"
     with pytest.MonkeyPatch.context() as patch:
         _without_a_trace(patch)
-        asked = ["calibrate", "prototype", str(folder / "distal.csv"), str(tmp_path / "bad.csv"), "-o", str(subject)]
-        assert message in _refused(capsys, asked, written=subject)
+        requested = [
+            "calibrate",
+            "prototype",
+            str(folder / "distal.csv"),
+            str(tmp_path / "bad.csv"),
+            "-o",
+            str(subject),
+        ]
+        assert message in _refused(capsys, requested, written=subject)
 
 
 @pytest.mark.parametrize(
@@ -250,11 +257,11 @@ def test_any_recording_is_read_or_refused(folder: Path, changes: list[tuple[int,
     file = folder / "fuzz.csv"
     file.write_text("\n".join(map(",".join, rows)) + "\n", encoding="utf-8")
     try:
-        told = predict(folder / "me.toml", file)
+        estimated = predict(folder / "me.toml", file)
     except InputError as error:
         assert len(str(error).splitlines()) == 1
     else:
-        assert np.isfinite(told.force_n).all()
+        assert np.isfinite(estimated.force_n).all()
 
 
 VALUES = st.sampled_from([None, 0, -1, 1e300, 1e-300, float("nan"), float("inf"), "x", [], {}, True, [1.0, 2.0], -0.5])
@@ -264,20 +271,20 @@ VALUES = st.sampled_from([None, 0, -1, 1e300, 1e-300, float("nan"), float("inf")
 @QUICK
 @given(choice=st.integers(0, 10**6), value=VALUES)
 def test_any_subject_is_read_or_refused(folder: Path, choice: int, value: object) -> None:
-    found = copy.deepcopy(_read(folder / "me.toml"))
-    places = list(_places(found))
+    result = copy.deepcopy(_read(folder / "me.toml"))
+    places = list(_places(result))
     tables, key = places[choice % len(places)]
     if value is None:
         del tables[key]
     else:
         tables[key] = value
     try:
-        subject = parse_subject(tomli_w.dumps(found))
-        told = predict(subject, folder / "short.csv")
+        subject = parse_subject(tomli_w.dumps(result))
+        estimated = predict(subject, folder / "short.csv")
     except InputError as error:
         assert len(str(error).splitlines()) == 1
     else:
-        assert np.isfinite(told.force_n).all()
+        assert np.isfinite(estimated.force_n).all()
 
 
 @cache

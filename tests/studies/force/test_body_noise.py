@@ -18,8 +18,8 @@ def test_pressure_light_and_drift_are_separated() -> None:
     light = 2e-3 * walk * np.cumsum(rng.normal(size=count))
     own = 5e-4 * walk * np.cumsum(rng.normal(size=(8, count)), axis=1)
     pressure = 600.0 * np.sin(2 * np.pi * 1.1 * STEP_S * np.arange(count))
-    found, led, left = _decompose(response, leds, response * pressure + leds * light + own, np.full(8, 1e-6))
-    assert np.std(found - pressure - (found - pressure).mean()) < 1500.0
+    result, led, left = _decompose(response, leds, response * pressure + leds * light + own, np.full(8, 1e-6))
+    assert np.std(result - pressure - (result - pressure).mean()) < 1500.0
     time_s = STEP_S * np.arange(count)
     rests = np.mod(time_s, 10.0) < 1.0
     assert np.sqrt(np.mean(_random_walk_variance(led, time_s, rests))) == pytest.approx(2e-3, rel=0.3)

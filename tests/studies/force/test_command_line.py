@@ -40,7 +40,7 @@ def test_a_person_is_recorded_calibrated_and_predicted(
     chosen_jit: object, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """Rationale: three scenes of one small board, few photons. Expected: every command ends with 0 and writes what it
-    says, and the force is told far better than not at all, with an interval that holds it.
+    says, and the force is estimated far better than not at all, with an interval that holds it.
     """
     for name, site, force_n in (("one", "proximal", 1.2), ("two", "distal", 1.2), ("touch", "proximal", 0.6)):
         scene = tmp_path / f"{name}.toml"
@@ -49,19 +49,19 @@ def test_a_person_is_recorded_calibrated_and_predicted(
         assert run(["simulate", str(scene), "-o", out, "--recording", recording, *PHOTONS]) == 0
     subject = tmp_path / "me.toml"
     recordings = [str(tmp_path / f"{name}.csv") for name in ("one", "two")]
-    found = _json(capsys, ["calibrate", str(tmp_path / "one.toml"), *recordings, "-o", str(subject), *PHOTONS])
-    assert found["subject"] == str(subject) and set(found["readings"]) == {"pd", "distal"}
+    result = _json(capsys, ["calibrate", str(tmp_path / "one.toml"), *recordings, "-o", str(subject), *PHOTONS])
+    assert result["subject"] == str(subject) and set(result["readings"]) == {"pd", "distal"}
     assert subject.exists() and subject.with_suffix(".html").exists()
     # A trace that falls short of what is required is followed by its fit all the same.
     late, short = tmp_path / "late.toml", ["--relative-error", "1e-4", "--max-seconds", "1", "--seed", "1"]
     assert run(["calibrate", str(tmp_path / "one.toml"), *recordings, "-o", str(late), *short]) == 3
     assert f"What was reached is in {late}." in capsys.readouterr().err and load_subject(late).quality.rms_n < 1.0
-    told = _json(capsys, ["predict", str(subject), str(tmp_path / "touch.csv"), "-o", str(tmp_path / "told")])
-    assert told["rms_n"] < 0.1 and told["coverage_95"] > 0.8 and told["consistent"]
-    assert [event["kind"] for event in told["events"]] == ["press", "release"]
-    made = {path.name for path in (tmp_path / "told").iterdir()}
+    estimated = _json(capsys, ["predict", str(subject), str(tmp_path / "touch.csv"), "-o", str(tmp_path / "predicted")])
+    assert estimated["rms_n"] < 0.1 and estimated["coverage_95"] > 0.8 and estimated["consistent"]
+    assert [event["kind"] for event in estimated["events"]] == ["press", "release"]
+    made = {path.name for path in (tmp_path / "predicted").iterdir()}
     assert made == {"predict.nc", "predict.csv", "predict.html", "predict.png"}
-    with (tmp_path / "told" / "predict.csv").open() as file:
+    with (tmp_path / "predicted" / "predict.csv").open() as file:
         head, *rows = csv.reader(file)
     assert head == list(CSV_COLUMNS)
     assert len(rows) == len((tmp_path / "touch.csv").read_text().splitlines()) - 1

@@ -15,22 +15,22 @@ from nailoptics.studies.force.subject import Subject, parse_subject
 @pytest.fixture(scope="module")
 def known() -> Subject:
     """A subject whose sensor and vessels are known exactly, whose body is still, and whose readings do not drift."""
-    found, light = parse_subject(made_sensor.subject()), made_sensor.table()
+    result, light = parse_subject(made_sensor.subject()), made_sensor.table()
     return replace(
-        found,
+        result,
         light=light,
-        scene=replace(found.scene, distal_reach=0.0, vessels=parameters(made_sensor.scene().blood.parameters)),
-        factors=np.ones_like(found.factors),
+        scene=replace(result.scene, distal_reach=0.0, vessels=parameters(made_sensor.scene().blood.parameters)),
+        factors=np.ones_like(result.factors),
         readings=replace(
-            found.readings,
-            gain=np.ones_like(found.readings.gain),
-            offset_v=np.zeros_like(found.readings.gain),
+            result.readings,
+            gain=np.ones_like(result.readings.gain),
+            offset_v=np.zeros_like(result.readings.gain),
             noise_v=light.noise_v,
         ),
-        covariance=1e-14 * np.eye(len(found.covariance)),
+        covariance=1e-14 * np.eye(len(result.covariance)),
         ensemble=None,
         noise=replace(
-            found.noise,
+            result.noise,
             drift_per_min=1e-9,
             led_drift_per_min=1e-9,
             beat=None,
@@ -56,8 +56,8 @@ def test_a_held_touch_is_estimated_as_finely_as_placement_predicts(known: Subjec
     bound_n = float(information.force_resolution_n(information.total_information([read]), side))
     time_s = made_sensor.STEP_S * np.arange(500)
     held = force_n * np.where(time_s < 1, 0.0, 1 - np.exp(-np.maximum(time_s - 1, 0) / 0.3))
-    told = predict(known, made_sensor.record(held, site, seed=5))
+    estimated = predict(known, made_sensor.record(held, site, seed=5))
     # 250 samples know an rms to 5 %.
-    rms_n = float(np.sqrt(np.mean((told.force_n.values - held)[time_s >= 5] ** 2)))
+    rms_n = float(np.sqrt(np.mean((estimated.force_n.values - held)[time_s >= 5] ** 2)))
     assert 0.7 * bound_n < rms_n < 1.3 * bound_n
     assert bound_n < 1e-3

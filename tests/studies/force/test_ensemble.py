@@ -37,12 +37,12 @@ def subject() -> Subject:
 @pytest.mark.long
 @pytest.mark.parametrize(("site", "width_n"), [("proximal", 0.95), ("distal", 0.6)])
 def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n):
-    told = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
-    touched = told.known_force_n.values >= 0.15
-    assert told.touch_rms_n.sel(kind="all") < 0.7 * told.attrs["touch_rms_filter_n"]
-    inside = (told.force_low_n <= told.known_force_n) & (told.known_force_n <= told.force_high_n)
+    estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
+    touched = estimated.known_force_n.values >= 0.15
+    assert estimated.touch_rms_n.sel(kind="all") < 0.7 * estimated.attrs["touch_rms_filter_n"]
+    inside = (estimated.force_low_n <= estimated.known_force_n) & (estimated.known_force_n <= estimated.force_high_n)
     assert inside.values[touched].mean() > 0.8
-    assert np.median((told.force_high_n - told.force_low_n).values[touched]) < width_n
+    assert np.median((estimated.force_high_n - estimated.force_low_n).values[touched]) < width_n
 
 
 def test_errors_are_of_touches_that_were_held_out():
@@ -60,8 +60,8 @@ def test_errors_are_of_touches_that_were_held_out():
 def test_few_touches_leave_the_filter_alone():
     alone = parse_subject(made_sensor.subject())
     assert alone.ensemble is None and not alone.quality.is_held_out
-    told = predict(alone, made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
-    assert np.array_equal(told.force_n, told.force_filter_n)
+    estimated = predict(alone, made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
+    assert np.array_equal(estimated.force_n, estimated.force_filter_n)
 
 
 @pytest.mark.long

@@ -73,8 +73,8 @@ def test_factors_lie_within_their_stated_errors() -> None:
         informed.append((stderr < 0.7 * SPREAD_LN)[FREE])
     z, known = np.array(off), np.array(informed)
     covered = float((np.abs(z[known]) < Z95).mean())
-    told = [SEARCHED.index(name) for name in ("vein_stiffness", "capillary_stiffness", "contact_area")]
-    rms = np.sqrt((z[:, told] ** 2).mean(0))
+    estimated = [SEARCHED.index(name) for name in ("vein_stiffness", "capillary_stiffness", "contact_area")]
+    rms = np.sqrt((z[:, estimated] ** 2).mean(0))
     assert known.mean() > 0.4
     assert 0.88 < covered < 1.0
     # With waves that move readings alike all along a touch that of the vein is 1.5: they move them most near closure.

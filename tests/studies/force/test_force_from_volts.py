@@ -131,21 +131,21 @@ def test_the_person_is_found_within_the_stated_errors(subject: Subject) -> None:
 def test_the_interval_of_a_touch_that_was_not_calibrated_covers_it(
     subject: Subject, table: ReadingTable, site: str
 ) -> None:
-    told = predict(subject, _record(table, _steps(), site, seed=8, pulse_pa=500.0))
-    summary = prediction_summary(told)
+    estimated = predict(subject, _record(table, _steps(), site, seed=8, pulse_pa=500.0))
+    summary = prediction_summary(estimated)
     assert summary["rms_n"] < 0.06
     assert summary["coverage_95"] > 0.9
     assert summary["consistent"]
     assert [one["kind"] for one in summary["events"]] == ["press", "release"]
     assert all(0 <= one["latency_s"] < 0.5 for one in summary["events"])
-    held = (told.time > 4) & (told.time < 6)
-    assert abs(float(told.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
+    held = (estimated.time > 4) & (estimated.time < 6)
+    assert abs(float(estimated.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
 
 
 def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
-    told = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
-    summary, touching = prediction_summary(told), (told.known_force_n >= 0.15).values
-    half_n = 0.5 * (told.force_high_n - told.force_low_n).values[touching]
+    estimated = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
+    summary, touching = prediction_summary(estimated), (estimated.known_force_n >= 0.15).values
+    half_n = 0.5 * (estimated.force_high_n - estimated.force_low_n).values[touching]
     assert summary["half_width_n"] == np.median(half_n) < 0.3
     assert summary["touch_rms_n"] > summary["rms_n"] and 0.8 < summary["touch_coverage_95"] <= 1.0
     assert not any("upper bound" in one for one in summary["warnings"])
@@ -165,20 +165,20 @@ def test_a_calibration_with_large_errors_warns_here_and_in_predictions(subject: 
 
 
 def test_past_closure_the_interval_is_open_above(subject: Subject, table: ReadingTable) -> None:
-    told = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
-    assert told.attrs["versions"].startswith("nailoptics=")
-    shut = told.known_force_n.values > 1.5 * float(told.open_above_n)
+    estimated = predict(subject, _record(table, _cycle(3.0), "proximal", seed=9))
+    assert estimated.attrs["versions"].startswith("nailoptics=")
+    shut = estimated.known_force_n.values > 1.5 * float(estimated.open_above_n)
     assert shut.sum() > 50
-    assert np.isinf(told.force_high_n.values[shut]).mean() > 0.95
-    assert (told.force_low_n.values[shut] <= told.known_force_n.values[shut]).mean() > 0.95
+    assert np.isinf(estimated.force_high_n.values[shut]).mean() > 0.95
+    assert (estimated.force_low_n.values[shut] <= estimated.known_force_n.values[shut]).mean() > 0.95
 
 
 @pytest.mark.long
 def test_a_touch_after_one_far_past_closure_is_estimated(subject: Subject, table: ReadingTable) -> None:
     force = np.concatenate([_cycle(5.0), _steps()])
-    told = predict(subject, _record(table, force, "distal", seed=14, pulse_pa=500.0))
-    later = told.time.values > 22.0
-    off = (told.force_n.values - told.known_force_n.values)[later]
+    estimated = predict(subject, _record(table, force, "distal", seed=14, pulse_pa=500.0))
+    later = estimated.time.values > 22.0
+    off = (estimated.force_n.values - estimated.known_force_n.values)[later]
     assert np.sqrt(np.mean(off**2)) < 0.08
 
 
@@ -186,10 +186,10 @@ def test_a_touch_after_one_far_past_closure_is_estimated(subject: Subject, table
 def test_a_touch_that_is_let_go_past_closure_leaves_nothing_behind(site: str) -> None:
     time_s = np.arange(0.0, 10.0, made_sensor.STEP_S)
     force = np.interp(time_s, [0.0, 1.0, 1.16, 4.0, 4.16, 10.0], [0.0, 0.0, 1.5, 1.5, 0.0, 0.0])
-    told = predict(parse_subject(made_sensor.subject()), made_sensor.record(force, site, seed=3))
-    later = told.time.values > 4.5
-    assert told.force_n.values[later].max() < 0.03
-    assert (told.force_low_n.values[later] == 0).all()
+    estimated = predict(parse_subject(made_sensor.subject()), made_sensor.record(force, site, seed=3))
+    later = estimated.time.values > 4.5
+    assert estimated.force_n.values[later].max() < 0.03
+    assert (estimated.force_low_n.values[later] == 0).all()
 
 
 def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
@@ -201,9 +201,9 @@ def test_model_errors_while_the_blood_moves_are_no_outliers() -> None:
     moved = np.array([np.convolve(row, lagging)[: row.size] for row in np.diff(recorded.volts, prepend=0.5, axis=1)])
     moved[:, time_s < 1.0] = 0.0
     off = DYNAMIC_ERROR * moved * np.where(np.arange(len(moved)) % 2, 1.0, -1.0)[:, None]
-    told = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
-    assert told.outlier.values.mean() < 0.01
-    assert told.attrs["consistent"]
+    estimated = predict(parse_subject(made_sensor.subject()), replace(recorded, volts=recorded.volts + off))
+    assert estimated.outlier.values.mean() < 0.01
+    assert estimated.attrs["consistent"]
 
 
 @pytest.mark.parametrize(
@@ -256,9 +256,9 @@ def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject
     np.testing.assert_array_equal(kalman.covariance, fresh.covariance)
     # Readings that no finger gives are answered to the end.
     wild = recorded.volts * np.random.default_rng(0).choice([0.01, 0.3, 1.0, 3.0], recorded.volts.shape)
-    told = predict(subject, replace(recorded, volts=wild))
-    assert np.isfinite(told.force_n.values).all()
-    assert not told.attrs["consistent"]
+    estimated = predict(subject, replace(recorded, volts=wild))
+    assert np.isfinite(estimated.force_n.values).all()
+    assert not estimated.attrs["consistent"]
 
 
 def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
@@ -296,8 +296,8 @@ def test_a_line_that_is_none_ends_live_reading_with_one_line(subject: Subject, l
 
 def test_the_virtual_switch_has_hysteresis() -> None:
     time_s, force_n = np.arange(7.0), np.array([0, 0.6, 0.4, 0.6, 0.2, 0.4, 0.7])
-    found = events(time_s, force_n, press_n=0.5, release_n=0.3)
-    assert found == [(1.0, "press"), (4.0, "release"), (6.0, "press")]
+    computed = events(time_s, force_n, press_n=0.5, release_n=0.3)
+    assert computed == [(1.0, "press"), (4.0, "release"), (6.0, "press")]
 
 
 def test_force_and_place_follow_from_pressures_as_pressures_from_them() -> None:
@@ -305,9 +305,9 @@ def test_force_and_place_follow_from_pressures_as_pressures_from_them() -> None:
     who = nominal_finger(VESSELS, contact_area_cm2=1.3, proximal_share=0.4).person(factors_ln)
     for site, share in ((1.0, 1.0), (0.0, 0.0), (np.nan, 0.4)):
         pressure = who.pressures_n_per_cm2(np.array([0.7]), np.array([site]))
-        force, found = who.force(pressure)
+        force, computed = who.force(pressure)
         assert force[0] == pytest.approx(0.7)
-        assert found[0] == pytest.approx(share)
+        assert computed[0] == pytest.approx(share)
 
 
 @pytest.mark.parametrize(
@@ -335,12 +335,12 @@ def test_readings_that_depend_on_one_zone_alone_are_calibrated(table: ReadingTab
     own = replace(table, ln_volts=dict(zip(table.names, coefficients, strict=True)), slope_stderr=np.zeros((4, 2)))
     free = np.array([name in REFILL_FACTORS for name in NAMES])
     recording = _record(own, _steps()[: round(8.0 / STEP_S)], "proximal", seed=2)
-    found = Fit([recording], own, nominal_finger(VESSELS), free=free).solve()
-    searched = found.factors_ln != 0
+    computed = Fit([recording], own, nominal_finger(VESSELS), free=free).solve()
+    searched = computed.factors_ln != 0
     assert (searched == free).all()
-    assert np.isfinite(found.covariance).all() and np.isfinite(found.gain).all()
+    assert np.isfinite(computed.covariance).all() and np.isfinite(computed.gain).all()
     # Offset and scale of each reading make up for most of the person that is not searched.
-    left = np.concatenate(found.residual_v, axis=1).std(1)
+    left = np.concatenate(computed.residual_v, axis=1).std(1)
     assert (left < 0.2 * np.ptp(recording.volts, axis=1)).all()
 
 
@@ -349,8 +349,8 @@ def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -
     once = _cycle(2.0)[: round(12.0 / STEP_S)]
     recordings = [_record(table, once, site, seed=seed) for seed, site in enumerate(("proximal", "distal"))]
     free = np.array([name not in ("proximal_share", "distal_reach") for name in NAMES])
-    found = Fit(recordings, table, nominal_finger(VESSELS, contact_area_cm2=0.33), free=free).solve()
-    assert np.exp(found.factors_ln[NAMES.index("contact_area")]) == pytest.approx(1.0 / 0.33, rel=0.1)
+    computed = Fit(recordings, table, nominal_finger(VESSELS, contact_area_cm2=0.33), free=free).solve()
+    assert np.exp(computed.factors_ln[NAMES.index("contact_area")]) == pytest.approx(1.0 / 0.33, rel=0.1)
 
 
 def test_a_subject_file_of_version_0_2_is_read(subject: Subject) -> None:

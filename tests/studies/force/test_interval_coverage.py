@@ -37,7 +37,7 @@ def test_intervals_cover_held_touches_of_the_model_itself(subject: Subject, side
     )
     covered = []
     for seed in (1, 2):
-        told = predict(exactly_known(subject, person), modelled(subject, person, touch, seed=seed))
-        inside = (told.force_low_n.values <= force_n) & (force_n <= told.force_high_n.values)
+        estimated = predict(exactly_known(subject, person), modelled(subject, person, touch, seed=seed))
+        inside = (estimated.force_low_n.values <= force_n) & (force_n <= estimated.force_high_n.values)
         covered.append(inside[force_n > 0.05])
     assert 0.85 < np.mean(np.concatenate(covered)) < 0.995

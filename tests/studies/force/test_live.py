@@ -43,10 +43,10 @@ def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder
     (folder / "part.csv").write_text("".join(lines))
     given = iter(lines)
     answers = live(subject, given)
-    told = [next(answers), next(answers)]
+    estimated = [next(answers), next(answers)]
     # The first sample is answered before the second is read.
     assert len(list(given)) == len(lines) - 2
-    assert [*told, *list(live(subject, lines))[2:]] == list(csv_rows(predict(subject, folder / "part.csv")))
+    assert [*estimated, *list(live(subject, lines))[2:]] == list(csv_rows(predict(subject, folder / "part.csv")))
 
 
 def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
@@ -58,10 +58,10 @@ def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject
     forces = predict_live(subject, given)
     first = next(forces)
     assert first.time_s == recording.time_s[0] and next(given)[0] == recording.time_s[1]
-    found = [*predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
+    computed = [*predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
     known = predict(subject, recording).isel(time=slice(12))
     for name in ("force_n", "force_low_n", "force_high_n", "proximal_share"):
-        assert [getattr(one, name) for one in found] == pytest.approx(known[name].values)
+        assert [getattr(one, name) for one in computed] == pytest.approx(known[name].values)
 
 
 RIGHT = dict.fromkeys(NAMES, 0.5)

@@ -19,8 +19,8 @@ PART = 1e-4
 
 @pytest.fixture(scope="module")
 def subject() -> Subject:
-    found = parse_subject(made_sensor.subject())
-    return replace(found, covariance=PART * found.covariance)
+    result = parse_subject(made_sensor.subject())
+    return replace(result, covariance=PART * result.covariance)
 
 
 def risen_v(one: Subject, pressure: np.ndarray) -> np.ndarray:
@@ -41,7 +41,7 @@ def other(one: Subject, off: np.ndarray) -> Subject:
 @pytest.mark.parametrize("side", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Subject, side: int) -> None:
     """Rationale: stiffness, area and how strongly readings fall with blood are hardly known each by itself: one makes
-    up for another; the force is known. Expected: readings of a held touch, told by calibrations off along every
+    up for another; the force is known. Expected: readings of a held touch, estimated with calibrations off along every
     direction of the covariance, spread as the interval says.
     """
     held = np.zeros(2)
@@ -58,17 +58,17 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
             )
 
         who = told_by.person
-        found = least_squares(off, held, x_scale=0.1, diff_step=1e-3, xtol=1e-12, ftol=1e-12)
-        return float(found.x[side] * who.area_cm2 * (who.proximal_area if side == 0 else 1.0))
+        result = least_squares(off, held, x_scale=0.1, diff_step=1e-3, xtol=1e-12, ftol=1e-12)
+        return float(result.x[side] * who.area_cm2 * (who.proximal_area if side == 0 else 1.0))
 
     values, vectors = np.linalg.eigh(subject.covariance)
     each = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     known_n = force_n(subject)
     stderr_n = float(np.sqrt(sum((force_n(other(subject, off)) - known_n) ** 2 for off in each)))
     estimate = PressureEstimate(held, 1e-14 * np.eye(2), 0.0, 0.0, len(read), False, True)
-    told = ForceInterval(subject).of(stacked([estimate]))
+    estimated = ForceInterval(subject).of(stacked([estimate]))
     # The interval's slopes are of finite steps: where errors all but cancel, a hundredth of the area's is left.
     area = NAMES.index("contact_area")
     rounding_n = 0.02 * known_n * float(np.sqrt(subject.covariance[area, area]))
-    wide_n = float(told.force_high_n[0] - told.force_low_n[0]) / (2 * Z95)
+    wide_n = float(estimated.force_high_n[0] - estimated.force_low_n[0]) / (2 * Z95)
     assert wide_n == pytest.approx(INTERVAL_SCALE * stderr_n, rel=0.1, abs=rounding_n)

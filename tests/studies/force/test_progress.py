@@ -9,17 +9,17 @@ from nailoptics.studies.force.calibrate import calibrate_with
 
 @pytest.mark.long
 def test_a_fit_tells_how_far_it_is_and_can_be_interrupted() -> None:
-    recordings, told = [made_sensor.record(made_sensor.cycle(1.5), "distal", seed=2)], list[TraceProgress]()
-    calibrate_with(made_sensor.scene(), made_sensor.table(), recordings, progress=told.append)
-    done = [one.fraction_done for one in told]
+    recordings, estimated = [made_sensor.record(made_sensor.cycle(1.5), "distal", seed=2)], list[TraceProgress]()
+    calibrate_with(made_sensor.scene(), made_sensor.table(), recordings, progress=estimated.append)
+    done = [one.fraction_done for one in estimated]
     assert len(done) > 5 and done == sorted(done) and (done[0], done[-1]) == (0.0, 1.0)
-    assert all(one.is_stage and one.led == "fit" for one in told)
+    assert all(one.is_stage and one.led == "fit" for one in estimated)
 
     def interrupting(progress: TraceProgress) -> None:
-        told.append(progress)
+        estimated.append(progress)
         raise KeyboardInterrupt
 
-    told.clear()
+    estimated.clear()
     with pytest.raises(KeyboardInterrupt, match="no subject was written"):
         calibrate_with(made_sensor.scene(), made_sensor.table(), recordings, progress=interrupting)
-    assert len(told) == 1
+    assert len(estimated) == 1

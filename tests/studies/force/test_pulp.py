@@ -23,12 +23,12 @@ def test_calibration_finds_the_pulp_that_the_scene_does_not_state(creep: float, 
     # The distal pulp, which recovers slowly, is felt by a distal touch alone.
     recording = made_sensor.record(made_sensor.cycle(1.5), "distal", seed=1, pulp=pulp)
     subject = parse_subject(calibrate_with(scene, made_sensor.table(), [recording]).attrs["subject"])
-    found, spread = subject.person, {name: one["stderr"] for name, one in subject.factor_table().items()}
+    result, spread = subject.person, {name: one["stderr"] for name, one in subject.factor_table().items()}
     # A factor on what is usual reaches no further down than an eighth.
     least = 1 / 8
     reached, usual = max(creep, least * USUAL_PULP.creep), USUAL_PULP
-    assert found.creep == pytest.approx(reached, abs=max(0.01, 3 * usual.creep * spread["creep"]))
-    assert found.recovery_s == pytest.approx(
+    assert result.creep == pytest.approx(reached, abs=max(0.01, 3 * usual.creep * spread["creep"]))
+    assert result.recovery_s == pytest.approx(
         recovery_s, abs=max(0.01, 3 * usual.recovery_s * spread["distal_recovery"])
     )
     assert spread["creep"] < 0.5 and spread["distal_recovery"] < 0.5

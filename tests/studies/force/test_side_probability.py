@@ -38,11 +38,11 @@ def subject() -> Subject:
 
 @pytest.mark.parametrize("site", ["proximal", "distal", "even"])
 def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
-    told = predict(subject(), made_sensor.record(0.9 * made_sensor.touches(), site, seed=7))
+    estimated = predict(subject(), made_sensor.record(0.9 * made_sensor.touches(), site, seed=7))
     names = [f"probability_{name}" for name in ("proximal", "distal", "both")]
-    probabilities = np.stack([told[name].values for name in names])
-    assert probabilities.sum(0) == pytest.approx(np.ones(told.sizes["time"]))
-    likeliest = names[int(np.argmax(probabilities[:, told.known_force_n.values >= 0.3].mean(1)))]
+    probabilities = np.stack([estimated[name].values for name in names])
+    assert probabilities.sum(0) == pytest.approx(np.ones(estimated.sizes["time"]))
+    likeliest = names[int(np.argmax(probabilities[:, estimated.known_force_n.values >= 0.3].mean(1)))]
     assert likeliest == f"probability_{'both' if site == 'even' else site}"
     # Where nothing touches, no side is touched more likely than another.
     assert probabilities[:, :50].mean(1) == pytest.approx(np.full(3, 1 / 3), abs=0.01)
@@ -53,6 +53,8 @@ def test_a_subject_keeps_how_well_sides_are_told_apart_and_older_ones_do_not_kno
     assert parse_subject(subject_toml(subject())).quality.share_error == pytest.approx(error) and max(error) < 0.5
     older = tomllib.loads(subject_toml(subject()))
     del older["quality"]["share_error"]
-    told = predict(parse_subject(tomli_w.dumps(older)), made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
-    at = int(np.argmax(told.known_force_n.values))
-    assert np.isnan(told.probability_both[at]) and np.isfinite(told.force_n[at])
+    estimated = predict(
+        parse_subject(tomli_w.dumps(older)), made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2)
+    )
+    at = int(np.argmax(estimated.known_force_n.values))
+    assert np.isnan(estimated.probability_both[at]) and np.isfinite(estimated.force_n[at])

@@ -60,7 +60,7 @@ def whole() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit):
+def computed(chosen_jit):
     return explain(whole(), photons=1_000_000, seed=3)
 
 
@@ -70,8 +70,8 @@ def traced(scene: Scene, *, photons: int, seed: int) -> PairedReadings:
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_barrier_matters_and_the_lines_width_does_not(found):
-    by_name = {e.name: e for e in found.effects}
+def test_the_barrier_matters_and_the_lines_width_does_not(computed):
+    by_name = {e.name: e for e in computed.effects}
     barrier, width = by_name["barrier"], by_name["LED line width"]
     assert barrier.matters == "yes" and barrier.change > 1 and barrier.modelled
     assert width.matters == "no" and width.how == "reweighted" and 0 < width.bound < 0.01
@@ -83,10 +83,10 @@ def test_the_barrier_matters_and_the_lines_width_does_not(found):
 
 @pytest.mark.slow
 @pytest.mark.jit
-def test_the_lines_that_leave_out_the_needless_make_the_required_scene(found):
+def test_the_lines_that_leave_out_the_needless_make_the_required_scene(computed):
     """Expected: the lines, pasted under their tables, make the required scene, which reads as the whole one does."""
-    lines = lines_of(merged(found.needless))
-    assert all(f"  {line}" in explanation_lines(found) for line in lines)
+    lines = lines_of(merged(computed.needless))
+    assert all(f"  {line}" in explanation_lines(computed) for line in lines)
     assert "[[leds]] fwhm_nm = 0.0" in lines
     tables = {"[finger]": 'digit = "index"', "[[leds]]": 'part = "led_800"', "[light]": "[light]"}
     text = TEXT.split("[light]")[0].replace("fwhm_nm = 0.0\n", "")
@@ -94,8 +94,8 @@ def test_the_lines_that_leave_out_the_needless_make_the_required_scene(found):
     for line in lines:
         table, pasted = line.split(" ", 1)
         text = text.replace(tables[table], f"{tables[table]}\n{pasted}")
-    assert parse_scene(text).model_dump() == found.required.model_dump()
-    assert found.together.matters == "no" and found.together.bound <= found.tolerance
+    assert parse_scene(text).model_dump() == computed.required.model_dump()
+    assert computed.together.matters == "no" and computed.together.bound <= computed.tolerance
 
 
 @pytest.mark.slow
@@ -103,10 +103,10 @@ def test_the_lines_that_leave_out_the_needless_make_the_required_scene(found):
 def test_the_shipped_prototype_models_what_matters_and_nothing_else(chosen_jit):
     """Rationale: the default scene is derived from what explain measures. Expected: nothing in it is needless, and
     nothing that a line could put in is missing, at its own tolerance."""
-    found = explain(prototype(), photons=1_000_000, seed=11)
-    assert [e.name for e in found.needless] == []
-    assert [e.name for e in found.missing if e.changes] == []
-    assert {"LED line width", "epidermis"} <= {e.name for e in found.effects if not e.modelled and e.matters == "no"}
+    computed = explain(prototype(), photons=1_000_000, seed=11)
+    assert [e.name for e in computed.needless] == []
+    assert [e.name for e in computed.missing if e.changes] == []
+    assert {"LED line width", "epidermis"} <= {e.name for e in computed.effects if not e.modelled and e.matters == "no"}
 
 
 @pytest.mark.long
@@ -154,7 +154,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     scene = revised(whole(), WHOLE | {"finger": WHOLE["finger"] | changes["finger"]})
     others = [revised(scene, {"finger": {"melanin_fraction": 0.0}}), revised(scene, ONE_WAVELENGTH)]
 
-    def found(photons: int, seed: int) -> tuple[PairedReadings, list[Difference]]:
+    def computed(photons: int, seed: int) -> tuple[PairedReadings, list[Difference]]:
         base = traced(scene, photons=photons, seed=seed)
         every = [difference(base, reweighted(base, other)) for other in others]
         return base, every
@@ -162,7 +162,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     def numbers(every: list[Difference]) -> np.ndarray:
         return np.array([list(zip(*(one[:3] for one in d), strict=True)) for d in every])
 
-    exact, seeds = found(2_400_000, 99), [found(40_000, seed) for seed in range(20)]
+    exact, seeds = computed(2_400_000, 99), [computed(40_000, seed) for seed in range(20)]
     truth, each = numbers(exact[1]), np.array([numbers(every) for _, every in seeds])
     z = (each[:, :, 0] - truth[:, 0]) / np.hypot(each[:, :, 1], truth[:, 1])
     assert np.isfinite(z).all() and (each[:, :, 1] > 0).all()
@@ -192,13 +192,13 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
     derived, printed = [], []
     differences: list[Difference] = []
 
-    def kept(change: Change, found: Difference, *more: Any, **named: Any) -> Effect:
-        differences.append(found)
-        return effect_of(change, found, *more, **named)
+    def kept(change: Change, computed: Difference, *more: Any, **named: Any) -> Effect:
+        differences.append(computed)
+        return effect_of(change, computed, *more, **named)
 
     monkeypatch.setattr(effects, "effect_of", kept)
 
-    def found(photons: int, seed: int) -> np.ndarray:
+    def computed(photons: int, seed: int) -> np.ndarray:
         base, out = traced(whole(), photons=photons, seed=seed), []
         *_, denser = others_traced = [traced(other, photons=photons, seed=seed) for other in others]
         made = (
@@ -215,7 +215,7 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
             out.append(np.concatenate([each, np.transpose(means)[..., None]], axis=-1))
         return np.array(out)
 
-    truth, each = found(800_000, 99), np.array([found(40_000, seed) for seed in range(20)])
+    truth, each = computed(800_000, 99), np.array([computed(40_000, seed) for seed in range(20)])
     z = (each[:, :, 0] - truth[:, 0]) / np.hypot(each[:, :, 1], truth[:, 1])
     assert np.isfinite(z).all()
     photodiodes, means = np.abs(z[..., :-1]) < Z95, np.abs(z[..., -1]) < Z95
@@ -233,8 +233,8 @@ def test_effects_that_are_retraced_have_true_errors(chosen_jit, monkeypatch):
 def assert_printed(seeds: list[tuple[PairedReadings, Difference]], exact: Difference) -> None:
     """The line that is printed of an effect: the photodiode that is named, and what none exceeds, of 20 seeds."""
     held = []
-    for base, found in seeds:
-        one = effect_of(Change("any", True, ""), found, base, tolerance=0.02)
+    for base, computed in seeds:
+        one = effect_of(Change("any", True, ""), computed, base, tolerance=0.02)
         j = [f"{base.transfer.leds[0]} {name}" for name in base.transfer.photodiodes].index(one.photodiode)
         judged = exact.signal if one.of == "signal" else exact.reading
         away = abs(one.change - judged.value[0, j]) / np.hypot(one.stderr, judged.stderr[0, j])
@@ -271,15 +271,15 @@ def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
     relative change of mu_s' along the path, as a part of the signal; beyond a tolerance of 2 % it matters."""
     scene = revised(prototype(), ONE_WAVELENGTH)
     base, denser = made_up(scene, paths_mm, 1.0), made_up(scene, paths_mm, SCATTERING_FACTOR**2)
-    found = effects.blood_scattering(0.02, base, denser)
+    computed = effects.blood_scattering(0.02, base, denser)
     share, blood = np.array(paths_mm) / 4, np.diff(paired.end_states(scene), axis=0)[0]
     mu_a = float(tissue.blood_mu_a_per_mm(800.0, scene.blood.rest_so2))
     # Of skin at 800 nm mu_s' is 4.60 (800 / 500)^-1.421 per mm, of blood 1.34.
     more = 2 * (1.34 / (4.60 * 1.6**-1.421) - 1) * (share @ blood)
     signal = np.expm1(-mu_a * blood @ paths_mm)
-    assert found.of == "signal" and found.change == pytest.approx(more / abs(signal), rel=1e-3)
-    assert found.bound > abs(found.change) > 0.1 and "replaces" in found.changed_to
-    assert found.modulation_bound == pytest.approx(found.bound)
+    assert computed.of == "signal" and computed.change == pytest.approx(more / abs(signal), rel=1e-3)
+    assert computed.bound > abs(computed.change) > 0.1 and "replaces" in computed.changed_to
+    assert computed.modulation_bound == pytest.approx(computed.bound)
 
 
 def test_what_moves_no_reading_by_the_tolerance_is_judged_by_the_signal():
@@ -415,11 +415,11 @@ def test_readings_that_no_touch_changes_have_effects_but_no_signal(jit_backend, 
 @pytest.mark.jit
 def test_undetected_light_has_no_estimate(jit_backend, coarse_cells):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
-    found = explain(prototype(), photons=100)
-    retraced = [e for e in found.effects if e.how == "retraced"]
+    computed = explain(prototype(), photons=100)
+    retraced = [e for e in computed.effects if e.how == "retraced"]
     assert retraced and all(e.matters == "undecided" for e in retraced)
     assert (
-        "not known" in "\n".join(explanation_lines(found))
-        and found.needless == []
-        and found.required.light == prototype().light
+        "not known" in "\n".join(explanation_lines(computed))
+        and computed.needless == []
+        and computed.required.light == prototype().light
     )

@@ -49,9 +49,9 @@ def counted(counts: list[list[int]]) -> PairedReadings:
 def test_a_photon_that_one_photodiode_detects_is_lost_to_the_others():
     """Expected: of photodiodes that detect 30 and 60 % of the light, the covariances are those of a multinomial count,
     (1 / p - 1) / n and -1 / n of the mean; of two LEDs, which share no photon, 0."""
-    found = counted([[PHOTONS * 3 // 10, PHOTONS * 6 // 10]] * 2).relative_covariance
+    result = counted([[PHOTONS * 3 // 10, PHOTONS * 6 // 10]] * 2).relative_covariance
     one = np.array([[1 / 0.3 - 1, -1], [-1, 1 / 0.6 - 1]]) / PHOTONS
-    np.testing.assert_allclose(found, np.kron(np.eye(2), one), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(result, np.kron(np.eye(2), one), rtol=1e-9, atol=1e-15)
 
 
 def test_light_from_outside_is_one_error_of_a_photodiode_for_all_leds(monkeypatch):
@@ -59,8 +59,8 @@ def test_light_from_outside_is_one_error_of_a_photodiode_for_all_leds(monkeypatc
     the readings have little error, the mean over three photodiodes is known to 20 % / sqrt(3), however many LEDs."""
     outside_a = np.full((3, 1, 3), [[[1e-9]], [[2e-10]], [[1e-6]]])
     monkeypatch.setattr(explain, "trace_ambient", lambda *_, **__: outside_a)
-    found = explain.ambient(0.02, TraceOptions(), counted([[PHOTONS // 4] * 3] * 2))
-    assert found.typical_stderr / found.typical == pytest.approx(0.2 / np.sqrt(3), rel=0.02)
+    result = explain.ambient(0.02, TraceOptions(), counted([[PHOTONS // 4] * 3] * 2))
+    assert result.typical_stderr / result.typical == pytest.approx(0.2 / np.sqrt(3), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -79,17 +79,17 @@ def test_errors_and_bounds_of_what_few_photons_carry(arrive, carry, depth):
     intervals hold the truth about as often as they say, bounds, which are one-sided, more often; and the error is what
     the values scatter by where ten photons carry the change, at most twice that where three do."""
     draw, truth = np.random.default_rng(6), -carry * (depth / (1 + depth) if np.isfinite(depth) else 1.0)
-    found = [drawn(draw, arrive=arrive, carry=carry, depth=depth) for _ in range(10)]
-    ratio, stderr = (np.concatenate([getattr(one.reading, name)[0] for one in found]) for name in ("value", "stderr"))
+    result = [drawn(draw, arrive=arrive, carry=carry, depth=depth) for _ in range(10)]
+    ratio, stderr = (np.concatenate([getattr(one.reading, name)[0] for one in result]) for name in ("value", "stderr"))
     z = (ratio - truth) / stderr
     assert np.isfinite(z).all()
-    held = np.concatenate([one.reading.bound[0] for one in found]) >= abs(truth)
+    held = np.concatenate([one.reading.bound[0] for one in result]) >= abs(truth)
     assert (np.abs(z) < Z95).mean() > 0.915 and held.mean() > 0.95, ((np.abs(z) < Z95).mean(), held.mean())
     scatter = ratio.std() / np.sqrt(np.mean(stderr**2))
     assert (0.75 if arrive * carry > 7 else 0.45) < scatter < 1.05, scatter
     # What photons lose is no part of their modulation here: that stays, within the reported error.
-    swing = np.concatenate([one.signal.value[0] for one in found])
-    errors = np.concatenate([one.signal.stderr[0] for one in found])
+    swing = np.concatenate([one.signal.value[0] for one in result])
+    errors = np.concatenate([one.signal.stderr[0] for one in result])
     assert (np.abs(swing) < Z95 * errors).mean() > 0.92
 
 

@@ -34,9 +34,9 @@ def pull(values: np.ndarray, errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(away**2)))
 
 
-def assert_pull_of_one(found: list[dict[str, Level]], name: str, which: str) -> None:
+def assert_pull_of_one(result: list[dict[str, Level]], name: str, which: str) -> None:
     """A pull of 1 within the 45 % that three times the chance of 24 seeds is."""
-    biases = [getattr(one[name], which) for one in found]
+    biases = [getattr(one[name], which) for one in result]
     value, stderr = (np.array([getattr(b, field) for b in biases]) for field in ("value", "stderr"))
     assert 0.55 < pull(value, stderr) < 1.45, (name, which, pull(value, stderr))
 
@@ -50,9 +50,9 @@ def test_a_bias_and_its_bound_hold_the_truth_as_often_as_they_say():
         for _ in range(400):
             base = cast(PairedReadings, SimpleNamespace(relative_stderr=errors))
             noisy = truth * (1 + shared * draw.normal()) + errors * draw.normal(size=errors.shape)
-            found = bias_of(base, Estimates(noisy, errors), shared=shared)
+            result = bias_of(base, Estimates(noisy, errors), shared=shared)
             mean = float(np.average(truth, weights=errors**-2.0))
-            held.append((abs(found.value - mean) < Z95 * found.stderr, found.bound >= np.abs(truth).max()))
+            held.append((abs(result.value - mean) < Z95 * result.stderr, result.bound >= np.abs(truth).max()))
     assert (np.mean(held, axis=0) > 0.93).all(), np.mean(held, axis=0)
 
 
@@ -70,14 +70,14 @@ def test_errors_of_readings_and_modulations(traced):
 @pytest.mark.jit
 def test_errors_of_what_formulas_and_one_wavelength_are_off_by(traced, scene):
     """Expected: the reported errors are what other seeds scatter by, of every level without photons of its own."""
-    found = []
+    result = []
     for base in traced:
         narrow = measured(scene, "one wavelength", base, reweighted(base, revised(scene, ONE_WAVELENGTH)))
-        found.append({one.name: one for one in (narrow, *formulas(scene, base))})
+        result.append({one.name: one for one in (narrow, *formulas(scene, base))})
     for which in ("reading", "signal"):
-        assert_pull_of_one(found, "one wavelength", which)
+        assert_pull_of_one(result, "one wavelength", which)
     for name in ("Taylor (9)", "Beer-Lambert (8)"):
-        assert_pull_of_one(found, f"{name}, traced", "signal")
+        assert_pull_of_one(result, f"{name}, traced", "signal")
 
 
 @pytest.mark.slow
@@ -86,9 +86,9 @@ def test_errors_of_what_formulas_and_one_wavelength_are_off_by(traced, scene):
 def test_errors_of_what_walked_levels_are_off_by(traced, scene, name):
     """Expected: as above, for a level that shares most photons with the reference, and for one that shares none."""
     other = revised(scene, CHEAPER[name])
-    found = []
+    result = []
     for seed, base in zip(SEEDS, traced, strict=True):
         walked = paired_readings(nail.trace(other, photons=PHOTONS, seed=seed))
-        found.append({name: measured(scene, name, base, walked)})
+        result.append({name: measured(scene, name, base, walked)})
     for which in ("reading", "signal"):
-        assert_pull_of_one(found, name, which)
+        assert_pull_of_one(result, name, which)

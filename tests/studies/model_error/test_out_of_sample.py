@@ -27,15 +27,15 @@ SCENES: dict[str, tuple[str, Changes]] = {
 }
 
 
-def within(found: Tradeoff) -> dict[str, list[float]]:
+def within(result: Tradeoff) -> dict[str, list[float]]:
     """Levels of which something is said that photons could refute, and the tolerances that they keep."""
     out: dict[str, set[float]] = {}
     for tolerance in TOLERANCES:
-        level = fastest(found.levels, tolerance)
+        level = fastest(result.levels, tolerance)
         assert level is not None
         out.setdefault(level.name, set()).add(tolerance)
         if tolerance in ASKED:
-            for level in found.levels:
+            for level in result.levels:
                 if level.bound <= tolerance:
                     out.setdefault(level.name, set()).add(tolerance)
     # Its bias against itself is 0, and constants of its own paths come with it.
@@ -59,10 +59,10 @@ def test_a_tolerance_holds_with_other_seeds_and_ten_times_the_photons(studied):
     """Rationale: the bias of a level is bounded with few photons; the bound must hold for photons it has not seen.
     Expected: no photodiode's bias exceeds the tolerance by more than three standard errors, which are smaller; and a
     reading of the full model to the error that was named for 5 and 2 %, of another seed, is off by no more."""
-    name, scene, found = studied
+    name, scene, result = studied
     tracer = paired.PairedTracer(9, TraceOptions(photons=10 * PHOTONS, seed=1001), None)
     base = tracer.trace(revised(scene, FULL))
-    by_name, named = {one.name: one for one in found.levels}, within(found)
+    by_name, named = {one.name: one for one in result.levels}, within(result)
     assert named
     for level, tolerances in named.items():
         far = off(by_name[level], scene, base, tracer)

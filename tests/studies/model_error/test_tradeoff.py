@@ -78,15 +78,15 @@ def test_the_sentence_names_a_time_for_each_error():
 def test_the_tolerance_is_named_as_one_standard_error():
     """Rationale: 2 % as one standard error of the worst photodiode is no bound on every reading and signal: of 19 runs
     two were within it. Expected: it is named so."""
-    found = made(FORMULA)
-    lines = "\n".join(tradeoff_lines(found))
+    computed = made(FORMULA)
+    lines = "\n".join(tradeoff_lines(computed))
     assert "2 % as one standard error of the worst photodiode" in lines and "of every photodiode" not in lines
     assert "as a part of the largest change of any photodiode" in lines
 
 
 def test_json_and_dataset_hold_the_same(tmp_path):
-    found = made(FORMULA)
-    summary, data = tradeoff_summary(found), found.dataset()
+    computed = made(FORMULA)
+    summary, data = tradeoff_summary(computed), computed.dataset()
     assert json.loads(json.dumps(summary))["fastest_within"]["0.5"]["level"] == "a formula"
     assert summary["chosen"] == REFERENCE and summary["lines"] == ["[accuracy] relative_error = 0.02"]
     for row in summary["levels"]:
@@ -97,47 +97,47 @@ def test_json_and_dataset_hold_the_same(tmp_path):
 
 
 def test_the_picture_names_every_level_and_the_page_says_what_each_needs():
-    found = made(FORMULA, level("biased", 0.05))
-    (axes,) = tradeoff_page.draw(found).axes
+    computed = made(FORMULA, level("biased", 0.05))
+    (axes,) = tradeoff_page.draw(computed).axes
     assert sorted(t.get_text() for t in axes.texts) == ["a formula", "biased", REFERENCE]
-    page = tradeoff_page.page(found, tradeoff_page.draw(found))
-    assert sentence(found) in page and "similarity = true" in page and "relative_error = 0.02" in page
+    page = tradeoff_page.page(computed, tradeoff_page.draw(computed))
+    assert sentence(computed) in page and "similarity = true" in page and "relative_error = 0.02" in page
 
 
 def test_the_picture_is_empty_where_no_level_could_be_judged():
-    found = made(level("biased", np.inf))
-    found = replace(found, levels=tuple(replace(one, reading_noise=np.inf) for one in found.levels))
-    (axes,) = tradeoff_page.draw(found).axes
+    computed = made(level("biased", np.inf))
+    computed = replace(computed, levels=tuple(replace(one, reading_noise=np.inf) for one in computed.levels))
+    (axes,) = tradeoff_page.draw(computed).axes
     assert not axes.texts and axes.get_xlim()[0] > 0
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit):
+def computed(chosen_jit):
     return tradeoff(prototype(), photons=40_000, tolerance=0.02)
 
 
 @pytest.mark.jit
-def test_the_chosen_level_is_within_the_tolerance(found):
-    by_name = {one.name: one for one in found.levels}
+def test_the_chosen_level_is_within_the_tolerance(computed):
+    by_name = {one.name: one for one in computed.levels}
     expected = {REFERENCE, OWN, "one wavelength", "similarity", "matched indices"}
     assert expected | {f"{name}, traced" for name in FORMULAS} <= by_name.keys()
     full = by_name[REFERENCE]
-    assert full.bound == 0 and found.chosen.bound <= 0.02 and found.chosen is fastest(found.levels, 0.02)
-    assert found.chosen.seconds(0.02) <= 1.12 * min(level.seconds(0.02) for level in found.levels)
+    assert full.bound == 0 and computed.chosen.bound <= 0.02 and computed.chosen is fastest(computed.levels, 0.02)
+    assert computed.chosen.seconds(0.02) <= 1.12 * min(level.seconds(0.02) for level in computed.levels)
     # The line is read from the same photons.
     assert by_name["one wavelength"].bound < 0.02
     assert by_name["one wavelength"].setup_seconds == full.setup_seconds
     # Without forward scattering there is a tenth of the scatterings, and the readings are wrong.
-    assert by_name["similarity"].bound > 0.02 and found.chosen.name != "similarity"
+    assert by_name["similarity"].bound > 0.02 and computed.chosen.name != "similarity"
     # Photons that never meet epidermis or Kapton are the same: the error is a part of what two traces apart would have.
     assert by_name["no epidermis, no Kapton"].reading.stderr < 0.7 * by_name["matched indices"].reading.stderr
 
 
 @pytest.mark.jit
-def test_blood_levels_move_the_signal_alone(found):
+def test_blood_levels_move_the_signal_alone(computed):
     """Expected: walls' mass and a looser tolerance move it by less than 0.2 %; samples that miss the step, and eight
     zones, on which the distal pressure acts otherwise, by tens of percent."""
-    by_name = {one.name: one for one in found.levels}
+    by_name = {one.name: one for one in computed.levels}
     full = by_name[REFERENCE]
     courses = "walls with mass", "vessels to 1e-3"
     for name in courses:
@@ -155,11 +155,11 @@ def test_blood_levels_move_the_signal_alone(found):
 
 
 @pytest.mark.jit
-def test_the_lines_of_every_level_make_its_scene(found):
+def test_the_lines_of_every_level_make_its_scene(computed):
     """Expected: pasted under their tables in the scene file, they select the level."""
     text = (data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8")
     places = {"[light]": "[light]", "[[leds]]": "[[leds]]", "[touch]": "[touch]", "[blood]": "[blood]"}
-    for one in found.levels:
+    for one in computed.levels:
         pasted = text
         for line in lines_of(one.changes):
             table, field = line.split(" ", 1)
@@ -173,8 +173,8 @@ def test_the_lines_of_every_level_make_its_scene(found):
         expected = revised(prototype(), one.changes)
         assert (scene.light, scene.leds) == (expected.light, expected.leds), one.name
         assert (scene.touch, scene.blood) == (expected.touch, expected.blood), one.name
-        if one is found.chosen:
-            assert scene.light == found.scene.light and scene.leds == found.scene.leds
+        if one is computed.chosen:
+            assert scene.light == computed.scene.light and scene.leds == computed.scene.leds
 
 
 def test_what_has_no_levels_is_one_line():
@@ -208,13 +208,13 @@ def test_a_photodiode_that_saw_nothing_is_one_line(jit_backend):
 
 
 @pytest.mark.jit
-def test_the_command_writes_and_prints_what_was_measured(found, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("nailoptics.studies.model_error.tradeoff.tradeoff", lambda scene, **_: found)
+def test_the_command_writes_and_prints_what_was_measured(computed, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("nailoptics.studies.model_error.tradeoff.tradeoff", lambda scene, **_: computed)
     assert cli.run(["tradeoff", "prototype", "-o", str(tmp_path), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed["chosen"] == found.chosen.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
+    assert printed["chosen"] == computed.chosen.name == json.loads((tmp_path / "tradeoff.json").read_text())["chosen"]
     assert {path.name for path in tmp_path.iterdir()} == set(tradeoff_page.TRADEOFF.files)
-    all_shown(found, page=False)
+    all_shown(computed, page=False)
     assert_listed(tmp_path, "tradeoff.nc")
 
 

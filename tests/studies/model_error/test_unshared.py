@@ -48,11 +48,11 @@ def test_photons_that_never_meet_the_bone_are_the_same_without_it(whole, boneles
     # Besides those in the bone, those that its face reflects, and copies of either: a few percent.
     assert not (same & met).any() and met.any()
     assert met.sum() <= (~same).sum() <= 1.3 * met.sum() + 5 < 0.1 * len(same)
-    found = difference(paired_readings(whole), paired_readings(boneless))
+    result = difference(paired_readings(whole), paired_readings(boneless))
     ratio = boneless.at().detected_fraction / whole.at().detected_fraction - 1
-    assert np.allclose(found.reading.value, ratio, rtol=0, atol=1e-6)
+    assert np.allclose(result.reading.value, ratio, rtol=0, atol=1e-6)
     alone = whole.at().detected_fraction_stderr / whole.at().detected_fraction
-    assert (found.reading.stderr < 0.7 * alone).all()
+    assert (result.reading.stderr < 0.7 * alone).all()
 
 
 @pytest.mark.long
@@ -94,13 +94,13 @@ def test_paired_and_independent_differences_agree(whole, boneless):
 def test_other_seeds_share_nothing(whole):
     other = nail.trace(prototype(), with_faces=AROUND, photons=60_000, seed=8)
     assert not same_records(whole, other).any()
-    found = difference(*(base := [paired_readings(one) for one in (whole, other)])).reading
-    ratio = 1 + found.value
-    assert np.allclose(found.stderr, ratio * np.hypot(*(one.relative_stderr for one in base)), rtol=0.01)
+    result = difference(*(base := [paired_readings(one) for one in (whole, other)])).reading
+    ratio = 1 + result.value
+    assert np.allclose(result.stderr, ratio * np.hypot(*(one.relative_stderr for one in base)), rtol=0.01)
 
 
 def test_a_trace_shares_all_with_itself(whole):
     again = replace(whole, traces=tuple(replace(trace) for trace in whole.traces))
     assert same_records(whole, again).all()
-    found = difference(paired_readings(whole), paired_readings(again)).reading
-    assert not found.value.any() and weighted_mean(found, paired_readings(whole))[0] == 0
+    result = difference(paired_readings(whole), paired_readings(again)).reading
+    assert not result.value.any() and weighted_mean(result, paired_readings(whole))[0] == 0

@@ -42,18 +42,18 @@ def light(chosen_jit) -> Transfer:
 
 
 @pytest.fixture(scope="module")
-def found(light):
+def computed(light):
     result = oximeter_from(light, options=TraceOptions(seed=SEED))
     result.attrs |= {"cpu_seconds": 0.0, "wall_seconds": 0.0}
     return result
 
 
 @pytest.mark.long
-def test_the_shipped_oximeter_is_one(found, tmp_path):
+def test_the_shipped_oximeter_is_one(computed, tmp_path):
     """Rationale: measured on fingers, a slope lies at -28 to -40, an intercept at 108 to 114 and R(0.97) at 0.36 to
     0.52. Expected: these on the best photodiode within three standard errors of so few photons, R that falls with
     saturation on all of them, and all that the JSON promises."""
-    printed = summary(found)
+    printed = summary(computed)
     best = printed["readings"][printed["best"]]
     fit, rest = best["fit"], best["ratio_at_rest"]
     assert -40 - 3 * fit["slope_stderr"] < fit["slope"] < -28 + 3 * fit["slope_stderr"]
@@ -67,30 +67,30 @@ def test_the_shipped_oximeter_is_one(found, tmp_path):
         assert not one["saturated"]
         assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
     assert printed.pop("cut_off") is None and "null" not in to_json(printed)
-    write_dataset(found, tmp_path / "oximeter.nc")
-    all_shown(found)
-    page = found.nail.report()
+    write_dataset(computed, tmp_path / "oximeter.nc")
+    all_shown(computed)
+    page = computed.nail.report()
     assert page.count("<figure") == 2 and "textbook" in page and "Effect of a touch" in page and "red<br>[V]" in page
 
 
 @pytest.mark.long
-def test_the_command_writes_and_prints_what_was_found(found, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(oxygen, "oximeter", lambda scene, **_: found)
+def test_the_command_writes_and_prints_what_was_found(computed, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(oxygen, "oximeter", lambda scene, **_: computed)
     worn, folder = tmp_path / "worn.csv", tmp_path / "out"
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["best"] == found.attrs["best"]
+    assert json.loads(capsys.readouterr().out)["best"] == computed.attrs["best"]
     assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--readings", str(worn)]) == 0
     assert_listed(tmp_path, "oximeter.nc", "oxygen.nc")
 
 
 @pytest.mark.long
-def test_the_pulse_dims_infrared_more_than_red(found):
-    index = found.perfusion_index
+def test_the_pulse_dims_infrared_more_than_red(computed):
+    index = computed.perfusion_index
     assert np.all(index.sel(led="infrared") > index.sel(led="red"))
     # Far photodiodes see deeper, where the blood is.
     assert np.all(np.diff(index.values, axis=-1) > 0)
-    least = found.volts_pulse.argmin("beat_time")
+    least = computed.volts_pulse.argmin("beat_time")
     assert np.all(abs(least - least[0, 0]) <= 1)
 
 
@@ -146,14 +146,14 @@ def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
 
 
 @pytest.mark.long
-def test_a_recording_of_the_scene_tells_its_saturation_back(light, found):
+def test_a_recording_of_the_scene_tells_its_saturation_back(light, computed):
     """Expected: at saturations that the calibration has not seen, within four standard errors, until the touch after
     20 s, which is marked."""
     for so2 in (0.80, 0.93):
         scene = shipped().model_copy(update={"blood": shipped().blood.with_so2(so2)})
         other = oximeter_from(replace(light, scene=scene), options=TraceOptions(seed=SEED))
-        estimates = spo2_over_time(simulated(scene, other, seed=4), found, shipped()).sel(
-            photodiode=found.attrs["best"]
+        estimates = spo2_over_time(simulated(scene, other, seed=4), computed, shipped()).sel(
+            photodiode=computed.attrs["best"]
         )
         still = estimates.sel(time=slice(0.0, 15.0))
         assert np.all(abs(still.spo2 - 100 * so2) < 4 * still.spo2_stderr)

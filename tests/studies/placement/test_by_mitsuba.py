@@ -80,10 +80,10 @@ def test_ratios_and_their_z_are_those_of_the_readings(monkeypatch, factor, z):
     pair = ("led", "best_photodiode")
     verified = xr.Dataset({"checked_fraction": (pair, np.full((1, 4), 1e-3))})
     verified["checked_fraction_stderr"] = 0.01 * verified.checked_fraction
-    found = verification.verify_by_mitsuba(layout, condition, verified, TraceOptions(), None)
-    assert np.allclose(found.mitsuba_ratio, factor) and np.allclose(found.mitsuba_z, z)
-    assert np.allclose(found.mitsuba_ratio_stderr, factor * np.hypot(0.02, 0.01))
-    assert np.allclose(found.mitsuba_led_ratio, factor) and np.allclose(found.mitsuba_led_z, 2 * z)
+    computed = verification.verify_by_mitsuba(layout, condition, verified, TraceOptions(), None)
+    assert np.allclose(computed.mitsuba_ratio, factor) and np.allclose(computed.mitsuba_z, z)
+    assert np.allclose(computed.mitsuba_ratio_stderr, factor * np.hypot(0.02, 0.01))
+    assert np.allclose(computed.mitsuba_led_ratio, factor) and np.allclose(computed.mitsuba_led_z, 2 * z)
 
 
 def untraced_tolerances(layout, cache, objective):
@@ -102,10 +102,10 @@ def test_page_and_terminal_state_the_ratio_and_an_interrupt(chosen_jit, fewer_ph
         with fewer_photons():
             return place.place(quiet, photons=1 << 15, seed=1, verify_with_mitsuba=True)
 
-    found = placed()
-    PLACEMENT.write(found, tmp_path)
-    page, lines = (tmp_path / "place.html").read_text(), PLACEMENT.lines(found, PLACEMENT.summary(found))
-    words = f"({float(found.mitsuba_led_z[0]):+.1f}) for LED ir"
+    computed = placed()
+    PLACEMENT.write(computed, tmp_path)
+    page, lines = (tmp_path / "place.html").read_text(), PLACEMENT.lines(computed, PLACEMENT.summary(computed))
+    words = f"({float(computed.mitsuba_led_z[0]):+.1f}) for LED ir"
     assert words in page and any(words in line for line in lines) and "Mitsuba / trace (z)" in page
     with pytest.raises(NotReachedError, match="interrupted before the best layout was read by stock Mitsuba") as caught:
         placed(interrupted=True)

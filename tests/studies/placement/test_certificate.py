@@ -93,13 +93,13 @@ def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, monk
     rules = 'photodiodes = 4\nphotodiode_step_mm = 0.5\nfixed = ["ir"]\n'
     requested = parse_scene(PLACEMENT[: PLACEMENT.index("[placement]")] + f"[placement]\n{rules}")
     with fewer_photons():
-        found = place.place(requested.with_(**{"priors.spread": False}), photons=1 << 17)
-    above, error = float(found.above_bound), float(found.above_bound_stderr)
+        result = place.place(requested.with_(**{"priors.spread": False}), photons=1 << 17)
+    above, error = float(result.above_bound), float(result.above_bound_stderr)
     assert -2 * error < above < 0.2 and 0 < error < 0.1
-    best = int(np.flatnonzero(found.origin == "searched")[0])
-    assert float(found.bound) * (1 + above) == pytest.approx(float(found.force_resolution_n[best]))
-    assert int(found.bounded_sites) == found.sizes["led_site"]
-    report.write(found, tmp_path)
-    words = report.summary(found)["best_possible"]["words"]
+    best = int(np.flatnonzero(result.origin == "searched")[0])
+    assert float(result.bound) * (1 + above) == pytest.approx(float(result.force_resolution_n[best]))
+    assert int(result.bounded_sites) == result.sizes["led_site"]
+    report.write(result, tmp_path)
+    words = report.summary(result)["best_possible"]["words"]
     assert "no 4 photodiodes on the 0.5 mm grid" in words and words in (tmp_path / "place.html").read_text("utf-8")
-    assert words in report.lines(found, report.summary(found))
+    assert words in report.lines(result, report.summary(result))

@@ -47,45 +47,45 @@ def made_once(chosen_jit):
 
 
 @pytest.fixture(scope="module")
-def found(made_once) -> list[xr.Dataset]:
+def computed(made_once) -> list[xr.Dataset]:
     return [as_far_as_reached(place.place, scene(), photons=PHOTONS, seed=seed)[0] for seed in SEEDS]
 
 
-def above_the_body(found: list[xr.Dataset], name: str) -> np.ndarray:
+def above_the_body(computed: list[xr.Dataset], name: str) -> np.ndarray:
     """What resolutions are above the noise floor, to which it adds in squares; all where the body is still."""
-    floor = found[0].physiological_noise_force_n.values
+    floor = computed[0].physiological_noise_force_n.values
     noise_floor_n = 0.0 if name.startswith(("electronics", "finger_electronics")) else floor
-    return np.sqrt(np.array([one[name].values for one in found]) ** 2 - noise_floor_n**2)
+    return np.sqrt(np.array([one[name].values for one in computed]) ** 2 - noise_floor_n**2)
 
 
 @pytest.mark.parametrize("name", ["force_resolution", "electronics_resolution", "finger_electronics_resolution"])
-def test_errors_of_resolutions(found, name):
+def test_errors_of_resolutions(computed, name):
     """Rationale: what light tells here is known to a half. Noise that makes the information seem large makes value and
     error small together, so that they compare in the logarithm alone, as the ends of intervals do.
     Expected: what other seeds scatter by, within the 50 % that three times the chance of twenty seeds is.
     """
-    above = above_the_body(found, f"{name}_n")
-    values, errors = (np.array([one[f"{name}_n{end}"].values for one in found]) for end in ("", "_stderr"))
+    above = above_the_body(computed, f"{name}_n")
+    values, errors = (np.array([one[f"{name}_n{end}"].values for one in computed]) for end in ("", "_stderr"))
     away = (np.log(above) - np.log(above).mean(0)) / (errors * values / above**2)
-    pull = np.sqrt(np.mean(away**2) * len(found) / (len(found) - 1))
+    pull = np.sqrt(np.mean(away**2) * len(computed) / (len(computed) - 1))
     assert 0.5 < pull < 1.5, pull
 
 
 @pytest.mark.parametrize("name", ["force_resolution", "electronics_resolution"])
-def test_ends_of_intervals(found, name):
+def test_ends_of_intervals(computed, name):
     """Expected: 95 % intervals hold the mean over the seeds; 16 or fewer of twenty would in one case of 60."""
-    mean = np.log(above_the_body(found, f"{name}_n")).mean(0)
-    low, high = (np.log(above_the_body(found, f"{name}_{end}_n")) for end in ("low", "high"))
+    mean = np.log(above_the_body(computed, f"{name}_n")).mean(0)
+    low, high = (np.log(above_the_body(computed, f"{name}_{end}_n")) for end in ("low", "high"))
     assert (((low <= mean) & (mean <= high)).sum(0) >= 17).all()
 
 
-def test_what_so_few_photons_tell_is_said_to_be_roughly_known(found):
+def test_what_so_few_photons_tell_is_said_to_be_roughly_known(computed):
     """Expected: said with nearly every seed of what is known to a half, whatever luck does to the estimated error."""
-    assert sum("near" in rough_words(rows(one)) for one in found) >= 17
+    assert sum("near" in rough_words(rows(one)) for one in computed) >= 17
 
 
-def test_the_stated_error_of_oxygen(found):
+def test_the_stated_error_of_oxygen(computed):
     """Expected: what other seeds scatter by, within the 50 % that three times the chance of twenty seeds is."""
-    values, errors = (np.array([one[f"spo2_error_percent{end}"].values for one in found]) for end in ("", "_stderr"))
+    values, errors = (np.array([one[f"spo2_error_percent{end}"].values for one in computed]) for end in ("", "_stderr"))
     away = (values - values.mean(0)) / errors * np.sqrt(len(values) / (len(values) - 1))
     assert 0.5 < np.sqrt(np.mean(away**2)) < 1.5, np.sqrt(np.mean(away**2))

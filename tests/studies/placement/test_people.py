@@ -138,12 +138,12 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     on_finger = cache.conditions[:1]
     objective = objective_of(rules, on_finger)
     layout = replace(layouts[0], scene=cache.with_resistors(layouts[0].scene, layouts[0].board))
-    found = tolerances(layout, cache, objective)
+    result = tolerances(layout, cache, objective)
     ranked = score_layout(layout, cache, objective).ranked
     brighter = [led.model_copy(update={"flux_mw": 1.25 * led.flux_mw}) for led in layout.scene.leds]
     with_power = replace(layout, scene=layout.scene.model_copy(update={"leds": tuple(brighter)}))
     change = float(score_layout(with_power, cache, objective).ranked[0] / ranked[0]) - 1
-    led = found.sel(toleranced_part=layout.scene.leds[0].name)
+    led = result.sel(toleranced_part=layout.scene.leds[0].name)
     assert float(led.tolerance_ranking.sel(deviation="brighter")) == pytest.approx(change, rel=1e-9) and change < 0
     moved = {
         kind: tuple(
@@ -156,10 +156,10 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
     other = cache_of(on_finger, seed=7)
     other.extend(there.board, 1 << 18)
     fresh = score_layout(there, other, objective).ranked / ranked
-    board = found.sel(toleranced_part="board", deviation="left")
+    board = result.sel(toleranced_part="board", deviation="left")
     error = np.hypot(float(board.tolerance_ranking_stderr), float(jackknife(fresh)))
     assert abs(float(board.tolerance_ranking) - (fresh[0] - 1)) < 4 * error and error < 0.3
-    turned = found.tolerance_ranking.sel(toleranced_part="board", deviation=["clockwise", "counterclockwise"])
+    turned = result.tolerance_ranking.sel(toleranced_part="board", deviation=["clockwise", "counterclockwise"])
     assert np.isfinite(turned).all() and np.isfinite(led.tolerance_ranking.sel(deviation="left"))
     assert np.isnan(led.tolerance_ranking.sel(deviation="clockwise"))
 
@@ -174,6 +174,6 @@ def test_a_board_for_several_fingers_is_glued_with_what_of_it_every_nail_bears(c
     layout, cache = place.given(base, rules)[0], cache_of(conditions)
     cache.extend(layout.board, 1 << 15)
     layout = replace(layout, scene=cache.with_resistors(layout.scene, layout.board))
-    found = tolerances(layout, cache, objective_of(rules, conditions))
-    glued = found.tolerance_ranking.sel(toleranced_part="board", deviation=["left", "right", "proximal", "distal"])
+    result = tolerances(layout, cache, objective_of(rules, conditions))
+    glued = result.tolerance_ranking.sel(toleranced_part="board", deviation=["left", "right", "proximal", "distal"])
     assert np.isfinite(glued).all()

@@ -233,8 +233,8 @@ def test_a_wave_moves_the_blood_as_a_simulation_says():
     )
     blood = hemodynamics.blood_fraction(parameters, run.capillary_diameter_m.values, rest_blood_fraction=0.03)[:, -64:]
     turning = np.exp(-2j * np.pi * frequency_hz * time_s[-64:])
-    found = 2j * (blood * turning).mean(1) / 20.0
-    assert np.allclose(blood_model(scene).by_arterial_pressure([frequency_hz], force_n)[:, 0], found, rtol=5e-3)
+    computed = 2j * (blood * turning).mean(1) / 20.0
+    assert np.allclose(blood_model(scene).by_arterial_pressure([frequency_hz], force_n)[:, 0], computed, rtol=5e-3)
 
 
 def test_the_slowest_waves_move_the_blood_as_steady_states_do():
@@ -250,8 +250,8 @@ def test_the_slowest_waves_move_the_blood_as_steady_states_do():
         assert np.isfinite(blood_model(moved).steady(np.array([[proximal], [distal]]))).all()
     rest = hemodynamics.steady_state(hemodynamics.parameters("best")).capillary_diameter_m
     steady = 0.03 * (blood[1] ** 2 - blood[0] ** 2) / rest**2 / 20.0
-    found = blood_model(scene).by_arterial_pressure([1e-5], 0.5)[:, 0]
-    assert np.allclose(found, steady, rtol=1e-4)
+    computed = blood_model(scene).by_arterial_pressure([1e-5], 0.5)[:, 0]
+    assert np.allclose(computed, steady, rtol=1e-4)
 
 
 def test_waves_faster_than_the_stage_are_left_out():
@@ -260,8 +260,8 @@ def test_waves_faster_than_the_stage_are_left_out():
     usual = parse_scene(_with_body(heart + "[body.breathing]\n[body.vasomotion]"))
     slow = usual.model_copy(update={"electronics": usual.electronics.model_copy(update={"bandwidth_hz": 0.2})})
     without_beat = parse_scene(_with_body("[body.vasomotion]"))
-    found, expected = (operating_point(one, 0.5).body for one in (slow, without_beat))
-    assert np.allclose(found.blood @ found.blood.T, expected.blood @ expected.blood.T)
+    computed, expected = (operating_point(one, 0.5).body for one in (slow, without_beat))
+    assert np.allclose(computed.blood @ computed.blood.T, expected.blood @ expected.blood.T)
     assert operating_point(parse_scene(_with_body("[body]")), 0.5).body is None
 
 
@@ -322,16 +322,16 @@ def quiet(text):
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit, fewer_photons):
+def computed(chosen_jit, fewer_photons):
     with fewer_photons():
         return place.place(quiet(SCENE), photons=1 << 17, seed=2)
 
 
 @pytest.mark.long
-def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
-    rows = result.rows(found)
+def test_a_placement_with_a_body_is_ranked_by_its_noise(computed):
+    rows = result.rows(computed)
     assert [row["layout"] for row in rows if row["layout"] != "paper"] == ["near", "far"]
-    floor_n = float(found.physiological_noise_force_n[0])
+    floor_n = float(computed.physiological_noise_force_n[0])
     for row in rows:
         both = np.hypot(row["electronics_resolution_n"], floor_n)
         assert row["force_resolution_n"] == pytest.approx(both, rel=0.01)
@@ -343,37 +343,37 @@ def test_a_placement_with_a_body_is_ranked_by_its_noise(found):
         error = share * row["electronics_resolution_n_stderr"]
         assert row["force_resolution_n_stderr"] == pytest.approx(error, rel=0.1, abs=1e-4 * floor_n)
     assert sorted(row["electronics_rank"] for row in rows) == list(range(1, len(rows) + 1))
-    fresh, predicted = found.attrs["checked_resolution_n"], float(found.finger_resolution_n[0, 0])
+    fresh, predicted = computed.attrs["checked_resolution_n"], float(computed.finger_resolution_n[0, 0])
     assert fresh == pytest.approx(predicted, rel=0.05)
-    assert "Electronics alone [mN]" in placement.lines(placement.summary(found))[0]
+    assert "Electronics alone [mN]" in placement.lines(placement.summary(computed))[0]
     assert [row["layout"] for row in rows if row["roughly_known"]] == ["far"]
-    lines = placement.lines(placement.summary(found))
+    lines = placement.lines(placement.summary(computed))
     assert any("too optimistic" in line for line in lines) and f"{len(rows)} of {len(rows)} layouts traced" in lines
-    total_n = (found.force_budget_n**2).sum("cause") ** 0.5
-    assert np.allclose(total_n, found.finger_resolution_n, rtol=1e-3)
+    total_n = (computed.force_budget_n**2).sum("cause") ** 0.5
+    assert np.allclose(total_n, computed.finger_resolution_n, rtol=1e-3)
     assert any("waves of the body that no layout changes" in line for line in lines)
 
 
 @pytest.mark.long
-def test_readings_with_too_few_photons_for_an_error_are_warned_of_and_have_no_numbers(found):
-    few = found.assign(predicted_volts_stderr=found.predicted_volts_stderr.copy(deep=True))
+def test_readings_with_too_few_photons_for_an_error_are_warned_of_and_have_no_numbers(computed):
+    few = computed.assign(predicted_volts_stderr=computed.predicted_volts_stderr.copy(deep=True))
     few.predicted_volts_stderr[0, 0] = np.nan
     (warning,) = placement.summary(few)["warnings"]
-    known = int(found.predicted_volts_stderr.isnull().sum())
+    known = int(computed.predicted_volts_stderr.isnull().sum())
     assert warning.startswith(f"{known + 1} of {few.predicted_volts.size} readings of the best layout")
     assert "too few photons</td><td>–</td>" in page(few) and warning in page(few)
 
 
 @pytest.mark.long
-def test_the_page_tells_the_bodys_part(found, tmp_path):
-    (tmp_path / "place.html").write_text(page(found), encoding="utf-8")
+def test_the_page_tells_the_bodys_part(computed, tmp_path):
+    (tmp_path / "place.html").write_text(page(computed), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
     assert text.count("<svg") == 4
 
 
 @pytest.mark.long
-def test_layouts_are_ranked_by_the_filters_error_over_touches(found, fewer_photons):
+def test_layouts_are_ranked_by_the_filters_error_over_touches(computed, fewer_photons):
     """Expected: with the same light, the filter's error is what ranks, with its interval, above what no layout changes;
     the one-sample figure stays, and page and terminal say how much of the error depends on the layout."""
     with fewer_photons():
@@ -381,7 +381,7 @@ def test_layouts_are_ranked_by_the_filters_error_over_touches(found, fewer_photo
             quiet(SCENE.replace("[placement]", '[placement]\nrank_by = "force"')), photons=1 << 17, seed=2
         )
     rows = {row["layout"]: row for row in result.rows(by_touches)}
-    before = {row["layout"]: row for row in result.rows(found)}
+    before = {row["layout"]: row for row in result.rows(computed)}
     floor_n = float(by_touches.force_error_floor_n[0])
     by_error = sorted(rows, key=lambda name: rows[name]["force_error_n"])
     proposed, *others = rows

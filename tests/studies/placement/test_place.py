@@ -60,7 +60,7 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit, fewer_photons, scene):
+def computed(chosen_jit, fewer_photons, scene):
     with fewer_photons():
         return place.place(scene, photons=1 << 18, seed=1)
 
@@ -177,28 +177,28 @@ def test_places_keep_their_distances(scene):
 
 
 @pytest.mark.long
-def test_the_best_is_first_and_its_fresh_trace_agrees(found):
+def test_the_best_is_first_and_its_fresh_trace_agrees(computed):
     """The map's predicted resolution and readings, and those of a trace of the real board, share no photon."""
-    assert [str(name) for name in found.layout.values][-1] == "far" and not bool(found.tied.sel(layout="far"))
-    assert np.all(np.diff(found.force_resolution_n) > 0)
-    predicted, error = float(found.finger_resolution_n[0, 0]), float(found.finger_resolution_n_stderr[0, 0])
-    fresh, spread = found.attrs["checked_resolution_n"], found.attrs["checked_resolution_n_stderr"]
+    assert [str(name) for name in computed.layout.values][-1] == "far" and not bool(computed.tied.sel(layout="far"))
+    assert np.all(np.diff(computed.force_resolution_n) > 0)
+    predicted, error = float(computed.finger_resolution_n[0, 0]), float(computed.finger_resolution_n_stderr[0, 0])
+    fresh, spread = computed.attrs["checked_resolution_n"], computed.attrs["checked_resolution_n_stderr"]
     assert abs(predicted - fresh) < 4 * np.hypot(error, spread)
     assert np.hypot(error, spread) < 0.3 * predicted
-    assert "paper" in found.layout.values and result.gain(found)[0] > 0
+    assert "paper" in computed.layout.values and result.gain(computed)[0] > 0
 
 
 @pytest.mark.long
-def test_the_cover_keeps_half_of_the_ambient_light_out(found):
-    sun, lamp = (found.ambient_a.sel(ambient=name) for name in ("sun", "lamp"))
+def test_the_cover_keeps_half_of_the_ambient_light_out(computed):
+    sun, lamp = (computed.ambient_a.sel(ambient=name) for name in ("sun", "lamp"))
     assert bool((sun > 5 * lamp).all()) and bool((lamp > 0).all())
     # What comes under a cover through the skin around it is the lesser part, but not by much: a healthy nail is clear.
     assert bool((sun.sel(cover="uncovered") > 1.8 * sun.sel(cover="covered")).all())
-    assert bool((found.ambient_a_stderr < 0.2 * found.ambient_a).all())
+    assert bool((computed.ambient_a_stderr < 0.2 * computed.ambient_a).all())
     # No sum over some hundred thousand photons, of which the lesser part leaves, is known better than this.
-    assert bool((found.ambient_a_stderr > 1e-3 * found.ambient_a).all())
-    dark = found.attrs["checked_resolution_n"]
-    assert dark <= float(found.ambient_resolution_n.sel(cover="covered", ambient="lamp")) < 1.2 * dark
+    assert bool((computed.ambient_a_stderr > 1e-3 * computed.ambient_a).all())
+    dark = computed.attrs["checked_resolution_n"]
+    assert dark <= float(computed.ambient_resolution_n.sel(cover="covered", ambient="lamp")) < 1.2 * dark
 
 
 def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
@@ -331,18 +331,18 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
 def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene):
     """Of a board, and by the fresh trace of its layout; a tolerance takes whole batches."""
     base, rules = boards.base_board(scene), boards.rules(scene)
-    layout, asked = place.given(base, rules)[0], 5000
+    layout, required = place.given(base, rules)[0], 5000
     conditions = [place.finger_condition(base, FingerCase(name="one"), rules)]
     cache = photon_map_cache(conditions, seed=0, stream=1, blocks=4)
-    cache.most_photons = asked
-    cache.extend(layout.board, asked)
-    assert cache.photons == cache.of(layout.board).photons == asked
+    cache.most_photons = required
+    cache.extend(layout.board, required)
+    assert cache.photons == cache.of(layout.board).photons == required
     traced = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BoardTracer, "detected", lambda *_, photons, **__: traced.append(photons) or np.ones((4, 4)))
         patch.setattr(verification, "_ambient", lambda *_: {})
         verification.verify_layout(layout, cache, max_seconds=1e6)
-    assert 0.9 * asked < sum(traced) <= asked
+    assert 0.9 * required < sum(traced) <= required
 
 
 @pytest.mark.parametrize("body", [False, True])
@@ -416,22 +416,22 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
 
 
 @pytest.mark.long
-def test_the_chosen_layout_comes_back_as_scene_and_as_parts(found, scene):
-    near = result.chosen(found.sel(layout=["near"]))
+def test_the_chosen_layout_comes_back_as_scene_and_as_parts(computed, scene):
+    near = result.chosen(computed.sel(layout=["near"]))
     assert near.placement is None and len(near.photodiodes) == 4
     parts = result.kicad_parts(near)
     assert [p.ref for p in parts] == ["D1", "PD1", "PD2", "PD3", "PD4"] and parts[0].position_mm == (-3.0, 0.0)
     assert parts[1].position_mm == (-1.0, -2.0)
     assert result.outline(scene, near).corners_mm[0] == (-4.5, -4.5)
-    rows = result.rows(found)
+    rows = result.rows(computed)
     assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
 
 
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
-    found = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
-    whole = xr.Dataset(found, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
+    computed = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
+    whole = xr.Dataset(computed, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0
 
@@ -456,21 +456,21 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 
 
 @pytest.mark.long
-def test_the_page_stands_alone_and_the_result_is_kept(found, tmp_path):
-    all_shown(found)
-    text = found.nail.report()
+def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
+    all_shown(computed)
+    text = computed.nail.report()
     assert text.count("<svg") == 4 and "http:" not in text and "https:" not in text and "paper" in text
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
         assert title in text
-    assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(found.sizes["led_site"])
-    write_dataset(found, tmp_path / "place.nc")
+    assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
+    write_dataset(computed, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
-        assert result.rows(kept) == result.rows(found)
+        assert result.rows(kept) == result.rows(computed)
     assert_listed(tmp_path, "place.nc")
 
 
 @pytest.mark.long
-def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, scene, monkeypatch):
+def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, scene, monkeypatch):
     """Rationale: a layout is judged again and again, with other electronics and blood. Expected: the same numbers, and
     with coarser conversion coarser ones, from light that is stored; with other blood the maps of a fresh trace."""
     bloodier = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.04})})
@@ -491,8 +491,8 @@ def test_stored_light_is_placed_again_without_a_photon(found, fewer_photons, sce
         )
     fresh, stored = (cache.of(board).maps[0][0] for cache in caches)
     assert fresh.photons == stored.photons and np.array_equal(fresh.sums, stored.sums)
-    assert again.equals(found)
-    assert bool((coarser.force_resolution_n > 2 * found.force_resolution_n).all())
+    assert again.equals(computed)
+    assert bool((coarser.force_resolution_n > 2 * computed.force_resolution_n).all())
 
 
 @pytest.mark.slow
@@ -559,6 +559,6 @@ def test_what_few_photons_tell_of_a_photodiode_has_no_error():
         groups[:count, photodiode] = np.linspace(0.9, 1.1, count)
     replicates = left_out(groups)
     read = SimpleNamespace(volts=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
-    found = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
+    computed = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
     for name in ("volts", "shunted_fraction", "zone_v"):
-        assert np.isfinite(np.ravel(found[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]
+        assert np.isfinite(np.ravel(computed[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]

@@ -45,13 +45,13 @@ def test_an_interrupt_of_the_search_leaves_its_best_after_one_batch_more(chosen_
 
     with pytest.raises(NotReachedError, match="^interrupted: 1 of .* layouts traced") as caught:
         place.place(requested, progress=interrupting)
-    found = caught.value.result
-    assert len(reports) == 1 and found.sizes["led_site"] == 1 and found.sizes["layout"] == 1
-    assert str(found.origin.values[0]) == "searched"
-    assert found.attrs["photons"] == search.FIRST_PHOTONS + JUDGE_PHOTONS
-    PLACEMENT.write(found, tmp_path)
+    computed = caught.value.result
+    assert len(reports) == 1 and computed.sizes["led_site"] == 1 and computed.sizes["layout"] == 1
+    assert str(computed.origin.values[0]) == "searched"
+    assert computed.attrs["photons"] == search.FIRST_PHOTONS + JUDGE_PHOTONS
+    PLACEMENT.write(computed, tmp_path)
     head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
-    assert "The layout with ir at (" in head and str(found.layout.values[0]) not in head
+    assert "The layout with ir at (" in head and str(computed.layout.values[0]) not in head
 
 
 @pytest.mark.slow
@@ -75,10 +75,10 @@ def test_a_time_limit_returns_the_layouts_traced_and_says_so(chosen_jit, scene, 
     monkeypatch.setattr(StageProgress, "seconds", property(lambda _: next(clock)))
     with pytest.raises(NotReachedError, match="^max_seconds ended with 2 of 3 layouts traced") as caught:
         place.place(scene, max_seconds=5)
-    found = caught.value.result
-    assert set(found.layout.values) == {"near", "far"} and found.attrs["cut_off"] == str(caught.value)
-    assert "checked_fraction" not in found and found.attrs["photons"] == JUDGE_PHOTONS
-    PLACEMENT.write(found, tmp_path)
+    computed = caught.value.result
+    assert set(computed.layout.values) == {"near", "far"} and computed.attrs["cut_off"] == str(caught.value)
+    assert "checked_fraction" not in computed and computed.attrs["photons"] == JUDGE_PHOTONS
+    PLACEMENT.write(computed, tmp_path)
     head = (tmp_path / "place.html").read_text(encoding="utf-8").split("</header>")[0]
     assert "max_seconds ended with 2 of 3 layouts traced" in head
     best = (tmp_path / "best.toml").read_text()

@@ -46,30 +46,30 @@ def ranked(chosen_jit):
         judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
     judged.extend(layouts[0].board, 1 << 19)
-    found = resolution_over_priors(layouts, rules, judged)
-    return base, rules, layouts, judged, found.assign_coords(layout=list(places))
+    result = resolution_over_priors(layouts, rules, judged)
+    return base, rules, layouts, judged, result.assign_coords(layout=list(places))
 
 
 def test_the_ranking_covers_every_prior_that_only_absorbs(ranked):
-    base, *_, found = ranked
-    how = dict(zip(found.prior_field.values.tolist(), found.prior_how.values.tolist(), strict=True))
+    base, *_, result = ranked
+    how = dict(zip(result.prior_field.values.tolist(), result.prior_how.values.tolist(), strict=True))
     assert how == {FIELDS[0]: "reweighted", FIELDS[1]: "reweighted", FIELDS[2]: "not traced"}
-    assert (found.resolution_spread > 3 * found.resolution_spread_stderr).all()
+    assert (result.resolution_spread > 3 * result.resolution_spread_stderr).all()
     # More absorption makes resolution coarser, at every layout, and most where light comes from far.
-    nodes = found.resolution_at_node_n.values[:2]
+    nodes = result.resolution_at_node_n.values[:2]
     assert (np.diff(nodes, axis=1) > 0).all() and (np.diff(nodes[..., 1] / nodes[..., 0], axis=1) > 0).all()
     # So both act alike, and that they are correlated adds to, or takes from, their squares.
     priors = [next(one for one in base.priors.of_finger() if one.field == field) for field in FIELDS[:2]]
-    alone = found.prior_resolution_spread.values[:2]
+    alone = result.prior_resolution_spread.values[:2]
     total = np.sqrt(np.einsum("il,ij,jl->l", alone, base.priors.correlation(priors), alone))
-    assert total == pytest.approx(found.resolution_spread.values, rel=0.05)
+    assert total == pytest.approx(result.resolution_spread.values, rel=0.05)
     ahead = int((nodes[..., 0] <= nodes[..., 1]).sum())
-    assert int(found.nodes) == 6 and int(found.best_stays_best_at) == ahead and int(found.best_surely_beaten_at) == 0
+    assert int(result.nodes) == 6 and int(result.best_stays_best_at) == ahead and int(result.best_surely_beaten_at) == 0
 
 
 def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     """Rationale: the same layout judged on a finger that has the node's value, by photons of its own."""
-    base, rules, layouts, judged, found = ranked
+    base, rules, layouts, judged, result = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, nodes_of(prior)[0])
     layout = candidates.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
@@ -78,20 +78,20 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     )
     cache.extend(layout.board, 1 << 19)
     score = score_layout(layout, cache, Objective(rules, [one.point for one in cache.conditions]))
-    resolution_n = float(found.resolution_at_node_n[0, 0, 0])
+    resolution_n = float(result.resolution_at_node_n[0, 0, 0])
     # Of half a million photons behind a node its score is known about as well as this one's.
     assert abs(np.log(resolution_n / score.force.all_n[0])) < 4 * np.sqrt(2) * score.relative_error
     assert score.relative_error < 0.1
 
 
 def test_what_holds_is_said_in_words_and_on_the_page(ranked):
-    *_, found = ranked
-    lines = conclusions(found)
-    times = int(found.best_stays_best_at)
+    *_, result = ranked
+    lines = conclusions(result)
+    times = int(result.best_stays_best_at)
     assert f"near remains the best at {times} of 6 values" in lines[0] and "none of them" in lines[0]
     assert "most with bloodless bed absorption" in lines[1]
     assert "bed scattering" in lines[-1] and "own_traces" in lines[-1]
-    assert "Uncertainty over the priors" in spread_section(found)
+    assert "Uncertainty over the priors" in spread_section(result)
 
 
 def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
@@ -99,8 +99,8 @@ def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
     _, rules, layouts, judged, _ = ranked
     looks = itertools.count()
     monkeypatch.setattr(judged, "stop", lambda: next(looks) >= 1)
-    found = resolution_over_priors(layouts, rules, judged)
-    assert np.isfinite(found.resolution_spread.values).tolist() == [True, False]
+    result = resolution_over_priors(layouts, rules, judged)
+    assert np.isfinite(result.resolution_spread.values).tolist() == [True, False]
     calls = next(looks)
     assert calls == 2
     monkeypatch.setattr(judged, "stop", lambda: True)
@@ -117,8 +117,8 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
     judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
-    found = resolution_over_priors([layout], rules, judged)
-    retraced = found.isel(prior=found.prior_field.values.tolist().index(FIELDS[2]), layout=0)
+    result = resolution_over_priors([layout], rules, judged)
+    retraced = result.isel(prior=result.prior_field.values.tolist().index(FIELDS[2]), layout=0)
     score = score_layout(layout, judged, Objective(rules, [one.point for one in judged.conditions]))
     assert str(retraced.prior_how.values) == "retraced"
     nodes = retraced.resolution_at_node_n.values
@@ -135,7 +135,7 @@ def test_unknown_waves_of_the_body_spread_the_resolution(ranked):
     layout = replace(layouts[0], board=board.model_copy(update={"priors": Priors(known=known)}))
     judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 18)
-    found = resolution_over_priors([layout], rules, judged)
-    assert found.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]
-    nodes = found.resolution_at_node_n.values[0, :, 0]
+    result = resolution_over_priors([layout], rules, judged)
+    assert result.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]
+    nodes = result.resolution_at_node_n.values[0, :, 0]
     assert np.all(np.diff(nodes) > 0) and nodes[2] > 1.5 * nodes[0]

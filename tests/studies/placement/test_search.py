@@ -113,9 +113,9 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
         for chosen in combinations(range(10), 3)
         if min(places[b, 1] - places[a, 1] for a, b in combinations(chosen, 2)) >= 1.0
     )
-    found = min(design.search(), key=lambda one: one.score)
-    assert found.score == pytest.approx(best, rel=1e-9)
-    assert found.score == pytest.approx(score(found.places_mm, found.photodiodes))
+    result = min(design.search(), key=lambda one: one.score)
+    assert result.score == pytest.approx(best, rel=1e-9)
+    assert result.score == pytest.approx(score(result.places_mm, result.photodiodes))
 
 
 @pytest.mark.parametrize("barrier", [True, False])
@@ -125,7 +125,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
     scene = two_leds(
         "photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\nclearance_mm = 0.2", barrier=barrier
     )
-    one, found = searched(scene)
+    one, result = searched(scene)
     best = one.ranked[0]
     every = []
     for row, pools in one.sites.rows(4.0).items():
@@ -147,7 +147,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
                     every.append(float(one.objective.score((information[a] + information[b])[None])))
     assert len(every) > 100
     assert best.score <= min(every) * (1 + 1e-9)
-    for layout in search.shortlist(one.base, one.rules, found):
+    for layout in search.shortlist(one.base, one.rules, result):
         dies, areas = layout.scene.layout.leds, layout.scene.layout.photodiode_areas
         assert [led.name for led in layout.scene.leds] == ["ir", "red"] and len(areas) == 2
         assert -dies[0].overlap_mm(dies[1]) >= 0.2 - 1e-6 and -areas[0].overlap_mm(areas[1]) >= 0.2 - 1e-6
@@ -164,10 +164,10 @@ def test_as_many_leds_as_may_be_find_room_in_a_row_on_a_coarse_grid():
         for name, part, v in (("long", "led_940", -2.0), ("green", "sfh7051_green", -3.5))
     )
     scene = two_leds("photodiodes = 2\nled_step_mm = 4.0\nphotodiode_step_mm = 2.0\n", photodiodes=more)
-    one, found = searched(scene)
+    one, result = searched(scene)
     assert len(scene.leds) == boards.MOST_LEDS and len(one.sites.grid(4.0)[1]) < len(scene.leds)
-    assert found and all(len(set(site.places_mm)) == 4 for site in found)
-    assert all(one.sites.go_together(site.places_mm) for site in found)
+    assert result and all(len(set(site.places_mm)) == 4 for site in result)
+    assert all(one.sites.go_together(site.places_mm) for site in result)
 
 
 def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
@@ -175,9 +175,9 @@ def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
         'photodiodes = 3\nled_step_mm = 4.0\nphotodiode_step_mm = 0.5\nfixed = ["ir", "pd"]\n'
         "keep_out_mm = [[[-1.5, 1.0], [4.0, 1.0], [4.0, 4.0], [-1.5, 4.0]]]"
     )
-    one, found = searched(two_leds(rules))
-    assert found
-    for layout in search.shortlist(one.base, one.rules, found):
+    one, result = searched(two_leds(rules))
+    assert result
+    for layout in search.shortlist(one.base, one.rules, result):
         laid = layout.scene.layout
         assert laid.leds[0].center_mm == pytest.approx((-3.0, 0.0))
         assert laid.photodiode_names == ("pd", "PD1", "PD2")
@@ -191,9 +191,9 @@ def test_wiring_chooses_elements_where_they_are():
     array = '[[photodiodes]]\nname = "array"\nelements = 8\nsize_mm = [1.0, 0.5]\nposition_mm = [1.0, 1.0]\n'
     text = PLACEMENT[: PLACEMENT.index("[[photodiodes]]")] + SECOND_LED.replace("-3.0, 2.0", "-3.0, 1.0") + array
     scene = parse_scene(text + '[placement]\nphotodiodes = 3\nwire = true\nfixed = ["ir", "red"]\n')
-    one, found = searched(scene)
+    one, result = searched(scene)
     best = one.ranked[0]
-    layout = search.shortlist(one.base, one.rules, found)[0].scene
+    layout = search.shortlist(one.base, one.rules, result)[0].scene
     assert [p.name for p in layout.photodiodes] == ["array"] and len(layout.photodiodes[0].wired or ()) == 3
     assert len(layout.layout.unwired) == 5 and layout.photodiodes[0].position_mm == scene.photodiodes[0].position_mm
     information = one.designs[best.row].information(best.places_mm)

@@ -44,8 +44,8 @@ def layouts_of(scene, seed, noise=0.0):
     cache = NoisyLight([FingerCondition(FingerCase(name="one"), AT)], seed, noise)
     base = boards.searchable_board(boards.base_board(scene), rules)
     one = search.Search(base, objective.Objective(rules, [AT]), cache)
-    found = one.run(StageProgress(None))
-    return search.shortlist(base, rules, [*found, *one.regular])
+    computed = one.run(StageProgress(None))
+    return search.shortlist(base, rules, [*computed, *one.regular])
 
 
 def places_of(layout):
@@ -152,9 +152,9 @@ def test_seeds_agree_on_the_simplest_of_what_ties():
 @pytest.mark.slow
 def test_seeds_propose_one_layout_of_the_shipped_scene_or_say_that_they_tie(chosen_jit, store):
     """Expected: the proposals of three seeds are the same, every part within 0.25 mm, or each says that others tie."""
-    scene, found = load_scene(data_dir("scenes") / "placement.toml"), []
+    scene, computed = load_scene(data_dir("scenes") / "placement.toml"), []
     for seed in (1, 2, 3):
-        found.append(as_far_as_reached(place, scene, seed=seed, max_seconds=3000.0)[0])
-    proposed = [places_of(result.chosen(one)) for one in found]
+        computed.append(as_far_as_reached(place, scene, seed=seed, max_seconds=3000.0)[0])
+    proposed = [places_of(result.chosen(one)) for one in computed]
     same = all(np.allclose(proposed[0], other, atol=0.25) for other in proposed[1:])
-    assert same or all(one.tied.values.sum() > 1 for one in found)
+    assert same or all(one.tied.values.sum() > 1 for one in computed)

@@ -36,7 +36,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def found(chosen_jit) -> list[xr.Dataset]:
+def computed(chosen_jit) -> list[xr.Dataset]:
     """The same placement with twenty seeds, in small batches; its four geometries are made once."""
     patch = pytest.MonkeyPatch()
     patch.setattr(BoardTracer, "batch_photons", PHOTONS // verification.LEAST_BATCHES)
@@ -80,38 +80,38 @@ def assert_true(values: np.ndarray, errors: np.ndarray, name: str) -> None:
         "direct",
     ],
 )
-def test_stated_errors_of_layouts(found, name):
+def test_stated_errors_of_layouts(computed, name):
     """Expected: what other seeds scatter by."""
-    assert_true(*(np.array([one[f"{name}{end}"].values for one in found]) for end in ("", "_stderr")), name)
+    assert_true(*(np.array([one[f"{name}{end}"].values for one in computed]) for end in ("", "_stderr")), name)
 
 
-def test_errors_of_the_sensitivity_over_the_board(found):
+def test_errors_of_the_sensitivity_over_the_board(computed):
     """Rationale: few photons reach a cell of the map with blood in their way. Expected: over all cells together, the
     sum of squares by which seeds scatter is that of the errors."""
-    value, error = (np.array([one[f"sensitivity{end}"].values for one in found]) for end in ("", "_stderr"))
+    value, error = (np.array([one[f"sensitivity{end}"].values for one in computed]) for end in ("", "_stderr"))
     known = (np.isfinite(value) & np.isfinite(error)).all(0)
     scatter = ((value - value.mean(0)) ** 2 * len(value) / (len(value) - 1))[:, known].sum()
     assert 0.7 < np.sqrt(scatter / (error[:, known] ** 2).sum()) < 1.4
 
 
 @pytest.mark.parametrize("name", ["checked_resolution_n"])
-def test_errors_of_the_look_at_the_best(found, name):
+def test_errors_of_the_look_at_the_best(computed, name):
     """Expected: what other seeds scatter by."""
-    assert_true(*(np.array([[one.attrs[f"{name}{end}"]] for one in found]) for end in ("", "_stderr")), name)
+    assert_true(*(np.array([[one.attrs[f"{name}{end}"]] for one in computed]) for end in ("", "_stderr")), name)
 
 
-def test_the_error_of_the_gain_over_the_papers_layout(found):
+def test_the_error_of_the_gain_over_the_papers_layout(computed):
     """Expected: what other seeds scatter by; the better of the two is the same for every seed."""
-    assert all(one.layout.values.tolist() == ["near", "paper"] for one in found)
-    better = np.array([gain(one) for one in found])
+    assert all(one.layout.values.tolist() == ["near", "paper"] for one in computed)
+    better = np.array([gain(one) for one in computed])
     assert_true(better[:, [0]], better[:, [1]], "gain")
 
 
-def test_ends_of_intervals(found):
+def test_ends_of_intervals(computed):
     """Expected: the ends of 95 % intervals hold the mean over the seeds; light from outside lies below its bound."""
-    score = np.array([one.force_resolution_n.values for one in found])
-    low, high = (np.array([one[f"force_resolution_{end}_n"].values for one in found]) for end in ("low", "high"))
+    score = np.array([one.force_resolution_n.values for one in computed])
+    low, high = (np.array([one[f"force_resolution_{end}_n"].values for one in computed]) for end in ("low", "high"))
     held = (low <= np.exp(np.log(score).mean(0))) & (np.exp(np.log(score).mean(0)) <= high)
     assert (held.sum(0) >= 16).all(), held.sum(0)
-    most, mean = (np.array([one[name].values for one in found]) for name in ("ambient_high_a", "ambient_a"))
+    most, mean = (np.array([one[name].values for one in computed]) for name in ("ambient_high_a", "ambient_a"))
     assert ((most >= mean.mean(0)).sum(0) >= 16).all()
