@@ -1,4 +1,4 @@
-"""How well force could be estimated if nothing were unknown: people who are the fitted model itself, with their own bodies.
+"""How well force could be estimated if nothing were unknown: people who are the fitted model, with their own bodies.
 
 What is left is the body's own noise: heartbeat, breathing, vasomotion and drift move the readings as touches do.
 """

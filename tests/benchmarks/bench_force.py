@@ -1,4 +1,4 @@
-"""How well force is estimated from volts, on eight virtual people whom no model of ours made. Run: python bench_force.py
+"""How well force is estimated from volts, of eight virtual people whom no model of ours made. Run:
 
     python bench_force.py --keep FOLDER [--people person_3 ...] [--part record|touches|.. ...]
         [--rate 25] [--rest-s 3600] [--massless] [--calibration protocol|cycles] [--photons 300000]

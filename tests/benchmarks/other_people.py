@@ -1,4 +1,4 @@
-"""Touch force of people of another simulator, estimated, which knows nothing of how the package models body and light.
+"""Estimated force of people of another simulator, which knows nothing of how the package models body and light.
 
     python tests/benchmarks/other_people.py FOLDER [--people ann ...] [--rate 50]
 

@@ -1,4 +1,4 @@
-"""What a calibration leaves open of a force: as wide as readings told by other persons of its covariance come out."""
+"""What a calibration leaves open of a force: as wide as readings of other persons of its covariance."""
 
 from dataclasses import replace
 

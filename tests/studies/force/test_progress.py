@@ -1,4 +1,4 @@
-"""A calibration tells how far its fit is, and ends where it is told to."""
+"""A calibration reports how far its fit is, and ends where it is interrupted."""
 
 import made_sensor
 import pytest

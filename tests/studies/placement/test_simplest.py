@@ -94,7 +94,7 @@ def test_the_simplest_has_fewest_parts_then_rows_then_a_mirror_image_then_a_grid
 
 
 def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
-    """Two layouts 5 % apart with errors of 10 % that they share are told apart; with errors of their own they tie, and
+    """Layouts 5 % apart with errors of 10 % that they share are distinguished; with errors of their own they tie, and
     so do layouts 1 % apart that are known exactly, and 3 % apart with an error of 1 %; 3 % apart, and exact, do not."""
     rng, count = np.random.default_rng(0), 16
 
