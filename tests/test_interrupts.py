@@ -125,7 +125,8 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, mon
         monkeypatch.setattr(nail_colour, name, value)
     ended = interrupting.at(place, *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
-    assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
+    # So few rays are rounded up to twice as many; a wavelength of the second round would add three times PILOT.
+    assert xr.load_dataset("out/colour.nc").attrs["photons"] < 3 * PILOT
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, Scene, parse_scene
 from nailoptics.studies.placement import boards, place, search, verification
 from nailoptics.studies.placement.objective import JUDGE_PHOTONS
-from nailoptics.studies.placement.photon_maps import PhotonMapCache
+from nailoptics.studies.placement.photon_maps import PhotonMapCache, TracedBoard
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +61,7 @@ def test_verification_of_the_best_layout_ends_within_a_batch(chosen_jit, scene, 
     layout = place.given(boards.base_board(scene), boards.rules(scene))[0]
     conditions = [place.finger_condition(layout.scene, FingerCase(name="one"), boards.rules(scene))]
     cache = PhotonMapCache(conditions, seed=0, stream=1, backend="auto", blocks=1)
+    monkeypatch.setattr(TracedBoard, "photons", JUDGE_PHOTONS)
     calls, batches, traced = itertools.count(), [], BoardTracer.detected
     monkeypatch.setattr(BoardTracer, "detected", lambda *at, **how: batches.append(1) or traced(*at, **how))
     cache.stop = lambda: next(calls) >= last
