@@ -11,8 +11,8 @@ from .numbers import cells, estimated, plain, range_of
 # A scene is off a prior's mean by more than so many of its standard deviations.
 OFF_CENTRE = 0.5
 KINDS, TEXTS = ("reading", "change", "resolution"), texts("uncertainty")
-# A standard deviation of no effect.
-NO_EFFECT = 1e-4
+# Standard deviations of no effect that is worth a row, and of none at all.
+NO_EFFECT, ROUNDING = 1e-4, 1e-6
 
 
 def spread_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -114,14 +114,13 @@ def spread_section(result: xr.Dataset) -> str:
     columns = {f"{kind.capitalize()}, largest std [%]": (f"{kind}_spread", 100.0, 0) for kind in _kinds(result)}
     lines, unresolved, kinds = list[dict[str, str]](), list[str](), [f"{kind}_spread" for kind in _kinds(result)]
     for row in (row for row in rows if row["how"] != "not traced"):
-        # What is left of no effect is rounding.
-        row |= {key: 0.0 for k in kinds if row[k] <= NO_EFFECT for key in (k, f"{k}_stderr")}
-        if any(row[k] and not row[k] < row[f"{k}_stderr"] < np.inf for k in kinds):
+        row |= {key: 0.0 for k in kinds if row[k] <= ROUNDING for key in (k, f"{k}_stderr")}
+        if any(row[k] > NO_EFFECT and not row[k] < row[f"{k}_stderr"] < np.inf for k in kinds):
             named = {"Parameter": row["name"], "95 % range": range_of(row["field"], row["low"], row["high"])}
             lines.append(named | cells(row, columns))
-        elif any(row[k] for k in kinds):
+        elif any(row[k] > NO_EFFECT for k in kinds):
             unresolved.append(row["name"])
-    note = TEXTS["note"] + (TEXTS["unresolved"].format(", ".join(unresolved)) if unresolved else "")
+    note = TEXTS["note"] + (" " + TEXTS["unresolved"].format(", ".join(unresolved)) if unresolved else "")
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
     tables = table(lines), small(note), details("Sources of the ranges", sources)
     return section("Uncertainty over the priors", *conclusions(result, rows), *tables)
