@@ -26,7 +26,7 @@ SMALL_PAGE = {
     "FLUENCE_PHOTONS": 1 << 12,
 }
 # Rays of a colour's first round and of its parts, as one to ten, as they are in the package.
-PILOT = 24_000
+PILOT = 60_000
 SMALL_ROUNDS = {"PILOT": PILOT, "MOST_AT_ONCE": 10 * PILOT}
 FINGER = SMALL_FINGER_BEST + "[priors]\nspread = false\n"
 SIMULATE = ("simulate", "finger.toml", "--photons", "8000", "-o", "out")
@@ -125,8 +125,7 @@ def test_the_rays_that_a_colour_waits_for_are_given_up(folder, interrupting, mon
         monkeypatch.setattr(nail_colour, name, value)
     ended = interrupting.at(place, *command, call=NODES + 2)
     assert (ended.code, ended.later) == (3, 0) and "interrupted at a standard error of" in ended.said[-1]
-    # So few rays are rounded up to twice as many; a wavelength of the second round would add three times PILOT.
-    assert xr.load_dataset("out/colour.nc").attrs["photons"] < 3 * PILOT
+    assert xr.load_dataset("out/colour.nc").attrs["photons"] < 2 * PILOT
 
 
 @pytest.mark.long
