@@ -3,9 +3,8 @@
 import gc
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,19 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from . import terminal
-from .errors import InputError, NotReachedError, RequirementError, WriteError, as_far_as_reached, exit_message
+from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
 from .io import check_writable, leave_dask_out, to_json, write_text
 from .options import TraceOptions
-from .terminal import say
+from .terminal import finish, say, show, traced
 from .version import __version__, commit
 
 if TYPE_CHECKING:
     from .report.files import Report
     from .scene import Scene
-
-# Of --max-seconds, the part that is left for starting and for writing the results; the rest bounds the tracing.
-RESERVE = 0.1
-
 
 app = App(
     name="nailoptics",
@@ -122,14 +117,14 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
     from .studies.simulate import simulate as study
 
     folder = _results(options.output, scene, SIMULATION, recording)
-    result, unmet = _traced(study, _load(scene, options)[0], picture=True, options=options)
+    result, unmet = traced(study, _load(scene, options), picture=True, options=options)
     paths = SIMULATION.write(result, folder)
     if recording is not None:
         from .studies.force.reading_table import record
 
         record(result, seed=options.seed).save(recording)
         paths["recording"] = recording
-    _show(SIMULATION, result, paths, options.json, unmet, folder)
+    show(SIMULATION, result, paths, options.json, unmet, folder)
 
 
 @app.command
@@ -139,17 +134,18 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     Args:
         output: File to write.
     """
-    from .light import read_rest
+    from .light import backend, read_rest
+    from .light.detect import engine_for
     from .report.readings import rest_lines
 
-    loaded, engine = _load(scene, options)
-    if output is not None and engine == "volpath":
+    loaded = _load(scene, options)
+    if output is not None and engine_for(loaded, backend.choose(options.backend)) == "volpath":
         raise InputError(f"{output}: volpath traces readings, not a transfer that could be saved; leave -o out.")
     _check_file(output)
-    rest, unmet = _traced(read_rest, loaded, options=options)
+    rest, unmet = traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    _finish(rest.as_dict(), rest_lines(rest), {}, options.json, unmet, output)
+    finish(rest.as_dict(), rest_lines(rest), {}, options.json, unmet, output)
 
 
 @Parameter(name="*")
@@ -188,30 +184,23 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
     """
     from .report.pages.colour import COLOUR
     from .studies.colour.nail_colour import colour as study
+    from .studies.colour.nail_colour import photographs
 
-    loaded, _ = _load(scene, options)
+    loaded = _load(scene, options)
     folder = _results(options.output, scene, COLOUR)
-    result, unmet = _traced(study, loaded, **vars(view), options=options)
+    result, unmet = traced(study, loaded, **vars(view), options=options)
     pictures: list[Any] = []
     try:
         if not unmet and (options.max_seconds is None if photograph is None else photograph):
-            pictures = _photographs(loaded, result, options)
+            with terminal.interruptible() as check:
+                # At rest and under the last force.
+                for state in dict.fromkeys((0, -1 % result.sizes["state"])) if result.sizes["tile"] > 0 else ():
+                    check()
+                    pictures += photographs(loaded, result, states=[state], backend=options.backend)
+                check()
     except KeyboardInterrupt:
-        unmet = NotReachedError("interrupted; photographs are left out.")
-    _show(COLOUR, result, COLOUR.write(result, folder, photographs=pictures), options.json, unmet, folder)
-
-
-def _photographs(scene: "Scene", result: Any, options: TraceOptions) -> list[Any]:
-    """Pictures of the finger at rest and under the last force; raises KeyboardInterrupt between them."""
-    from .studies.colour.nail_colour import photographs
-
-    pictures: list[Any] = []
-    with terminal.interruptible() as check:
-        for state in dict.fromkeys((0, -1 % result.sizes["state"])) if result.sizes["tile"] > 0 else ():
-            check()
-            pictures += photographs(scene, result, states=[state], backend=options.backend)
-        check()
-    return pictures
+        pictures, unmet = [], NotReachedError("interrupted; photographs are left out.")
+    show(COLOUR, result, COLOUR.write(result, folder, photographs=pictures), options.json, unmet, folder)
 
 
 @app.command
@@ -239,13 +228,13 @@ def compare(
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
     folder = _results(options.output, scene, COMPARISON)
-    result, unmet = _traced(study, _load(scene, options)[0], over=over, options=options)
+    result, unmet = traced(study, _load(scene, options), over=over, options=options)
     paths = COMPARISON.write(result, folder)
     decision = verdict(result, 0.05 if require is None else require, model=model)
     missed, line = require is not None and decision.outcome == "missed", verdict_line(decision)
     summary = COMPARISON.summary(result) | {"verdict": vars(decision)}
     with suppress(*([NotReachedError] if missed else [])):
-        _finish(summary, [line], paths, options.json, unmet, folder)
+        finish(summary, [line], paths, options.json, unmet, folder)
     if missed:
         raise RequirementError(line)
     if require is not None and decision.outcome == "undecided":
@@ -270,9 +259,9 @@ def place(
     from .studies.placement.place import place as study
 
     folder = _results(options.output, scene, PLACEMENT)
-    result, unmet = _traced(study, _load(scene, options)[0], verify_with_mitsuba=verify_with_mitsuba, options=options)
+    result, unmet = traced(study, _load(scene, options), verify_with_mitsuba=verify_with_mitsuba, options=options)
     paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
-    _show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
+    show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
 
 
 @app.command
@@ -289,8 +278,8 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
     from .studies.validation.validate import validate as study
 
     folder = _results(output, "validation", VALIDATION)
-    result, unmet = _traced(study, data=data, options=options)
-    _show(VALIDATION, result, VALIDATION.write(result, folder), options.json, unmet, folder)
+    result, unmet = traced(study, data=data, options=options)
+    show(VALIDATION, result, VALIDATION.write(result, folder), options.json, unmet, folder)
 
 
 @app.command
@@ -306,9 +295,9 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     from .studies.exploration.explore import explore as study
 
     _check_file(output, ".html", "a page")
-    result, unmet = _traced(study, _load(scene, options)[0], options=options)
+    result, unmet = traced(study, _load(scene, options), options=options)
     write_text(output, page(result))
-    _show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=output.stat().st_size)
+    show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=output.stat().st_size)
 
 
 @Parameter(name="*")
@@ -355,26 +344,26 @@ def batch(
 
     if status:
         now = batches.status(output or sweep)
-        return _finish(vars(now) | {"left": now.left}, [now], {}, options.json)
+        return finish(vars(now) | {"left": now.left}, [now], {}, options.json)
     planned = batches.load_sweep(sweep)
     for line in far_from_list(*planned.scenes):
         say(line)
     if dry_run:
         counts = batches.count(planned, **options.fields)
-        return _finish(counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], {}, options.json)
+        return finish(counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], {}, options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}
     unmet = None
     try:
-        outcome, unmet = _traced(batches.run_batch, planned, output, options=options, **how)
+        outcome, unmet = traced(batches.run_batch, planned, output, options=options, **how)
         paths = write_sweep(batches.open_results(output), output, failures=outcome.failed)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
     line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
-    _finish(vars(outcome) | {"results": str(output)}, [line], paths, options.json, unmet)
+    finish(vars(outcome) | {"results": str(output)}, [line], paths, options.json, unmet)
 
 
 @app.command
@@ -389,9 +378,9 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
     from .studies.model_error.explain import explain as study
 
     _check_file(output, ".toml", "a scene file")
-    result, unmet = _traced(study, _load(scene, options)[0], tolerance=tolerance, options=options)
+    result, unmet = traced(study, _load(scene, options), tolerance=tolerance, options=options)
     paths = EXPLANATION.write(result, output.parent, stem=output.stem) if output else {}
-    _show(EXPLANATION, result, paths, options.json, unmet)
+    show(EXPLANATION, result, paths, options.json, unmet)
 
 
 @app.command
@@ -408,8 +397,8 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
     from .studies.model_error.tradeoff import tradeoff as study
 
     folder = _results(options.output, scene, TRADEOFF)
-    result, unmet = _traced(study, _load(scene, options)[0], tolerance=tolerance, options=options)
-    _show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
+    result, unmet = traced(study, _load(scene, options), tolerance=tolerance, options=options)
+    show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
 
 
 @app.command
@@ -431,7 +420,7 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
         summary = {"scene": scene} | CHECK.summary(checked)
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    _finish(summary, CHECK.lines(checked, summary), {}, json_)
+    finish(summary, CHECK.lines(checked, summary), {}, json_)
 
 
 @app.command
@@ -464,7 +453,7 @@ def export(
         raise
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    _finish({}, [], paths, json_)
+    finish({}, [], paths, json_)
 
 
 @app.command
@@ -479,8 +468,8 @@ def compare_with(file: Path, *, options: Traced = TRACED) -> None:
     """
     from .exports.other_program import compare_with as study
 
-    result, unmet = _traced(study, file, options=options)
-    _finish(result.as_dict(), result.lines(), {}, options.json, unmet)
+    result, unmet = traced(study, file, options=options)
+    finish(result.as_dict(), result.lines(), {}, options.json, unmet)
 
 
 @app.command
@@ -504,7 +493,7 @@ def figures(
     from .report.pages.paper import PAPER
     from .report.pages.paper import figures as study
 
-    _show(PAPER, study(output, sets, colour=colour, people=people), {}, json_)
+    show(PAPER, study(output, sets, colour=colour, people=people), {}, json_)
 
 
 @app.command
@@ -537,7 +526,7 @@ def protocol(
     paths = {"protocol": output, "report": output.with_suffix(".html")}
     write_text(paths["report"], page(drawn))
     line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
-    _finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
+    finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
     if measured is not None:
         with suppress(KeyboardInterrupt):
             serve(drawn, measured, say)
@@ -560,9 +549,9 @@ def calibrate(
     from .studies.force.calibrate import calibrate as study
 
     _check_file(output, ".toml", "a subject file")
-    result, unmet = _traced(study, _load(scene, options)[0], recordings, options=options)
+    result, unmet = traced(study, _load(scene, options), recordings, options=options)
     paths = CALIBRATION.write(result, output.parent, stem=output.stem)
-    _show(CALIBRATION, result, {"subject": output, "report": paths["report"]}, options.json, unmet, output)
+    show(CALIBRATION, result, {"subject": output, "report": paths["report"]}, options.json, unmet, output)
 
 
 @app.command
@@ -603,7 +592,7 @@ def predict(
         return
     folder = _results(output, readings, PREDICTION)
     result = study(calibrated, readings, press_n=press, release_n=release)
-    _show(PREDICTION, result, PREDICTION.write(result, folder), json_)
+    show(PREDICTION, result, PREDICTION.write(result, folder), json_)
 
 
 @app.command
@@ -625,25 +614,25 @@ def oximeter(
     from .studies.oximetry.oxygen import oximeter as study
     from .studies.oximetry.recording import read_for, simulated, spo2_over_time
 
-    loaded, _ = _load(scene, options)
+    loaded = _load(scene, options)
     given = None if readings is None else read_for(loaded, readings)
     folder = _results(options.output, scene, OXIMETER, recording)
     if given is not None:
         check_writable(folder, *OXYGEN.files)
-    result, unmet = _traced(study, loaded, options=options)
+    result, unmet = traced(study, loaded, options=options)
     paths = OXIMETER.write(result, folder)
     if recording is not None:
         red, infrared = map(str, result.led.values)
         write_text(recording, oximeter_csv(simulated(loaded, result, seed=options.seed), (red, infrared)))
         paths["recording_file"] = recording
     if given is None:
-        return _show(OXIMETER, result, paths, options.json, unmet, folder)
+        return show(OXIMETER, result, paths, options.json, unmet, folder)
     for line in result.attrs["warnings"]:
         say(line)
     oxygen = spo2_over_time(given, result, loaded)
     summary, over_time = OXIMETER.summary(result), OXYGEN.summary(oxygen)
     paths |= OXYGEN.write(oxygen, folder)
-    _finish(summary | {"recording": over_time}, OXYGEN.lines(oxygen, over_time), paths, options.json, unmet, folder)
+    finish(summary | {"recording": over_time}, OXYGEN.lines(oxygen, over_time), paths, options.json, unmet, folder)
 
 
 @app.command
@@ -682,7 +671,7 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
     line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
-    _finish(summary, [f"{line}, removed" if clear else line], {}, json_)
+    finish(summary, [f"{line}, removed" if clear else line], {}, json_)
 
 
 @app.command
@@ -707,20 +696,19 @@ def doctor(*, json_: Json = False) -> None:
         *lines,
         *dict.fromkeys(backend.advice for backend in (chosen, stock) if backend.advice),
     ]
-    _finish(summary, lines, {}, json_)
+    finish(summary, lines, {}, json_)
 
 
-def _load(name: str, options: TraceOptions) -> "tuple[Scene, str]":
-    """A scene and the engine that will trace it; says if that is the slow one, or if vessels are far off the list."""
+def _load(name: str, options: TraceOptions) -> "Scene":
+    """A scene; says if a slow engine will trace it, or if vessels are far off the list."""
     from .hemodynamics.parameters import far_from_list
     from .light import backend as backends
-    from .light.detect import engine_for
     from .scene import load_scene
 
-    scene, chosen = load_scene(name), backends.choose(options.backend)
-    for line in filter(None, (chosen.advice, *far_from_list(scene))):
+    scene = load_scene(name)
+    for line in filter(None, (backends.choose(options.backend).advice, *far_from_list(scene))):
         say(line)
-    return scene, engine_for(scene, chosen)
+    return scene
 
 
 def _results(output: Path | None, scene: str, report: "Report", other: Path | None = None) -> Path:
@@ -741,60 +729,3 @@ def _check_file(path: Path | None, suffix: str = "", what: str = "") -> None:
     if suffix and path.suffix != suffix:
         raise InputError(f"{path}: {what} ends in {suffix}; rename it.")
     check_writable(path.parent, path.name, *([path.with_suffix(".html").name] if suffix else []))
-
-
-def _traced(
-    study: Callable[..., Any],
-    *arguments: Any,
-    options: TraceOptions,
-    shown: Callable[[], Any] = terminal.trace_progress,
-    **parameters: Any,
-) -> tuple[Any, NotReachedError | None]:
-    """The result of a study as far as it was reached, and why not all of it, with its progress on the terminal."""
-    if options.max_seconds is not None:
-        options = replace(options, max_seconds=(1 - RESERVE) * options.max_seconds)
-    with shown() as progress:
-        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
-
-
-def _show(
-    report: "Report",
-    result: Any,
-    paths: Mapping[str, Path],
-    as_json: bool,
-    unmet: NotReachedError | None = None,
-    where: Path | None = None,
-    **more: Any,
-) -> None:
-    """Print a result by its kind's summary, with its warnings on stderr."""
-    summary = report.summary(result)
-    for line in summary.get("warnings", ()):
-        say(line)
-    _finish(summary | more, report.lines(result, summary), paths, as_json, unmet, where)
-
-
-def _finish(
-    summary: Mapping[str, Any],
-    text: Iterable[object],
-    paths: Mapping[str, Path],
-    as_json: bool,
-    unmet: NotReachedError | None = None,
-    where: Path | None = None,
-) -> None:
-    """Print a result and where it lies, as one JSON object or lines of text, and raise what was not reached.
-
-    where : what the error calls the place of the results.
-    """
-    cut_off = {"cut_off": str(unmet)} if unmet else {}
-    if as_json:
-        print(to_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}}))
-    else:
-        # A study's own table has several lines; a text or a path, and what is called so, one.
-        shown = [terminal.escaped(str(row), lines=not isinstance(row, str | Path)) for row in (*text, *paths.values())]
-        if unmet:
-            shown.insert(0, terminal.escaped(f"Cut off: {unmet}"))
-        print(*shown, sep="\n")
-    if unmet:
-        raise NotReachedError(
-            f"{unmet} What was reached is in {where}." if where else str(unmet), full=unmet.exit_code == 1
-        )

@@ -1,4 +1,4 @@
-"""The terminal around a command: messages, Ctrl-C and progress."""
+"""The terminal around a command: messages, Ctrl-C, progress and results."""
 
 import logging
 import math
@@ -7,19 +7,26 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from io import TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from .errors import InputError
+from .errors import InputError, NotReachedError, as_far_as_reached
+from .io import to_json
+from .options import TraceOptions
 
 if TYPE_CHECKING:
     from .batch import BatchProgress
     from .light import TraceProgress
+    from .report.files import Report
 
 # Time between two lines of progress in a log. [s]
 LOG_EVERY_S = 10.0
+# Of --max-seconds, the part that is left for starting and for writing the results; the rest bounds the tracing.
+RESERVE = 0.1
 # Of one line on stdin.
 MOST_CHARACTERS = 100_000
 
@@ -248,3 +255,60 @@ def _left(fraction: float, seconds_left: float | None) -> str:
     """The time left while it is known and not over."""
     known = seconds_left is not None and seconds_left < math.inf and fraction < 1
     return f", {seconds_left:.0f} s left" if known else ""
+
+
+def traced(
+    study: Callable[..., Any],
+    *arguments: Any,
+    options: TraceOptions,
+    shown: Callable[[], Any] = trace_progress,
+    **parameters: Any,
+) -> tuple[Any, NotReachedError | None]:
+    """The result of a study as far as it was reached, and why not all of it, with its progress on the terminal."""
+    if options.max_seconds is not None:
+        options = replace(options, max_seconds=(1 - RESERVE) * options.max_seconds)
+    with shown() as progress:
+        return as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
+
+
+def show(
+    report: "Report",
+    result: Any,
+    paths: Mapping[str, Path],
+    as_json: bool,
+    unmet: NotReachedError | None = None,
+    where: Path | None = None,
+    **more: Any,
+) -> None:
+    """Print a result by its kind's summary, with its warnings on stderr."""
+    summary = report.summary(result)
+    for line in summary.get("warnings", ()):
+        say(line)
+    finish(summary | more, report.lines(result, summary), paths, as_json, unmet, where)
+
+
+def finish(
+    summary: Mapping[str, Any],
+    text: Iterable[object],
+    paths: Mapping[str, Path],
+    as_json: bool,
+    unmet: NotReachedError | None = None,
+    where: Path | None = None,
+) -> None:
+    """Print a result and where it lies, as one JSON object or lines of text, and raise what was not reached.
+
+    where : what the error calls the place of the results.
+    """
+    cut_off = {"cut_off": str(unmet)} if unmet else {}
+    if as_json:
+        print(to_json({**summary, **cut_off, **{name: str(path) for name, path in paths.items()}}))
+    else:
+        # A study's own table has several lines; a text or a path, and what is called so, one.
+        shown = [escaped(str(row), lines=not isinstance(row, str | Path)) for row in (*text, *paths.values())]
+        if unmet:
+            shown.insert(0, escaped(f"Cut off: {unmet}"))
+        print(*shown, sep="\n")
+    if unmet:
+        raise NotReachedError(
+            f"{unmet} What was reached is in {where}." if where else str(unmet), full=unmet.exit_code == 1
+        )

@@ -11,17 +11,19 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from listed_variables import assert_listed
 from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics
-from nailoptics import cli
+from nailoptics import terminal
 from nailoptics.batch.run import BatchProgress
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import TraceProgress, Transfer, backend
+from nailoptics.studies.colour import nail_colour
 from nailoptics.terminal import show_progress
 from nailoptics.version import commit
 
@@ -640,9 +642,9 @@ def test_max_seconds_bounds_the_tracing_with_a_reserve_for_the_rest(arguments, m
         given.append(options["max_seconds"])
         raise InputError("enough")
 
-    monkeypatch.setattr(cli, "as_far_as_reached", ended)
+    monkeypatch.setattr(terminal, "as_far_as_reached", ended)
     assert run([*arguments, "--max-seconds", "600", "--backend", "scalar"]) == 2
-    assert given == [600 * (1 - cli.RESERVE)]
+    assert given == [600 * (1 - terminal.RESERVE)]
 
 
 @pytest.mark.parametrize(
@@ -656,8 +658,9 @@ def test_photographs_are_made_unless_there_is_a_time_limit(options, made, monkey
     def ended(*_, **__):
         raise InputError("enough")
 
-    monkeypatch.setattr(cli, "as_far_as_reached", lambda *_, **__: (None, None))
-    monkeypatch.setattr(cli, "_photographs", lambda *_: calls.append(1))
+    of_one_state = SimpleNamespace(sizes={"state": 1, "tile": 1})
+    monkeypatch.setattr(terminal, "as_far_as_reached", lambda *_, **__: (of_one_state, None))
+    monkeypatch.setattr(nail_colour, "photographs", lambda *_, **__: [calls.append(1)])
     monkeypatch.setattr("nailoptics.report.files.Report.write", ended)
     assert run(["colour", "nail_colour", "--backend", "scalar", *options]) == 2
     assert len(calls) == made
