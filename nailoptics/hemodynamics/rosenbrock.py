@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..assets import read_toml
+from ..scene.text_files import frozen
 from .walls import MasslessNetwork, Walls
 
 Jacobian = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -34,12 +35,10 @@ class Method:
     result: tuple[float, ...]
 
 
-_COEFFICIENTS: dict[str, Any] = {
-    name: tuple(tuple(x) if isinstance(x, list) else x for x in value) if isinstance(value, list) else value
-    for name, value in read_toml("rodas.toml").items()
-}
+_COEFFICIENTS = frozen(read_toml("rodas.toml"))
 # Weights of its stages in the curve between.
 RODAS_CURVE = _COEFFICIENTS.pop("curve")
+# Stiffly accurate, L-stable, of order 4 (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.7).
 RODAS = Method(**_COEFFICIENTS)
 _GAMMA = 1.0 - 0.5**0.5
 # L-stable, of order 2 (Verwer, Spee, Blom, Hundsdorfer 1999, SIAM J. Sci. Comput. 20:1456).

@@ -13,6 +13,7 @@ from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
 from .rectangles import Rectangle, area_mm2, turned
 
+Border = tuple[Polygon, ...]  # a drawn line, then its holes
 ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
 BOARD_MARGIN_MM = 0.5  # from the outermost parts to the edge of a board whose size is not given
 NAIL_MARGIN_MM = 0.05  # the least from the board's edge to the nail's
@@ -46,7 +47,7 @@ class Layout:
     unwired: tuple[Rectangle, ...]
     unwired_height_um: float
     barriers: tuple[Rectangle, ...]
-    border_mm: tuple[Polygon, ...] = ()
+    border_mm: Border = ()
 
     @property
     def photodiode_names(self) -> tuple[str, ...]:
@@ -79,7 +80,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
         if (depth_mm := r.overlap_mm(other)) > ROUNDING_MM:
             cure = "move one of them" if name not in unplaced else "it was not given and is (0, 0), give it"
             raise ValueError(f"{name}: position_mm lies {depth_mm:.3g} mm inside {other_name}; {cure}")
-    outline = _outline(board, parts, finger)
+    outline = _outline(board, border := _border(board), parts, finger)
     u, v = (outline.u_min, outline.u_max), (outline.v_min, outline.v_max)
     for axis, (low, high), size in (("wide", u, finger.nail_width_mm), ("long", v, finger.nail_length_mm)):
         if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
@@ -88,7 +89,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     # What is not wired stands in the way like what is; the highest stands for all.
     height_um = max((p.height_um for p in photodiodes if p.wired is not None), default=0.0)
-    return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers, _border(board))
+    return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers, border)
 
 
 def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[str, Rectangle], tuple[str, Rectangle]]]:
@@ -99,7 +100,7 @@ def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[st
         yield parts[i], parts[j]
 
 
-def _border(board: Board) -> tuple[Polygon, ...]:
+def _border(board: Board) -> Border:
     """The drawn border and its holes, in nail coordinates; none of a board without a drawing, or a rectangle. [mm]"""
     lines, (du, dv) = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm else (), board.center_mm
     if len(lines) == 1 and np.prod(np.ptp(lines[0], axis=0)) - abs(area_mm2(lines[0])) < ROUNDING_MM:
@@ -107,7 +108,7 @@ def _border(board: Board) -> tuple[Polygon, ...]:
     return tuple(tuple((u + du, v + dv) for u, v in line) for line in lines)
 
 
-def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:
+def _outline(board: Board, border: Border, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:
     """The board's edges: its size, its file's outline as far as the nail goes, or enough for its parts."""
     if board.size_mm is not None:
         outline = Rectangle.around("board", board.center_mm, board.size_mm)
@@ -121,7 +122,6 @@ def _outline(board: Board, parts: list[tuple[str, Rectangle]], finger: Finger) -
             corners = np.concatenate([boxes - BOARD_MARGIN_MM, boxes + BOARD_MARGIN_MM])
         (u_min, v_min), (u_max, v_max) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
         outline = Rectangle("board", u_min, u_max, v_min, v_max)
-    border = _border(board)
     for name, r in parts:
         across = min(r.u_min - outline.u_min, outline.u_max - r.u_max)
         off = min(across, r.v_min - outline.v_min, outline.v_max - r.v_max) < ROUNDING_MM

@@ -298,7 +298,7 @@ def readings_over_priors(
     """The uncertainty of a scene's readings in two blood states due to its priors.
 
     states : a scene's two states, (2, zones) float.
-    options : seed and backend of the traces of their own, for all of which half of the time is.
+    options : seed and backend of the traces of their own, which take half of max_seconds at most, all together.
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     """
     scene = transfer.scene

@@ -11,6 +11,7 @@ from nailoptics.geometry import build, underside
 from nailoptics.light import trace
 from nailoptics.scene import parse_scene
 from nailoptics.scene.rectangles import area_mm2
+from nailoptics.studies.placement.tolerances import _glued
 
 BOX = [(-3.0, -3.5), (3.0, -3.5), (3.0, 3.5), (-3.0, 3.5)]
 ELLIPSE = [(round(3.0 * math.cos(a), 4), round(3.5 * math.sin(a), 4)) for a in np.linspace(0, math.tau, 61)[:-1]]
@@ -61,6 +62,22 @@ def test_walls_end_with_the_board():
     assert above_nail(geometry, wall_u, -2.0, 0.2) == "barrier"
     inside = build(scene([(a, b) if b < 3 else (a, 2.0) for a, b in NOTCH], barrier="true", barrier_gap_mm=0.2))
     assert above_nail(inside, wall_u, 3.0, 0.2) == "air"
+
+
+def test_a_board_that_is_glued_at_an_angle_takes_its_border_along():
+    """Expected: corners of border and hole lie as far from LED and photodiode as before, turned by the angle."""
+    straight = scene(NOTCH, HOLE)
+    glued = _glued(straight, du_mm=0.1, angle_deg=5.0)
+
+    def lines_and_parts(layout):
+        corners = np.array([corner for line in layout.border_mm for corner in line])
+        return corners, np.array([r.center_mm for r in (*layout.leds, *layout.photodiode_areas)])
+
+    (before, parts), (after, moved) = (lines_and_parts(one.layout) for one in (straight, glued))
+    ways, turned = before[:, None] - parts, after[:, None] - moved
+    assert np.linalg.norm(turned, axis=-1) == pytest.approx(np.linalg.norm(ways, axis=-1))
+    angle = np.angle((turned @ [1, 1j]) / (ways @ [1, 1j]), deg=True)
+    assert angle == pytest.approx(np.full(angle.shape, 5.0))
 
 
 def test_light_below_a_drawn_border_is_that_of_the_same_board_by_size(jit_backend):

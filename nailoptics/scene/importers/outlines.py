@@ -278,9 +278,9 @@ def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Seq
 
 
 def encloses(x: np.ndarray, y: np.ndarray, corners: Sequence[Point], *holes: Sequence[Point]) -> np.ndarray:
-    """Which points lie within a border and outside of its holes, bool of their shape."""
+    """Which points [mm] of any shape lie within a border and outside of its holes, bool of that shape."""
     from matplotlib.path import Path as Line
 
     points = np.column_stack([x.ravel(), y.ravel()])
     inside, *others = (Line([*line, line[0]]).contains_points(points) for line in (corners, *holes))
-    return np.asarray(inside & ~np.any([~inside, *others], axis=0)).reshape(x.shape)
+    return np.logical_and.reduce([inside, *(~hole for hole in others)]).reshape(x.shape)
