@@ -3,14 +3,13 @@
 import dataclasses
 import math
 import operator
-import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from ..assets import asset_path
+from ..assets import read_toml
 from ..checks import number, positive
 from ..errors import InputError
 from ..scene import Body, Scene
@@ -111,7 +110,7 @@ def _checked(name: str, given: Any) -> float:
     return value
 
 
-_SETS: dict[str, dict[str, Any]] = tomllib.loads(asset_path("vessels.toml").read_text(encoding="utf-8"))
+_SETS: dict[str, dict[str, Any]] = read_toml("vessels.toml")
 NAMES = tuple(_SETS)
 
 

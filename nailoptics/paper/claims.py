@@ -8,13 +8,12 @@ under the photodiode.
 
 import dataclasses
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from ..assets import asset_path
+from ..assets import read_toml
 from ..hemodynamics.blood import white_band_mm
 from ..statistics import jackknife, t95
 from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, N_PER_CM2, PHASE_S, SHEARED, PeopleReadings, Responses
@@ -229,11 +228,9 @@ PEOPLE_MEASURES: dict[str, Callable[[PeopleReadings], np.ndarray]] = {
 
 def _rules(measures: Mapping[str, Callable[[Any], np.ndarray]]) -> tuple[Rule, ...]:
     """The rules of some measures, in the order of the file."""
-    with asset_path("paper_claims.toml").open("rb") as file:
-        statements = tomllib.load(file)["statements"]
     return tuple(
         Rule(statement["figure"], statement["sentence"], measure=measures[name], **bounds)
-        for statement in statements
+        for statement in read_toml("paper_claims.toml")["statements"]
         for name, bounds in statement["measures"].items()
         if name in measures
     )

@@ -2,18 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import ArrayLike
 
 from ..checks import Array, finite, not_negative
 from ..errors import InputError
 from ..statistics import jackknife
 from ..variables import Estimate, Variables, described
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # alpha D^2 at the largest D, between which it is searched: below, Beer-Lambert (8) is a straight line in D^2 to 1e-5 of
 # its slope; above, light is all gone.
@@ -220,7 +218,7 @@ def evenly_apart(samples: int) -> Array:
     return np.unique(np.linspace(0, samples - 1, FIT_SAMPLES).astype(int))
 
 
-def fit_reduced_optics(result: "xr.Dataset", few: Array, replicates_v: Array | None) -> Variables:
+def fit_reduced_optics(result: xr.Dataset, few: Array, replicates_v: Array | None) -> Variables:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
 
     result : volts over led, photodiode and time, capillary_diameter_m over zone and time, and zone_of_photodiode.

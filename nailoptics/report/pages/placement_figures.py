@@ -1,6 +1,6 @@
 """Figures of a placement: the ranking, what limits it, and maps of light, sensitivity and resolution over the board."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -8,10 +8,6 @@ import xarray as xr
 from ...scene import Scene
 from .. import maps, style
 from ..scene_description import CAUSES
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SHOWN = 20
 # A cause of less than this of a layout's variance is not drawn.
@@ -26,7 +22,7 @@ COLUMNS, WIDTH_IN, BESIDE_IN, BELOW_IN = 3, 9.6, 1.3, 0.8
 
 
 @style.drawing()
-def ranking_figure(result: xr.Dataset) -> "Figure":
+def ranking_figure(result: xr.Dataset) -> "style.Figure":
     """Layouts with their intervals, best on top."""
     shown = result.isel(layout=slice(SHOWN))
     names, rows, tied = shown.layout.values, np.arange(shown.sizes["layout"]), shown.tied.values
@@ -59,7 +55,7 @@ def ranking_figure(result: xr.Dataset) -> "Figure":
 
 
 @style.drawing()
-def budget_figure(budgets: list[dict[str, Any]]) -> "Figure":
+def budget_figure(budgets: list[dict[str, Any]]) -> "style.Figure":
     """What a layout can change of the variance of its force by cause, one bar for each layout, as of `budgets`."""
     causes = list(budgets[0])[3:]
     variance = np.array([[1e6 * budget[cause] ** 2 for budget in budgets] for cause in causes])
@@ -77,7 +73,7 @@ def budget_figure(budgets: list[dict[str, Any]]) -> "Figure":
 
 
 @style.drawing()
-def map_figure(scene: Scene, result: xr.Dataset, *, led: int) -> "Figure":
+def map_figure(scene: Scene, result: xr.Dataset, *, led: int) -> "style.Figure":
     """One LED's light over the board, what of it is shunted and how blood dims it; the resolution of one photodiode,
     and of the layouts with the LED at each site that was tried."""
     from matplotlib.colors import LogNorm, Normalize
@@ -115,7 +111,7 @@ def map_figure(scene: Scene, result: xr.Dataset, *, led: int) -> "Figure":
     return figure
 
 
-def _draw_map(axes: "Axes", title: str, values: xr.DataArray, colours: str, norm: Any) -> None:
+def _draw_map(axes: "style.Axes", title: str, values: xr.DataArray, colours: str, norm: Any) -> None:
     """A map with contours and the bar of its colours; blank where nothing is known."""
     across, along = (values[name].values for name in values.dims)
     shown = np.clip(values.values, norm.vmin, norm.vmax).T
@@ -127,7 +123,7 @@ def _draw_map(axes: "Axes", title: str, values: xr.DataArray, colours: str, norm
     axes.set_title(title)
 
 
-def _draw_sites(axes: "Axes", result: xr.Dataset, led: str) -> None:
+def _draw_sites(axes: "style.Axes", result: xr.Dataset, led: str) -> None:
     """Sites of one LED by force resolution; of several arrangements with it, that of the best."""
     from matplotlib.colors import LogNorm
 
@@ -150,7 +146,7 @@ def _draw_sites(axes: "Axes", result: xr.Dataset, led: str) -> None:
     axes.set_title("LEDs tried [mN]")
 
 
-def _parts(axes: "Axes", scene: Scene, lit: int) -> None:
+def _parts(axes: "style.Axes", scene: Scene, lit: int) -> None:
     """Outline the layout's parts over a map; the LED that is lit is filled."""
     for r in scene.layout.barriers:
         maps.draw_rectangle(axes, r, zorder=3, fc=maps.BARRIER, lw=0)

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from scipy.ndimage import uniform_filter1d
 
 from ...checks import Array
@@ -23,9 +23,6 @@ from ..prior_uncertainty import PriorSensitivity, at_value, over_priors
 from . import people_tables
 from .comparison import Comparison, interval, moments, part_between, texts_of
 from .people_tables import NAIL_RGB, SKIN_RGB, SPECTRUM_NM, people_count, percentile, pooled, read_people
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Rays of all wavelengths where no photons are requested; those of the nail are a part of them.
 RAYS, NAIL_SHARE = 400_000, 0.25
@@ -88,7 +85,7 @@ class _Reflectance:
         return self._few[key]
 
 
-def nails(photos: "pd.DataFrame", options: TraceOptions) -> dict[str, Comparison]:
+def nails(photos: pd.DataFrame, options: TraceOptions) -> dict[str, Comparison]:
     """L*, a*, b* of nails, one value for each person, and how colours change with haemoglobin."""
     scene, viewer = load_scene("prototype"), Viewer()
     more = 1 + people_tables.HAEMOGLOBIN_STEP_G_PER_L / photos["hb_g_per_l"].mean()
@@ -105,7 +102,7 @@ def nails(photos: "pd.DataFrame", options: TraceOptions) -> dict[str, Comparison
     return _colours(photos, middle, spread) | _slopes(photos, middle[3:], spread[3:], noise[3:])
 
 
-def _colours(photos: "pd.DataFrame", middle: Array, spread: Array) -> dict[str, Comparison]:
+def _colours(photos: pd.DataFrame, middle: Array, spread: Array) -> dict[str, Comparison]:
     """L*, a*, b* of people who were not fitted, and of the model, (3,) float or more each."""
     held_out = np.arange(len(photos)) % FOLDS == FOLDS - 1
     people = nails_lab(photos[held_out] if photos.attrs["shipped"] else photos)
@@ -116,7 +113,7 @@ def _colours(photos: "pd.DataFrame", middle: Array, spread: Array) -> dict[str, 
     return result
 
 
-def _slopes(photos: "pd.DataFrame", middle: Array, spread: Array, noise: Array) -> dict[str, Comparison]:
+def _slopes(photos: pd.DataFrame, middle: Array, spread: Array, noise: Array) -> dict[str, Comparison]:
     """Changes of colours with haemoglobin, of people and of the model, (3,) float each in the order of `_effects`."""
     result = {}
     for k, (name, values) in enumerate(_effects(photos[NAIL_RGB].to_numpy()).items()):
@@ -142,7 +139,7 @@ def _lab(rgb: Array) -> Array:
     return lab_of(rgb @ XYZ_OF_RGB.T, XYZ_OF_RGB.sum(1))
 
 
-def nails_lab(photos: "pd.DataFrame") -> Array:
+def nails_lab(photos: pd.DataFrame) -> Array:
     """L*, a*, b* of people's nails, (p, 3) float. The level of a nail is that of the skin beside it, times what a
     spectrophotometer measured on the shipped hands."""
     spectra = read_people("skin_spectra")
@@ -176,7 +173,7 @@ class Skin(_Reflectance):
         both = np.exp([middle - Z95 * spread, answers.base_answer[0], middle + Z95 * spread])
         return both[:, :-1], both[:, -1]
 
-    def fingers(self, table: "pd.DataFrame") -> dict[str, Comparison]:
+    def fingers(self, table: pd.DataFrame) -> dict[str, Comparison]:
         """Ring fingers beside the shipped skin, and the depth of the W of oxyhaemoglobin."""
         model, w = self.bands(self.scene, (*OF_SKIN, *OF_FITTED_SKIN))
         people, inside = pooled(table, (5, 50, 95)), part_between(model[1], *pooled(table, (25, 75)))
@@ -184,7 +181,7 @@ class Skin(_Reflectance):
         result = {"ring_finger": Comparison.of_curve(texts, inside, people, model, SPECTRUM_NM)}
         return result | _w_depth("w_of_ring_finger", table, [w] * table.group.nunique())
 
-    def hands(self, table: "pd.DataFrame") -> dict[str, Comparison]:
+    def hands(self, table: pd.DataFrame) -> dict[str, Comparison]:
         """Hands of each group with the melanin and the blood that come nearest to its median, and their W."""
         few, depths, result = self.few(self.scene), list[Array](), dict[str, Comparison]()
         more = self.spectrum(self.scene)[0] / self.spectrum(self.scene, few)[0]
@@ -211,7 +208,7 @@ def _w(spectrum: Array) -> Array:
     return np.asarray(2 * middle / (left + right))
 
 
-def _w_depth(name: str, table: "pd.DataFrame", model: Sequence[Array]) -> dict[str, Comparison]:
+def _w_depth(name: str, table: pd.DataFrame, model: Sequence[Array]) -> dict[str, Comparison]:
     """The W of groups' medians beside the model's of each, (3,) float; of one group alone nothing, as its standard
     error is not known."""
     people = np.array([_w(percentile(group, 50)) for _, group in table.groupby("group", sort=False)])

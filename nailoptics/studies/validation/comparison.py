@@ -2,18 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from ...assets import read_toml
 from ...checks import Array
 from ...statistics import Z95, jackknife
 from ..prior_uncertainty import PriorSensitivity
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Between these the coverage of a 95 % interval agrees with it; of fewer people only the lower end counts, as all of
 # them lie within such an interval by chance more often than once in twenty.
@@ -76,7 +74,7 @@ class Comparison:
         return out | {self.statistic: self.value, "accepted": [*self.accepted], "agrees": self.agrees}
 
 
-def texts_of(name: str, table: "pd.DataFrame", **words: Any) -> dict[str, Any]:
+def texts_of(name: str, table: pd.DataFrame, **words: Any) -> dict[str, Any]:
     """What is stated of a quantity of a table of people, with words filled in."""
     stated = read_toml("real/quantities.toml")[name]
     texts = {key: text.format(**words) if isinstance(text, str) else text for key, text in stated.items()}

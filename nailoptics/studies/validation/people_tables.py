@@ -6,16 +6,13 @@ them.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from ...assets import asset_path, read_toml
 from ...checks import Array
 from ...errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SPECTRUM_NM = np.arange(400.0, 701.0, 10.0)
 _SPECTRUM = [f"{nm:.0f}_nm" for nm in SPECTRUM_NM]
@@ -34,15 +31,13 @@ NORMAL_SPO2 = 94.0
 HAEMOGLOBIN_STEP_G_PER_L = 10.0
 
 
-def read_people(name: str, folder: Path | None = None) -> "pd.DataFrame":
+def read_people(name: str, folder: Path | None = None) -> pd.DataFrame:
     """A table of `COLUMNS`: from a folder where it has one, else the shipped one.
 
     Its attrs are the source, and whether it is the shipped one.
 
     Raises: InputError for missing or unknown columns, values outside of their ranges, or too few rows.
     """
-    import pandas as pd
-
     shipped, columns = asset_path(f"real/{name}.csv"), COLUMNS[name]
     path = folder / shipped.name if folder is not None and (folder / shipped.name).is_file() else shipped
     try:
@@ -72,7 +67,7 @@ def read_people(name: str, folder: Path | None = None) -> "pd.DataFrame":
     return table
 
 
-def _lacking(name: str, table: "pd.DataFrame") -> str:
+def _lacking(name: str, table: pd.DataFrame) -> str:
     """What rows a table lacks for its comparison, in words; empty if none."""
     if name == "nail_photos":
         days = table.groupby("day")["hb_g_per_l"]
@@ -96,12 +91,12 @@ def _lacking(name: str, table: "pd.DataFrame") -> str:
     return "" if len(table) > 1 else "two rows"
 
 
-def percentile(spectra: "pd.DataFrame", percent: int) -> Array:
+def percentile(spectra: pd.DataFrame, percent: int) -> Array:
     """Reflectance at `SPECTRUM_NM` of a place and group, (q,) float. [percent]"""
     return np.asarray(spectra[spectra.percentile == percent][_SPECTRUM].to_numpy(float)[0])
 
 
-def pooled(spectra: "pd.DataFrame", percentiles: Sequence[int]) -> Array:
+def pooled(spectra: pd.DataFrame, percentiles: Sequence[int]) -> Array:
     """Percentiles of ring fingers of all groups together, from those of each, (n, q) float. [percent]"""
     if spectra.group.nunique() == 1:
         return np.stack([percentile(spectra, percent) for percent in percentiles])
@@ -113,12 +108,12 @@ def pooled(spectra: "pd.DataFrame", percentiles: Sequence[int]) -> Array:
     return np.asarray(np.percentile(np.concatenate(samples), percentiles, axis=0))
 
 
-def people_count(spectra: "pd.DataFrame") -> int:
+def people_count(spectra: pd.DataFrame) -> int:
     """How many people a table of spectra has."""
     return int(np.ceil(spectra[spectra.percentile == 50].people.sum()))
 
 
-def slope_within_days(photos: "pd.DataFrame", values: Array) -> tuple[float, float]:
+def slope_within_days(photos: pd.DataFrame, values: Array) -> tuple[float, float]:
     """Of people's values, (p,) float, per 10 g/l of haemoglobin within a day of photographs, and its standard error."""
     day = photos["day"].to_numpy()
     x, y = (v - np.array([v[day == d].mean() for d in day]) for v in (photos["hb_g_per_l"].to_numpy(), values))

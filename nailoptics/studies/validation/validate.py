@@ -7,9 +7,10 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
+import pandas as pd
 
 from ...checks import Array
 from ...display import Displayed
@@ -26,9 +27,6 @@ from . import people_tables
 from .appearance import Skin, nails
 from .comparison import Comparison, interval, moments, part_between, texts_of
 from .people_tables import COLUMNS, read_people
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MMHG_PA = 133.322
 # Photons of each LED where none are requested.
@@ -89,7 +87,7 @@ def validate(
     return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds, no_data)
 
 
-def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
+def _waves(people: pd.DataFrame) -> dict[str, Comparison]:
     """Breathing and vasomotion in the blood of the bed, over the heartbeat, rms."""
     scene, ranges = load_scene("heartbeat"), {prior.field: prior for prior in shipped_priors()}
     assert scene.body is not None
@@ -108,7 +106,7 @@ def _waves(people: "pd.DataFrame") -> dict[str, Comparison]:
     return result
 
 
-def _contact_pressure(people: "pd.DataFrame") -> Comparison:
+def _contact_pressure(people: pd.DataFrame) -> Comparison:
     """The heartbeat in arteriolar blood under a contact pressure; both shapes over their means."""
     scene, pressure = load_scene("pulse_oximeter"), people["pressure_mmhg"].to_numpy()
     prior = {prior.field: prior for prior in shipped_priors()}["body.heartbeat.arteriolar_peak_pa"]
@@ -131,7 +129,7 @@ def _contact_pressure(people: "pd.DataFrame") -> Comparison:
     return Comparison.of_curve(texts_of("contact_pressure", people), inside, shown, model, pressure)
 
 
-def _pulse(people: "pd.DataFrame", options: TraceOptions, progress: ProgressCallback | None) -> dict[str, Comparison]:
+def _pulse(people: pd.DataFrame, options: TraceOptions, progress: ProgressCallback | None) -> dict[str, Comparison]:
     """Saturation over the ratio of ratios, and the pulse's amplitude in red and infrared light."""
     still = people[people["correlation"] > people_tables.LEAST_CORRELATION]
     ratio, spo2 = still["ratio_of_ratios"].to_numpy(), still["spo2_percent"].to_numpy()
