@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter1d
 
 from .. import hemodynamics
 from ..errors import InputError
@@ -252,6 +251,8 @@ class BloodModel:
 
         run : of `respond`, with pressures. fraction : (zones, t) float. Blood of the capillaries. [1]
         """
+        from scipy.ndimage import uniform_filter1d
+
         time_s, beat = run.time.values, 1
         if self.body is not None and self.body.heartbeat is not None:
             beat = max(round(60.0 / self.body.heartbeat.rate_per_min / float(np.median(np.diff(time_s)))), 1)

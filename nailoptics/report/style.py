@@ -181,12 +181,23 @@ def plain(text: object) -> str:
 
 def spread(places: Sequence[float], gap: float) -> np.ndarray:
     """Places for labels, in the same order, at least a gap apart and as near as can be to where they belong."""
+    result, order = np.array(places, float), np.argsort(places, kind="stable")
+    if (np.diff(result[order]) >= gap).all():
+        return result
     from scipy.optimize import isotonic_regression
 
-    result, order = np.array(places, float), np.argsort(places, kind="stable")
     steps = gap * np.arange(len(result))
     result[order] = isotonic_regression(result[order] - steps).x + steps
     return result
+
+
+def blurred(values: np.ndarray, cells: float) -> np.ndarray:
+    """A map (n, m), which goes on beyond its edges as its mirror image, smoothed by a Gaussian of so many cells."""
+    for count in values.shape:
+        cell, weights = np.arange(count), np.exp(-np.square(np.arange(2 * count) / cells) / 2)
+        kernel = sum(weights[np.abs(cell[:, None] - at)] for at in (cell, -1 - cell, 2 * count - 1 - cell))
+        values = (kernel @ values / kernel.sum(1, keepdims=True)).T
+    return values
 
 
 def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
+from statistics import NormalDist
 from typing import TypeVar
 
 import numpy as np
@@ -28,7 +29,7 @@ WEIGHTS = np.array([1, 4, 1]) / 6
 # A parabola through the nodes at the ends and the scene's value needs that to be no nearer to them.
 MOST_OFFSET = 1.0
 # Draws from the joint prior, and the part of them in which a sign that holds holds.
-DRAWS, SURELY = 512, 0.975
+DRAWS, SURELY = 1024, 0.975
 # Relative changes of readings as small as this are rounding.
 ROUNDING = 1e-9
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
@@ -110,15 +111,14 @@ def offset_of(scene: Scene, prior: Prior) -> float:
 
 def standard_draws(correlation: np.ndarray) -> np.ndarray:
     """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors) float.
-    Always the same ones: a Sobol' sequence."""
-    # Half a second, paid only where draws are made.
-    from scipy.stats import norm, qmc
-
-    count = len(correlation)
-    draws = norm.ppf(qmc.Sobol(count, seed=1).random(DRAWS)) if count else np.zeros((DRAWS, 0))
-    draws -= draws.mean(0)
-    independent = draws @ np.linalg.inv(np.linalg.cholesky(draws.T @ draws / DRAWS)).T
-    return np.asarray(independent @ covariance_root(correlation).T)
+    Always the same ones: a Latin hypercube with its mirror image, so that odd moments are exactly 0, too."""
+    count, generator = len(correlation), np.random.default_rng(1)
+    below = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS // 2)]
+    sides = generator.choice([-1.0, 1.0], (DRAWS // 2, count))
+    half = sides * generator.permuted(np.tile(below, (count, 1)), axis=1).T
+    independent = half @ np.linalg.inv(np.linalg.cholesky(2 * half.T @ half / DRAWS)).T
+    draws = independent @ covariance_root(correlation).T
+    return np.concatenate([draws, -draws])
 
 
 def known_priors(scene: Scene) -> tuple[Prior, ...]:

@@ -279,7 +279,7 @@ def test_correlated_priors_add_up_as_their_correlation_says():
     for r in (0.0, 0.6, -0.8):
         result = PriorSensitivity(tuple(priors), nodes, np.zeros((5, 2)), np.array([[1, r], [r, 1]]))
         assert result.by_prior[0] == pytest.approx(np.outer(np.abs([a, b]), [1, 2**0.5]))
-        # 512 draws have these correlations exactly, and those of their squares nearly.
+        # The draws have these correlations exactly, and those of their squares nearly.
         expected = np.sqrt([a**2 + b**2 + 2 * r * a * b, 2 * (a**2 + b**2 + 2 * r**2 * a * b)])
         assert result.total[0] == pytest.approx(expected, rel=0.08)
         assert result.shift[0] == pytest.approx([0, a + b], abs=1e-9)

@@ -229,12 +229,12 @@ def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.n
     by_led = []
     for i, led in enumerate(transfer.scene.leds):
         mu_a = optics.absorption(scene, optics.spectrum(led)[0], blood_fraction=states)
-        by_led.append(read_replicates(transfer, i, mu_a)[0])
+        by_led.append(read_replicates(transfer, i, mu_a, paths=False)[0])
     return np.stack(by_led, 1)
 
 
 def read_replicates(
-    transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray | None = None
+    transfer: Transfer, led: int, mu_a: np.ndarray, blood_per_mm: np.ndarray | None = None, *, paths: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read one LED's trace in many states: in replicate 0 by all photons, in each other without one group of them.
 
@@ -242,6 +242,7 @@ def read_replicates(
 
     mu_a : (states, q, absorbers) float. Absorption over the LED's line, `optics.spectrum`. [mm^-1]
     blood_per_mm : (q,) float. Absorption of the blood over the line, in the first state; even if not given. [mm^-1]
+    paths : whether to have the mean paths, too, which are half of the work; else of no zone.
 
     Returns: (1 + groups, photodiodes, states) float, fractions of the emitted power, weighted by the photodiode's
     response relative to that at the LED's peak; and (1 + groups, photodiodes, zones) float, the mean paths in the first
@@ -252,28 +253,22 @@ def read_replicates(
     share = share * wavelength / source.wavelength_nm
     blood_per_mm = np.ones(len(share)) if blood_per_mm is None else blood_per_mm
     mean = float(share @ blood_per_mm / share.sum())
-    zones = list(optics.bed_columns(transfer.scene))
-    count = len(transfer.photodiodes)
-    weight = np.zeros((count, GROUPS, len(mu_a)))
-    path = np.zeros((count, GROUPS, len(zones)))
-    groups = (trace.photon % GROUPS).astype(int)
-    for j in range(count):
-        mine = np.flatnonzero(trace.photodiode == j)
-        for start in range(0, len(mine), GROUP_CHUNK):
-            chunk = mine[start : start + GROUP_CHUNK]
-            lengths = trace.path_mm[chunk].astype(float)
-            weights, slope = np.zeros((len(chunk), len(mu_a))), np.zeros(len(chunk))
-            for q, part in enumerate(share):
-                part_weight = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
-                weights += part_weight
-                slope += part_weight[:, 0] * blood_per_mm[q] / mean
-            weight[j] += _by_group(groups[chunk], weights)
-            path[j] += _by_group(groups[chunk], slope[:, None] * lengths[:, zones])
-    total, by_path = (left_out(np.moveaxis(sums, 1, 0) * (GROUPS / trace.photons)) for sums in (weight, path))
+    zones, count = list(optics.bed_columns(transfer.scene)) if paths else [], len(transfer.photodiodes)
+    sums = np.zeros((len(mu_a) + len(zones), count * GROUPS))
+    # As many at once as there are sums, or more: adding these up takes no longer than the records.
+    step = max(GROUP_CHUNK, count * GROUPS)
+    for start in range(0, len(trace.weight), step):
+        chunk = slice(start, start + step)
+        lengths = trace.path_mm[chunk].astype(float)
+        weights, slope = np.zeros((len(lengths), len(mu_a))), np.zeros(len(lengths))
+        for q, part in enumerate(share):
+            part_weight = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
+            weights += part_weight
+            slope += part_weight[:, 0] * blood_per_mm[q] / mean
+        group = trace.photodiode[chunk].astype(int) * GROUPS + trace.photon[chunk] % GROUPS
+        columns = np.hstack([weights, slope[:, None] * lengths[:, zones]]).T
+        sums += [np.bincount(group, column, minlength=count * GROUPS) for column in columns]
+    read = left_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
+    total = read[..., : len(mu_a)]
     with np.errstate(invalid="ignore", divide="ignore"):
-        return total, by_path / total[:, :, :1]
-
-
-def _by_group(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Sums of values (n, k) over each group, (GROUPS, k) float."""
-    return np.stack([np.bincount(groups, column, minlength=GROUPS) for column in values.T], -1)
+        return total, read[..., len(mu_a) :] / total[..., :1]

@@ -121,7 +121,7 @@ def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, A
     """
     wavelength, _ = optics.spectrum(transfer.scene.leds[led])
     mu_a = np.concatenate([absorption(transfer.scene, wavelength, *state) for state in states])
-    return read_replicates(transfer, led, mu_a)[0]
+    return read_replicates(transfer, led, mu_a, paths=False)[0]
 
 
 def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]]) -> Pulsation:
