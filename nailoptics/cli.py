@@ -19,6 +19,10 @@ from .terminal import finish, say, show, traced
 from .version import __version__, commit
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclopts import Token
+
     from .report.files import Report
     from .scene import Scene
 
@@ -39,11 +43,21 @@ Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
 
 
+def _whole(_: object, tokens: "Sequence[Token]") -> int:
+    """A whole number, 1e6 as well."""
+    number = float(tokens[0].value)
+    if not number.is_integer():
+        raise ValueError(f"{number:g} is no whole number")
+    return int(number)
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Traced(TraceOptions):
     """Options of every command that traces light."""
 
+    photons: Annotated[int | None, Parameter(converter=_whole)] = None
+    """Photons per LED, in place of a tolerance."""
     json: Json = False
 
 

@@ -56,6 +56,8 @@ class TraceOptions:
 
     def __post_init__(self) -> None:
         checks.seed(self.seed)
+        if isinstance(self.photons, float) and self.photons.is_integer():  # 1e6
+            object.__setattr__(self, "photons", int(self.photons))
         if self.backend not in get_args(BackendName):
             raise InputError(f'backend = "{self.backend}" is unknown; choose from {", ".join(get_args(BackendName))}.')
         for name, kind, most in (

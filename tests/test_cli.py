@@ -124,6 +124,7 @@ BAD_COMMANDS = {
     "a tolerance that is no number": (["simulate", "prototype", "--relative-error", "nan"], "relative_error"),
     "a tolerance in words": (["simulate", "prototype", "--relative-error", "1%"], "1%"),
     "no photons": (["simulate", "prototype", "--photons", "0"], "photons"),
+    "half a photon": (["simulate", "prototype", "--photons", "2.5"], "2.5 is no whole number"),
     "less than no time": (["simulate", "prototype", "--max-seconds", "-1"], "max_seconds"),
     "a folder below a file": (["simulate", "prototype", "-o", "existing/sub"], "existing/sub"),
     "a file below a file": (["trace", "prototype", "-o", "existing/sub/transfer.nc"], "existing/sub"),
@@ -306,7 +307,7 @@ def assert_traced(result: dict, *, engine: str, name: str) -> None:
 def test_trace_of_a_phantom_prints_the_agreed_json(backend_name, folder, capfd, request):
     chosen = request.getfixturevalue("chosen_jit") if backend_name == "auto" else backend.choose("scalar")
     (folder / "phantom.toml").write_text(PHANTOM)
-    assert run(["trace", "phantom.toml", "--json", "--photons", "20000", "--backend", backend_name]) == 0
+    assert run(["trace", "phantom.toml", "--json", "--photons", "2e4", "--backend", backend_name]) == 0
     result = only_json(capfd)
     assert_traced(result, engine="photons" if chosen.jit else "volpath", name=chosen.name)
     assert set(result["energy"]) == {"reflected", "transmitted", "absorbed", "lost"}

@@ -5,6 +5,7 @@ import inspect
 import pytest
 
 import nailoptics as nail
+from nailoptics.options import TraceOptions
 
 PUBLIC = {name: getattr(nail, name) for name in nail.__all__ if inspect.isfunction(getattr(nail, name))}
 OF_SCENE = [name for name, call in PUBLIC.items() if "scene" in inspect.signature(call).parameters]
@@ -43,3 +44,10 @@ def test_a_name_stands_for_its_scene(tmp_path):
 def test_files_that_are_none_are_an_input_error(call, message):
     with pytest.raises(nail.InputError, match=message):
         call(nail.load_scene("prototype"))
+
+
+def test_photons_may_be_a_whole_float():
+    options = TraceOptions(photons=1e6)
+    assert options.photons == 1_000_000 and isinstance(options.photons, int)
+    with pytest.raises(nail.InputError, match=r"photons = 2\.5; must be a whole number"):
+        TraceOptions(photons=2.5)
