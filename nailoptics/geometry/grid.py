@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Array, Indices
+from ..checks import Array
 from .regions import AIR
+
+Indices = NDArray[np.int32]
 
 MIN_AREA_MM2 = 1e-12
 
