@@ -69,23 +69,6 @@ def blood_mu_a_per_mm(wavelength_nm: ArrayLike, so2: ArrayLike) -> Array:
     return np.asarray(molar_to_per_mm * (saturation * oxy + (1 - saturation) * deoxy))
 
 
-def melanosome_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
-    """Absorption of the interior of a melanosome. [mm^-1]
-
-    References: Jacques 2013, Phys. Med. Biol. 58 R37: 519 (wavelength / 500 nm)^-3 per cm.
-    """
-    return np.asarray(51.9 * (checked_wavelength_nm(wavelength_nm) / 500) ** -3.0)
-
-
-def bloodless_skin_mu_a_per_mm(wavelength_nm: ArrayLike) -> Array:
-    """Absorption of skin without blood, melanin and water: the baseline. [mm^-1]
-
-    References: I. S. Saidi, thesis, Rice University (1992), as given by S. L. Jacques:
-    0.244 + 85.3 exp(-(wavelength - 154 nm) / 66.2 nm) per cm, from bloodless neonatal skin.
-    """
-    return np.asarray(0.0244 + 8.53 * np.exp(-(checked_wavelength_nm(wavelength_nm) - 154) / 66.2))
-
-
 @dataclass(frozen=True)
 class Absorption:
     """Absorption that is linear in the blood: mu_a = base_per_mm + blood_fraction * per_blood_fraction_per_mm."""
@@ -137,7 +120,9 @@ def absorption(
 def _base_per_mm(region: Region, wavelength: Array, melanin: Array, dermis_absorption: DermisAbsorption) -> Array:
     """Absorption of a region without blood, of the shape of the wavelengths [nm]. [mm^-1]"""
     water = tabulated("water", "mu_a_per_mm", wavelength)
-    baseline = bloodless_skin_mu_a_per_mm(wavelength)
+    # Skin without blood, melanin and water (neonatal): I. S. Saidi, thesis, Rice University (1992), as given by S. L.
+    # Jacques: 0.244 + 85.3 exp(-(wavelength - 154 nm) / 66.2 nm) per cm.
+    baseline = 0.0244 + 8.53 * np.exp(-(wavelength - 154) / 66.2)
     match region:
         case "bed" if dermis_absorption == "jacques_baseline":
             return baseline + _FACTS["water"]["bed"] * water
@@ -148,7 +133,8 @@ def _base_per_mm(region: Region, wavelength: Array, melanin: Array, dermis_absor
             return PULP_ABSORPTION * ((1 - _PULP_FAT) * (baseline + _FACTS["water"]["bed"] * water) + _PULP_FAT * fat)
         case "epidermis":
             clear = baseline + _FACTS["water"]["epidermis"] * water
-            return (1 - melanin) * clear + melanin * melanosome_mu_a_per_mm(wavelength)
+            # The interior of a melanosome: Jacques 2013, Phys. Med. Biol. 58 R37: 519 (wavelength / 500 nm)^-3 per cm.
+            return (1 - melanin) * clear + melanin * (51.9 * (wavelength / 500) ** -3.0)
         case "plate":
             return tabulated("nail_plate", "mu_a_per_mm", wavelength)
         case "bone":

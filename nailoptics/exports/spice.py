@@ -38,12 +38,6 @@ def write_spice(scene: Scene, path: Path, **requested: Unpack[Requested]) -> dic
     result, unmet = as_far_as_reached(simulate, certain, **requested)
     if unmet:
         log.warning("%s", unmet)
-    write_text(path, netlist(scene, result))
-    return {"circuit": path}
-
-
-def netlist(scene: Scene, result: xr.Dataset) -> str:
-    """The circuit of a scene for ngspice, with the photocurrents of its `simulate`."""
     stage = scene.electronics
     values = {
         "boltzmann": electronics.BOLTZMANN_J_PER_K,
@@ -60,7 +54,8 @@ def netlist(scene: Scene, result: xr.Dataset) -> str:
     runs = [line for i in leds for line in _run(scene, result, i)]
     page = Template(Path(__file__).with_name("spice.cir").read_text(encoding="utf-8"))
     rows = {name: f"{value:.10g}" for name, value in values.items()}
-    return page.substitute(rows, version=__version__, circuit="\n".join(parts), runs="\n".join(runs))
+    write_text(path, page.substitute(rows, version=__version__, circuit="\n".join(parts), runs="\n".join(runs)))
+    return {"circuit": path}
 
 
 def _drive_a(led: Led) -> float:

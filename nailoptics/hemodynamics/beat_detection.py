@@ -75,9 +75,27 @@ def beats_per_second(time_s: ArrayLike, signal: ArrayLike, name: str = "the reco
 
 def _periodic(time_s: ArrayLike, signal: ArrayLike, name: str) -> tuple[Array, Array, float, float]:
     """Even times, the waveform in the pulse's band, its sampling rate [Hz] and the heart's [Hz]."""
+    from scipy.signal import find_peaks
+
     even_s, values, rate_hz = resampled(np.asarray(time_s, float), np.asarray(signal, float), name)
     wave = band(values, rate_hz)
-    return even_s, wave, rate_hz, _autocorrelation_rate_hz(wave, rate_hz, name)
+    # The lag at which the waveform repeats itself best. Parts of the recording count alike, so that motion in one of
+    # them does not decide.
+    parts = np.array_split(wave, max(1, int(len(wave) / (PART_S * rate_hz))))
+    longest = min(int(np.ceil(60 * rate_hz / SLOWEST)), min(len(part) for part in parts) // 2)
+    lags = np.arange(int(60 * rate_hz / FASTEST), longest)
+    if not len(lags):
+        raise InputError(f"{name}: is too short for three beats; record longer.")
+    correlation = np.median([_autocorrelation(part, longest) for part in parts], axis=0)
+    inner = lags[np.isin(lags, find_peaks(correlation)[0])]
+    inner = inner if len(inner) else lags[[np.argmax(correlation[lags])]]
+    # Two periods correlate as well as one: the first lag that is nearly as good is one beat.
+    first = int(inner[np.argmax(correlation[inner] > 0.7 * correlation[inner].max())])
+    if correlation[first] < LEAST_CORRELATION and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
+        raise InputError(f"{name}: no three beats were found in {len(wave) / rate_hz:.3g} s; record longer.")
+    if correlation[first] < LEAST_CORRELATION:
+        raise InputError(f"{name}: no heartbeat was found in it; check the finger and the light.")
+    return even_s, wave, rate_hz, float(rate_hz / _summits(correlation, np.array([first]))[0])
 
 
 def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, float]:
@@ -104,30 +122,6 @@ def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: flo
     filtered = signal.butter(2, (low_hz, high), btype="bandpass", fs=rate_hz, output="sos")
     pad = min(values.shape[-1] - 1, int(3 * rate_hz / low_hz))
     return np.asarray(signal.sosfiltfilt(filtered, values, axis=-1, padtype="odd", padlen=pad))
-
-
-def _autocorrelation_rate_hz(wave: Array, rate_hz: float, name: str) -> float:
-    """The lag at which the waveform repeats itself best, as a rate. [Hz]
-
-    Parts of the recording count alike, so that motion in one of them does not decide.
-    """
-    from scipy import signal
-
-    parts = np.array_split(wave, max(1, int(len(wave) / (PART_S * rate_hz))))
-    longest = min(int(np.ceil(60 * rate_hz / SLOWEST)), min(len(part) for part in parts) // 2)
-    lags = np.arange(int(60 * rate_hz / FASTEST), longest)
-    if not len(lags):
-        raise InputError(f"{name}: is too short for three beats; record longer.")
-    correlation = np.median([_autocorrelation(part, longest) for part in parts], axis=0)
-    inner = lags[np.isin(lags, signal.find_peaks(correlation)[0])]
-    inner = inner if len(inner) else lags[[np.argmax(correlation[lags])]]
-    # Two periods correlate as well as one: the first lag that is nearly as good is one beat.
-    first = int(inner[np.argmax(correlation[inner] > 0.7 * correlation[inner].max())])
-    if correlation[first] < LEAST_CORRELATION and len(wave) < LEAST_BEATS * 60 * rate_hz / SLOWEST:
-        raise InputError(f"{name}: no three beats were found in {len(wave) / rate_hz:.3g} s; record longer.")
-    if correlation[first] < LEAST_CORRELATION:
-        raise InputError(f"{name}: no heartbeat was found in it; check the finger and the light.")
-    return float(rate_hz / _summits(correlation, np.array([first]))[0])
 
 
 def _autocorrelation(wave: Array, longest: int) -> Array:

@@ -261,7 +261,13 @@ def _major_version(path: str) -> int:
 
 def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
     """The engines that work with a library, and why not all: from memory, from the user's cache, or from a probe."""
-    key = _key(name, library)
+    # What the answer depends on: the library's file, the packages and the machine.
+    file: list[Any] = []
+    with suppress(OSError):
+        file = [Path(library).stat().st_mtime_ns, Path(library).stat().st_size]
+    versions = [*_packages(), platform.python_version(), platform.machine()]
+    devices = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
+    key = json.dumps([name, library, file, versions, devices, zlib.crc32(PROBE.encode())])
     if key not in _answers:
         try:
             remembered = _read_cache()[key]
@@ -276,16 +282,6 @@ def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
                     answers = _read_cache() | {key: {"engines": engines, "why": why}}
                     write_bytes(cache_folder() / CACHE, json.dumps(answers, indent=1).encode())
     return _answers[key]
-
-
-def _key(name: Name, library: str) -> str:
-    """What the answer depends on: the library's file, the packages and the machine."""
-    file: list[Any] = []
-    with suppress(OSError):
-        file = [Path(library).stat().st_mtime_ns, Path(library).stat().st_size]
-    versions = [*_packages(), platform.python_version(), platform.machine()]
-    devices = [os.environ.get("CUDA_VISIBLE_DEVICES"), platform.node(), *_devices()] if name == "cuda" else []
-    return json.dumps([name, library, file, versions, devices, zlib.crc32(PROBE.encode())])
 
 
 @cache

@@ -213,11 +213,6 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
 REDUCED_OPTICS: dict[str, Callable[..., OpticsFit]] = {"beer_lambert": fit_beer_lambert, "taylor": fit_taylor}
 
 
-def evenly_apart(samples: int) -> Array:
-    """Numbers of the samples of a touch at which errors of the constants are taken, (n,) int."""
-    return np.unique(np.linspace(0, samples - 1, FIT_SAMPLES).astype(int))
-
-
 def fit_reduced_optics(result: xr.Dataset, few: Array, replicates_v: Array | None) -> Variables:
     """Beer-Lambert (8) and Taylor (9), each fitted to the volts of every photodiode over its own zone's diameter.
 

@@ -76,16 +76,13 @@ def document(
         *(f"<script>{script}</script>" for script in scripts),
     ]
     main = "\n".join(part for part in parts if part)
-    return template.format(policy=_policy(scripts), title=escaped(title), css=css, main=main)
-
-
-def _policy(scripts: Sequence[Script]) -> str:
-    """What a browser may do on a page: run these scripts, show what is in the page itself, and read from its server."""
+    # What a browser may do on the page: run its scripts, show what is in it, and read from the server of a served one.
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
-    inside = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
-    inside += "; connect-src 'self'" if any(script.is_served for script in scripts) else ""
-    return f"{inside}; base-uri 'none'; form-action 'none'"
+    policy = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
+    policy += "; connect-src 'self'" if any(script.is_served for script in scripts) else ""
+    policy += "; base-uri 'none'; form-action 'none'"
+    return template.format(policy=policy, title=escaped(title), css=css, main=main)
 
 
 def section(heading: str, *content: str) -> Html:

@@ -166,6 +166,8 @@ def _cut(result: xr.Dataset) -> xr.DataArray:
 @style.drawing()
 def section(scene: Scene, result: xr.Dataset) -> "style.Figure":
     """The finger and its board cut lengthwise, one close view per LED with the density of its light's paths."""
+    from matplotlib.patches import Patch
+
     if "section_region" not in result:
         raise InputError('figure = "section" needs the paths of light: simulate(scene, picture=True).')
     leds = result.sizes["led"] if "path_density" in result else 1
@@ -177,7 +179,10 @@ def section(scene: Scene, result: xr.Dataset) -> "style.Figure":
     frame = [low_y, high_y, high_y, low_y, low_y], [low_z, low_z, high_z, high_z, low_z]
     whole.plot(*frame, color=style.MUTED, lw=1.2, ls=(0, (3, 2)))
     whole.set_title("Finger and board, cut lengthwise")
-    _key(whole, cut)
+    there, names = {cut.names[region] for region in np.unique(cut)} - {"air"}, TEXTS["names"]
+    shown = {name: colour for name, colour in TISSUE.items() if name in there}
+    key = [Patch(fc=fc, ec=style.MUTED, lw=0.5, label=names.get(name, name)) for name, fc in shown.items()]
+    whole.legend(handles=key, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for i, axes in enumerate(views):
         draw_section(axes, scene, result, led=i)
     return figure
@@ -266,13 +271,3 @@ def _close_view(scene: Scene, cut: xr.DataArray) -> tuple[float, float, float, f
     outline, board = scene.layout.outline, scene.board
     cover = board.height_mm + (board.kapton_um + board.cover_um) * 1e-3
     return max(low_y, outline.v_min - 1.5), min(high_y, outline.v_max + 1.5), max(low_z, -4.2), cover + 0.75
-
-
-def _key(axes: "style.Axes", cut: xr.DataArray) -> None:
-    """A key of the regions' colours."""
-    from matplotlib.patches import Patch
-
-    there, names = {cut.names[region] for region in np.unique(cut)} - {"air"}, TEXTS["names"]
-    shown = {name: colour for name, colour in TISSUE.items() if name in there}
-    handles = [Patch(fc=fc, ec=style.MUTED, lw=0.5, label=names.get(name, name)) for name, fc in shown.items()]
-    axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))

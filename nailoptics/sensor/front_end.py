@@ -150,19 +150,17 @@ class SampledFrontEnd:
         return list(zip([*detected, np.zeros_like(detected[0])], (*self.leds, self.leds[0]), strict=True))
 
 
-def red_and_infrared(scene: Scene) -> tuple[int, int]:
-    """The numbers of a scene's red and infrared LED; raises InputError without two of different wavelengths."""
-    try:
-        return two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
-    except ValueError as error:
-        raise InputError(f"leds: {error}.") from None
-
-
 def oximeter_leds(scene: Scene) -> tuple[int, int]:
-    """`red_and_infrared` of a scene; raises InputError without a finger or a pulse, too."""
+    """The numbers of a scene's red and infrared LED.
+
+    Raises: InputError without a finger, two LEDs of different wavelengths, or a pulse.
+    """
     if scene.finger is None:
         raise InputError("oximeter needs a [finger] scene, whose blood beats; a [phantom] has none.")
-    leds = red_and_infrared(scene)
+    try:
+        leds = two_leds(scene.leds, scene.oximeter.slots if scene.oximeter else None)
+    except ValueError as error:
+        raise InputError(f"leds: {error}.") from None
     heart_rate_per_min(scene.body)
     return leds
 

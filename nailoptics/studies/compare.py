@@ -230,7 +230,11 @@ def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -
 def formula_errors(pair: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray]:
     """All that is known of the formulas' errors, by name of the variable, with standard errors as NAME_stderr."""
     fit, x = _curve(pair.own_mu_a, pair.traced[0], curved=True), pair.own_mu_a
-    readings = _readings(pair, fit.replicates(x, pair.traced))
+    # By Taylor (9) and Beer-Lambert (8), (way, model, r, t): fitted, with the mean path in the own zone, and with both.
+    own_depth = pair.path_mm[:, pair.own, None] * (pair.own_mu_a - pair.own_mu_a[0])
+    both = pair.path_mm @ (pair.mu_a - pair.mu_a[0]).T
+    lines = [[pair.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own_depth, both)]
+    readings = np.stack([[_line(pair, pair.traced), fit.replicates(x, pair.traced)], *lines])
     part, part_stderr = _parts(pair, readings)
     fitted = [fitted_range_errors(pair.own_mu_a, pair.traced, curved=name == "beer_lambert") for name in MODELS]
     predicted = [[range_errors(model, pair.traced) for model in way] for way in readings[1:]]
@@ -249,16 +253,6 @@ def formula_errors(pair: TracedSweep, sweep: StateSweep) -> dict[str, np.ndarray
     out |= {f"{name}_stderr": jackknife(values) for name, values in replicates.items()}
     out |= {"model_reading": readings[:, :, 0], "part_error": part, "part_error_stderr": part_stderr}
     return out | _limits(out, sweep, pair.own)
-
-
-def _readings(pair: TracedSweep, fitted_curve: np.ndarray) -> np.ndarray:
-    """Readings by Taylor (9) and Beer-Lambert (8), (way, model, r, t) float: fitted, with the mean path in the own
-    zone, and with those in both zones.
-    """
-    own_depth = pair.path_mm[:, pair.own, None] * (pair.own_mu_a - pair.own_mu_a[0])
-    both = pair.path_mm @ (pair.mu_a - pair.mu_a[0]).T
-    predicted = [[pair.traced[:, :1] * factor for factor in (1 - depth, np.exp(-depth))] for depth in (own_depth, both)]
-    return np.stack([[_line(pair, pair.traced), fitted_curve], *predicted])
 
 
 def _curve(x: np.ndarray, y: np.ndarray, *, curved: bool) -> FittedCurve:

@@ -17,7 +17,7 @@ from ..sensor import electronics
 from ..sensor.ambient import ambient_bound_a
 from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
-from ..sensor.information import OperatingPoint, noise_by_cause, operating_point, scene_responses
+from ..sensor.information import noise_by_cause, operating_point, scene_responses
 from ..sensor.volts import with_fitted_resistors
 from .placement import boards, candidates
 
@@ -138,7 +138,13 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
         near = at.blood_fraction * (1 + BLOOD_STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
     read = rough_readings(scene, np.concatenate([blood_fraction, near]))
     over_touch, nearby = np.split(read.fraction, [len(blood_fraction)], axis=-1)
-    noise = [{}] * len(scene.leds) if at is None else _noise(scene, at, nearby, ambient_a)
+    noise: list[dict[str, np.ndarray]] = [{}] * len(scene.leds)
+    if at is not None:
+        steps = np.maximum(2 * BLOOD_STEP * at.blood_fraction, np.finfo(float).tiny)  # 0 without blood
+        slopes = (nearby[..., 1::2] - nearby[..., 2::2]) / steps
+        # The shunted part makes no noise of its own.
+        values = np.concatenate([nearby[..., :1], np.zeros_like(nearby[..., :1]), slopes], -1)
+        noise = [noise_by_cause(one, at.body) for one in scene_responses(scene, values, at, ambient_a=ambient_a)]
     auto: dict[str, Any] = {"electronics": stage.model_copy(update={"feedback_ohm": "auto"})}
     auto |= {"photodiodes": tuple(p.model_copy(update=boards.UNFITTED) for p in scene.photodiodes)}
     fitted_layout = with_fitted_resistors(scene.model_copy(update=auto)).layout
@@ -158,20 +164,6 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
             pair |= {name: column[j].item() for name, column in columns.items()}
             pairs.append(pair | {"noise_v": {cause: rms_v[j].item() for cause, rms_v in noise[i].items()}})
     return pairs
-
-
-def _noise(
-    scene: Scene, at: OperatingPoint, fraction: np.ndarray, ambient_a: np.ndarray
-) -> list[dict[str, np.ndarray]]:
-    """Noise of one sample at a touch by cause, (photodiodes,) float each, for every LED. [V]
-
-    fraction : (leds, photodiodes, 5) float. Detected there, and with `BLOOD_STEP` more and less blood in either zone.
-    """
-    steps = np.maximum(2 * BLOOD_STEP * at.blood_fraction, np.finfo(float).tiny)  # 0 without blood
-    slopes = (fraction[..., 1::2] - fraction[..., 2::2]) / steps
-    # The shunted part makes no noise of its own.
-    values = np.concatenate([fraction[..., :1], np.zeros_like(fraction[..., :1]), slopes], -1)
-    return [noise_by_cause(read, at.body) for read in scene_responses(scene, values, at, ambient_a=ambient_a)]
 
 
 def _saturation(scene: Scene, pairs: list[dict[str, Any]]) -> list[str]:

@@ -11,7 +11,7 @@ from ..errors import InputError, unless_cut_off
 from ..hemodynamics.for_scene import blood_over_touch, hold_end
 from ..light import ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
-from ..paper.reduced_optics import evenly_apart, fit_reduced_optics
+from ..paper.reduced_optics import FIT_SAMPLES, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
 from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
 from .prior_uncertainty import readings_over_priors
@@ -70,7 +70,8 @@ def simulate(
 def simulate_from(light: WornLight, *, course: xr.Dataset, seed: int) -> xr.Dataset:
     """What `simulate` returns, from light that is already traced and the scene's `blood_over_touch`."""
     result, transfer = course.merge(read_volts(light, course)), light.in_place.transfer
-    few = evenly_apart(result.sizes["time"])
+    # Where errors of the constants are taken.
+    few = np.unique(np.linspace(0, result.sizes["time"] - 1, FIT_SAMPLES).astype(int))
     replicates = None if transfer is None else replicates_v(result.isel(time=few), transfer)
     result = result.merge(fit_reduced_optics(result, few, replicates))
     if light.ambient_a is not None:

@@ -53,10 +53,12 @@ def draw(result: Tradeoff) -> "style.Figure":
     style.plain_log(axes.yaxis)
     ends = []
     for level in result.levels:
-        curve = _curve(level)
-        if len(curve):
-            axes.plot(*curve.T, color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
-            ends.append((level.name, curve[-1]))
+        # From few photons to where more no longer help.
+        errors = [error for error in GRID[::-1] if error > 1.02 * level.bound]
+        points = [(level.seconds(error), 100 * error) for error in errors]
+        if curve := [point for point in points if math.isfinite(point[0])]:
+            axes.plot(*np.transpose(curve), color=style.MUTED, lw=0.8, alpha=0.6, zorder=1)
+            ends.append((level.name, np.array(curve[-1])))
     bests = [(fastest(result.levels, error), error) for error in GRID]
     best = [(level.seconds(error), 100 * error) for level, error in bests if level]
     axes.plot(*np.reshape(best, (-1, 2)).T, color=style.INK, lw=2.2, zorder=2, label="the best of all")
@@ -72,13 +74,6 @@ def draw(result: Tradeoff) -> "style.Figure":
         axes.plot(seconds, error, "*", ms=13, color=style.ZONES[0], zorder=5, label="chosen")
     axes.legend(loc="lower left", frameon=True, facecolor=style.PAPER, edgecolor="none", framealpha=0.9)
     return drawing
-
-
-def _curve(level: Level) -> np.ndarray:
-    """Seconds and error [%] of a level from few photons to where more no longer help, (n, 2) float."""
-    errors = [error for error in GRID[::-1] if error > 1.02 * level.bound]
-    points = [(level.seconds(error), 100 * error) for error in errors]
-    return np.array([point for point in points if math.isfinite(point[0])]).reshape(-1, 2)
 
 
 def _names(axes: "style.Axes", places: Sequence[tuple[str, np.ndarray]], *, x: float) -> None:

@@ -118,23 +118,6 @@ class PairBasis:
             weight = (weight[:, :, None] * np.stack([1 - part, part], -1)[:, None]).reshape(at.shape)
         return csr_matrix((weight.ravel(), at.ravel(), 16 * np.arange(count + 1)), shape=(count, self.size))
 
-    def penalty(self, softer: float) -> Any:
-        """R: the expected curvature of C between nodes as a precision, sparse (size, size).
-
-        softer : so many times is it larger over the middle along.
-        """
-        from scipy.sparse import identity, kron
-
-        total: Any = 0
-        for k, axis in enumerate(self.axes):
-            before, after = (math.prod(map(len, part)) for part in (self.axes[:k], self.axes[k + 1 :]))
-            step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
-            bend = np.diff(step / width[:, None], axis=0) * width.mean()
-            precision = LINES / (before * after) / (softer**2 if k == len(self.axes) - 1 else 1.0)
-            axis_penalty = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
-            total = total + kron(kron(identity(before), axis_penalty), identity(after))
-        return total.tocsc()
-
     def sample(self) -> tuple[Array, Array, Array]:
         """Pairs of places, as many between any nodes, (n, 2) each, and the area squared that each stands for. [mm]"""
         from scipy.stats import qmc
@@ -243,8 +226,20 @@ class PairProjection:
     def solve(self, sums: Array, *, weight: float, softer: float = 1.0) -> Array:
         """The coefficients (size, q) of K / g from sums of weights (size, q), per photon and area of its start [mm^2].
 
-        weight : likewise, of a typical arrival; it sets how much the penalty counts. softer : as of the penalty.
+        weight : likewise, of a typical arrival; it sets how much the penalty counts.
+        softer : so many times is the expected curvature of C larger over the middle along.
         """
+        from scipy.sparse import identity, kron
         from scipy.sparse.linalg import splu
 
-        return np.asarray(splu((self.moments + weight * self.basis.penalty(softer)).tocsc()).solve(sums))
+        axes = self.basis.axes
+        penalty: Any = 0
+        for k, axis in enumerate(axes):
+            before, after = (math.prod(map(len, part)) for part in (axes[:k], axes[k + 1 :]))
+            step, width = np.diff(np.eye(len(axis)), axis=0), np.diff(axis)
+            bend = np.diff(step / width[:, None], axis=0) * width.mean()
+            # The expected curvature between nodes as a precision.
+            precision = LINES / (before * after) / (softer**2 if k == len(axes) - 1 else 1.0)
+            axis_penalty = precision * (step.T @ step / DIFFERENCE**2 + bend.T @ bend / BEND**2)
+            penalty = penalty + kron(kron(identity(before), axis_penalty), identity(after))
+        return np.asarray(splu((self.moments + weight * penalty.tocsc()).tocsc()).solve(sums))

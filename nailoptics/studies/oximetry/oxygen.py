@@ -189,7 +189,10 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = trace_ambient(scene, sources, options, seed=seed)
     front_end = front_end_of(scene, leds, ambient_a)
     path_ratio = path_length_ratios(transfer, leds, beat)
-    calibrations = _calibrations(curve(FIT_SO2).ratio)
+    calibrations, ratio = Variables(), curve(FIT_SO2).ratio
+    for degree, name in ((2, "quadratic"), (1, "linear")):
+        fits, miss = calibrate_curve(FIT_SO2, ratio, degree)
+        calibrations |= described(__package__, **{name: jackknifed(fits), f"{name}_miss": miss})
     slope = np.abs(calibrations["linear"][1][:, 1])
     volts = _volts(transfer, leds, beat, front_end)
     time_s, light = light_of_touch(scene, transfer, leds)
@@ -245,15 +248,6 @@ def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int]) -> t
     states = [optics.equivalent_blood(scene, scene.leds[led], blood, so2).T for led in leds]
     fractions = [light.readings_at(of_led).fraction[led] for led, of_led in zip(leds, states, strict=True)]
     return course.time.values, np.stack(fractions)
-
-
-def _calibrations(ratio: Array) -> Variables:
-    """The quadratic and the line of every photodiode with their residuals; ratio : at `FIT_SO2`."""
-    data: Variables = {}
-    for degree, name in ((2, "quadratic"), (1, "linear")):
-        fits, miss = calibrate_curve(FIT_SO2, ratio, degree)
-        data |= described(__package__, **{name: jackknifed(fits), f"{name}_miss": miss})
-    return data
 
 
 def _volts(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end: SampledFrontEnd) -> Variables:

@@ -115,7 +115,12 @@ def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array,
     Raises: InputError as `spo2_over_time`.
     """
     if not recording.counts:
-        _check_limit(recording, scene.electronics.adc_range_v)
+        range_v, valid = scene.electronics.adc_range_v, np.isfinite(recording.volts)
+        full = (electronics.recorded_at_limit(recording.volts, range_v) & valid).sum(-1) / valid.sum(-1)
+        for k, j in np.argwhere(full > MOST_SATURATED):
+            where = f'photodiode "{recording.photodiodes[j]}" is saturated in {full[k, j]:.0%} of its'
+            limit = f"{('red', 'infrared')[k]} readings ({range_v:g} V is the converter's limit)"
+            raise InputError(f"{recording.name}: {where} {limit}; lower the LED's power and record again.")
     estimates = [_photodiode(recording, j) for j in range(len(recording.photodiodes))]
     return estimates[0][0], [row for _, row in estimates]
 
@@ -226,15 +231,6 @@ def _near(even_s: Array, places_s: Array, within_s: float) -> Marks:
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(places_s[:, None]).query(even_s[:, None])[0] <= within_s)
-
-
-def _check_limit(recording: OximeterRecording, range_v: float) -> None:
-    valid = np.isfinite(recording.volts)
-    full = (electronics.recorded_at_limit(recording.volts, range_v) & valid).sum(-1) / valid.sum(-1)
-    for k, j in np.argwhere(full > MOST_SATURATED):
-        where = f'photodiode "{recording.photodiodes[j]}" is saturated in {full[k, j]:.0%} of its'
-        limit = f"{('red', 'infrared')[k]} readings ({range_v:g} V is the converter's limit)"
-        raise InputError(f"{recording.name}: {where} {limit}; lower the LED's power and record again.")
 
 
 def spo2_csv(result: xr.Dataset) -> str:
