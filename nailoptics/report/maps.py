@@ -209,11 +209,12 @@ def draw_section(axes: "style.Axes", scene: Scene, result: xr.Dataset, *, led: i
 def _paths(axes: "style.Axes", cut: xr.DataArray, density: np.ndarray) -> None:
     """Where light passes, over three decades, and the densest places that hold half and 90 % of it."""
     from matplotlib.colors import LogNorm
+    from scipy.ndimage import gaussian_filter
 
     if not (inside := density[density > 0]).size:
         return
     # Single photons far from the board are noise; some smoothing joins them.
-    smooth = style.blurred(density, 1.5)
+    smooth = gaussian_filter(density, 1.5)
     relative = smooth / float(np.quantile(inside, 0.9995))
     faded = np.clip(np.log10(np.maximum(relative, 1e-9)) / DECADES + 1, 0, 1)
     image = axes.imshow(

@@ -191,15 +191,6 @@ def spread(places: Sequence[float], gap: float) -> np.ndarray:
     return result
 
 
-def blurred(values: np.ndarray, cells: float) -> np.ndarray:
-    """A map (n, m), which goes on beyond its edges as its mirror image, smoothed by a Gaussian of so many cells."""
-    for count in values.shape:
-        cell, weights = np.arange(count), np.exp(-np.square(np.arange(2 * count) / cells) / 2)
-        kernel = sum(weights[np.abs(cell[:, None] - at)] for at in (cell, -1 - cell, 2 * count - 1 - cell))
-        values = (kernel @ values / kernel.sum(1, keepdims=True)).T
-    return values
-
-
 def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
     """Write a figure, whole or not at all; the suffix of path says which kind (.png, .svg). Raises: WriteError."""
     data = BytesIO()
