@@ -7,7 +7,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import optics
-from nailoptics.light.transfer import rest_state
+from nailoptics.light.transfer.transfer import rest_state
 from nailoptics.scene import load_scene
 
 PHOTONS = 150_000

@@ -28,8 +28,9 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import NAMES, Backend, Name, activate, choose
 from ..optics import Media
-from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, out_of_time, run_until, share_of_time, unlit
+from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, run_until, unlit
 from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
+from ..tracing.trigger import out_of_time, share_of_time
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
 from . import mitsuba_scene

@@ -18,8 +18,9 @@ import numpy as np
 
 from ...scene import Accuracy, Scene
 from ...statistics import stderr_of_mean
-from ..transfer import MIN_EFFECTIVE_PHOTONS, photodiode_names, rest_state
+from ..transfer import photodiode_names
 from ..transfer.records import COLUMNS, LedTrace, joined
+from ..transfer.transfer import MIN_EFFECTIVE_PHOTONS, rest_state
 
 T = TypeVar("T")
 

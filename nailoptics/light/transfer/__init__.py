@@ -1,12 +1,3 @@
 """Traced light that can be read in any state of the blood: records, their sums, interpolation between states."""
 
-from .transfer import (
-    MIN_EFFECTIVE_PHOTONS,
-    ReweightWarning,
-    Transfer,
-    current_versions,
-    mean_of_leds,
-    photodiode_names,
-    provenance,
-    rest_state,
-)
+from .transfer import ReweightWarning, Transfer, current_versions, mean_of_leds, photodiode_names, provenance

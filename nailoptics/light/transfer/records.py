@@ -6,16 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ... import statistics
 from ...io import CorruptError
-from ...statistics import (
-    MIN_EFFECTIVE_TERMS,
-    Z95,
-    covariance_of_sums,
-    effective_count,
-    stderr_of_mean,
-    stderr_or_nan,
-    upper_limit_95,
-)
 
 # What is recorded of a photon for each photodiode that it, or a copy of it, reached.
 COLUMNS = ("photon", "photodiode", "weight", "path_mm")
@@ -83,12 +75,13 @@ class Moments:
     def stderr(self) -> np.ndarray:
         """Its standard error, (p,); NaN where it rests on fewer than 25 effective photons, as of mean paths and
         derivatives."""
-        return stderr_or_nan(stderr_of_mean(self.weight, self.square, self.photons), self.weight, self.square)
+        stderr = statistics.stderr_of_mean(self.weight, self.square, self.photons)
+        return statistics.stderr_or_nan(stderr, self.weight, self.square)
 
     @property
     def effective_photons(self) -> np.ndarray:
         """Effective number of detected photons (sum w)^2 / sum w^2, (p,)."""
-        return effective_count(self.weight, self.square)
+        return statistics.effective_count(self.weight, self.square)
 
     @property
     def error_photons(self) -> np.ndarray:
@@ -102,13 +95,13 @@ class Moments:
         mean = np.divide(self.path, total, out=np.full_like(self.path, np.nan), where=total > 0)
         spread = np.maximum(self.path_square - 2 * mean * self.path_cross + mean**2 * self.square[:, None], 0)
         stderr = np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
-        return mean, stderr_or_nan(stderr, self.path, self.path_square)
+        return mean, statistics.stderr_or_nan(stderr, self.path, self.path_square)
 
     @property
     def derivative(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivative of the fraction to each absorber's mu_a and its standard error, (p, r) each. [mm]"""
-        stderr = stderr_of_mean(self.path, self.path_square, self.photons)
-        return -self.path / self.photons, stderr_or_nan(stderr, self.path, self.path_square)
+        stderr = statistics.stderr_of_mean(self.path, self.path_square, self.photons)
+        return -self.path / self.photons, statistics.stderr_or_nan(stderr, self.path, self.path_square)
 
 
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:
@@ -193,16 +186,16 @@ class LedTrace:
         """Covariance of what `count` photodiodes detect at a state, as `moments` has it, (count, count) float."""
         weight = self.weight_at(mu_a, share)
         mean = np.bincount(self.photodiode, weight, minlength=count) / self.photons
-        square = covariance_of_sums(self.photon, self.photodiode, weight, count) / self.photons
+        square = statistics.covariance_of_sums(self.photon, self.photodiode, weight, count) / self.photons
         return np.asarray((square - np.outer(mean, mean)) / (self.photons - 1))
 
     def fractions(self, sums: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         """Fractions of the light that it emitted, each with its standard error, from such sums; of what rests on fewer
         than 25 effective photons at least that of the upper limit of what none showed."""
-        fractions, least = {}, upper_limit_95(self.photons) / Z95
+        fractions, least = {}, statistics.upper_limit_95(self.photons) / statistics.Z95
         for name, (total, square) in sums.items():
-            stderr = float(stderr_of_mean(total, square, self.photons))
-            few = effective_count(total, square) < MIN_EFFECTIVE_TERMS
+            stderr = float(statistics.stderr_of_mean(total, square, self.photons))
+            few = statistics.effective_count(total, square) < statistics.MIN_EFFECTIVE_TERMS
             fractions[name] = (total / self.photons, max(stderr, least) if few and self.photons > 1 else stderr)
         return fractions
 

@@ -13,18 +13,8 @@ import numpy as np
 from ... import hemodynamics, tissue
 from ...display import Displayed
 from ...light import backend as backends
+from ...paper import responses as paper
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
-from ...paper.responses import (
-    CURVE_PA,
-    N_PER_CM2,
-    ON_S,
-    PHASE_S,
-    STEPS_PA,
-    PeopleReadings,
-    Responses,
-    press,
-    simulate_responses,
-)
 from ...scene import Scene, load_scene
 from ...scene.catalogue import LedPart, load_part
 from ...studies import people as subjects
@@ -45,7 +35,7 @@ _VEINS_SHUT: Any = {"color": style.MUTED, "lw": 0.9, "ls": (0, (4, 3))}
 _READING = "change, Taylor (9) [rest blood]"
 _SIDES = ("proximal", "distal")
 # The phases of a step on and off, one after the other. [s]
-_TIME_S = np.concatenate([PHASE_S, ON_S + PHASE_S])
+_TIME_S = np.concatenate([paper.PHASE_S, paper.ON_S + paper.PHASE_S])
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,7 +58,7 @@ def figures(folder: str | Path, sets: Sequence[str] = (), *, colour: bool = True
     named = {name: hemodynamics.parameters(name) for name in sets or hemodynamics.NAMES}
     folder, claims_by_set, pictures = Path(folder), {}, []
     for name, parameters in named.items():
-        responses = simulate_responses(parameters)
+        responses = paper.simulate_responses(parameters)
         pictures += draw(folder, responses, name=name)
         claims_by_set[name] = evaluate(responses, name)
     pictures.append(draw_haemoglobins(folder))
@@ -119,7 +109,7 @@ def _cells(row: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
 
 
 @style.drawing()
-def draw(directory: Path, responses: Responses, *, name: str) -> list[Path]:
+def draw(directory: Path, responses: paper.Responses, *, name: str) -> list[Path]:
     """Draw the figures that a set of this name shows: hemodynamics_<name>_fig10.png, 11, 12, 15_to_18; their paths."""
     figures = {
         "10": ("Fig. 10: vessels under steps of proximal pressure", _figure_10),
@@ -150,48 +140,48 @@ def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "style.Figure
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     figure, axes = style.panels(_WIDTH_IN, 3.7, 1, 2)
-    colours: Any = colormaps["viridis_r"](np.linspace(0.12, 1.0, STEPS_PA.size))
+    colours: Any = colormaps["viridis_r"](np.linspace(0.12, 1.0, paper.STEPS_PA.size))
     for axis, (title, label, paths) in zip(axes, panels, strict=True):
-        axis.axvspan(0.0, ON_S, color="#f4f4f4", lw=0)
+        axis.axvspan(0.0, paper.ON_S, color="#f4f4f4", lw=0)
         for path, colour in zip(paths, colours, strict=True):
             axis.plot(_TIME_S, path, color=colour)
         axis.set(title=title, ylabel=label, xlabel="time [s]", xlim=(0.0, _TIME_S[-1]))
         axis.margins(y=0.1)
         here = axis.get_xaxis_transform()
-        axis.text(0.5 * ON_S, 0.985, "touch on", transform=here, ha="center", va="top", color=style.MUTED)
-    steps = STEPS_PA / N_PER_CM2
+        axis.text(0.5 * paper.ON_S, 0.985, "touch on", transform=here, ha="center", va="top", color=style.MUTED)
+    steps = paper.STEPS_PA / paper.N_PER_CM2
     half = 0.5 * (steps[1] - steps[0])
-    norm = BoundaryNorm(np.append(steps - half, steps[-1] + half), STEPS_PA.size)
+    norm = BoundaryNorm(np.append(steps - half, steps[-1] + half), paper.STEPS_PA.size)
     bar = figure.colorbar(ScalarMappable(norm, ListedColormap(colours)), ax=axes, ticks=steps[::3], pad=0.02)
     bar.set_label("pressure of the step [N/cm²]")
     bar.outline.set_visible(False)
     return figure
 
 
-def _figure_10(r: Responses) -> "style.Figure":
+def _figure_10(r: paper.Responses) -> "style.Figure":
     width = 1e6 * np.concatenate([r.proximal_on, r.proximal_off], axis=-1)
     capillaries = "Proximal capillaries", "$D_C + x_{C1}$ [µm]", width[0]
     return _steps_over_time([capillaries, ("Vein", "$D_V + x_V$ [µm]", width[2])])
 
 
-def _figure_11(r: Responses) -> "style.Figure":
+def _figure_11(r: paper.Responses) -> "style.Figure":
     blood = np.concatenate([r.both_on, r.both_off], axis=-1)
     change, label = 1.0 - blood / blood[:, :, :1], "change of $V_{{P{}}}$, Taylor (9) [rest blood]"
     readings = ("Proximal reading", "Distal reading")
     return _steps_over_time([(title, label.format(i + 1), change[i]) for i, title in enumerate(readings)])
 
 
-def _figure_12(r: Responses) -> "style.Figure":
+def _figure_12(r: paper.Responses) -> "style.Figure":
     figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
     for i, (axis, blood, side) in enumerate(zip(axes, r.alone, _SIDES, strict=True)):
         axis.axvline(1.0, **_VEINS_SHUT)
-        axis.plot(CURVE_PA / N_PER_CM2, 1.0 - blood, color=style.ZONES[i], lw=1.8)
+        axis.plot(paper.CURVE_PA / paper.N_PER_CM2, 1.0 - blood, color=style.ZONES[i], lw=1.8)
         label = f"$P_{{F{i + 1}}}$ alone [N/cm²]"
         axis.set(title=f"$V_{{P{i + 1}}}$, {side}", xlabel=label, ylabel=_READING, xlim=(0.0, 1.6))
     return figure
 
 
-def _touches(r: Responses) -> "style.Figure":
+def _touches(r: paper.Responses) -> "style.Figure":
     """Both readings over a cycle of force, loading and unloading, and over the subjects' step of force."""
     figure, axes = _touch_panels()
     for (side, over_time), axis in np.ndenumerate(axes):
@@ -200,8 +190,8 @@ def _touches(r: Responses) -> "style.Figure":
             axis.plot(_TIME_S, np.concatenate([r.press_on[side], r.press_off[side]], axis=-1), color=colour)
         else:
             loading, unloading = r.cycle[side]
-            axis.plot(CURVE_PA / N_PER_CM2, loading, color=colour, label="loading")
-            axis.plot(CURVE_PA / N_PER_CM2, unloading, color=colour, ls="--", label="unloading")
+            axis.plot(paper.CURVE_PA / paper.N_PER_CM2, loading, color=colour, label="loading")
+            axis.plot(paper.CURVE_PA / paper.N_PER_CM2, unloading, color=colour, ls="--", label="unloading")
             gap = np.abs(unloading - loading).max() / np.ptp(r.cycle[side])
             axis.legend(title=f"hysteresis {gap:.1%} of the range")
         axis.set_ylabel(_READING)
@@ -212,15 +202,15 @@ def _touch_panels() -> "tuple[style.Figure, Any]":
     """Panels for Figs. 15 to 18: a side in each row, over force and over time."""
     figure, axes = style.panels(_WIDTH_IN, 7.4, 2, 2)
     for (side, over_time), axis in np.ndenumerate(axes):
-        axis.axvline(ON_S if over_time else 1.0, **_VEINS_SHUT)
-        touch = f"1 N until {ON_S:g} s" if over_time else "mean of 3 cycles"
+        axis.axvline(paper.ON_S if over_time else 1.0, **_VEINS_SHUT)
+        touch = f"1 N until {paper.ON_S:g} s" if over_time else "mean of 3 cycles"
         axis.set_title(f"Fig. {15 + 2 * side + over_time}: force on the {_SIDES[side]} pulp, {touch}")
         axis.set_xlabel("time [s]" if over_time else "force [N]")
     return figure, axes
 
 
 @style.drawing()
-def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scene]) -> Path:
+def draw_people(directory: Path, readings: paper.PeopleReadings, scenes: Sequence[Scene]) -> Path:
     """Draw Figs. 15 to 18 of people, coloured by their melanin, into a folder and return their path."""
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -229,8 +219,9 @@ def draw_people(directory: Path, readings: PeopleReadings, scenes: Sequence[Scen
     figure, axes = _touch_panels()
     melanin = [scene.finger.melanin_fraction for scene in scenes if scene.finger]
     norm, skins = LogNorm(min(melanin), max(melanin)), colormaps["copper_r"]
-    static = CURVE_PA / N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
-    dynamic = press().time_s, np.append(readings.press_on, readings.press_off[..., 1:], axis=-1), readings.press_fit
+    static = paper.CURVE_PA / paper.N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
+    press = np.append(readings.press_on, readings.press_off[..., 1:], axis=-1)
+    dynamic = paper.press().time_s, press, readings.press_fit
     for (side, column), axis in np.ndenumerate(axes):
         x, people, fits = dynamic if column else static
         changes, fit, colour = 100.0 * people[side], 100.0 * fits[side].mean(axis=0), style.ZONES[side]

@@ -353,7 +353,10 @@ class KalmanFilter:
             innovation_by_state = jacobian @ self.mode_covariance
             innovation_covariance = innovation_by_state @ jacobian.T
             if iteration == 0:
-                mode_nis, log_likelihood = _likelihood(innovation, innovation_covariance + measurement_noise)
+                root = np.linalg.cholesky(innovation_covariance + measurement_noise)
+                columns = np.broadcast_to(innovation[:, None], (len(root), len(innovation), 1))
+                mode_nis = (np.linalg.solve(root, columns) ** 2).sum((1, 2))
+                log_likelihood = -0.5 * mode_nis - np.log(np.einsum("mii->mi", root)).sum(1)
                 probability = probability * np.exp(log_likelihood - log_likelihood.max())
                 probability /= probability.sum()
                 nis = float(probability @ mode_nis)
@@ -396,14 +399,6 @@ def estimate_pressures(subject: Subject, time_s: Array, volts: Array) -> Pressur
     """Estimates of samples (T,) from volts (R, T)."""
     kalman, since_s = KalmanFilter(subject), [None, *np.diff(time_s)]
     return stacked(kalman.update_sample(*sample) for sample in zip(volts.T, since_s, strict=True))
-
-
-def _likelihood(innovation: Array, innovation_covariance: Array) -> tuple[Array, Array]:
-    """Normalized innovations squared (M,) and log-likelihoods of an innovation (r,) of covariances (M, r, r)."""
-    root = np.linalg.cholesky(innovation_covariance)
-    columns = np.broadcast_to(innovation[:, None], (len(root), len(innovation), 1))
-    nis = (np.linalg.solve(root, columns) ** 2).sum((1, 2))
-    return nis, -0.5 * nis - np.log(np.einsum("mii->mi", root)).sum(1)
 
 
 @lru_cache

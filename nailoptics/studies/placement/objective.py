@@ -13,18 +13,8 @@ from ...errors import NotReachedError
 from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
+from ...sensor import information as sensor_information
 from ...sensor.front_end import AVERAGE_S, oximeter_leds
-from ...sensor.information import (
-    OperatingPoint,
-    Response,
-    fisher_information,
-    force_resolution_n,
-    over_fingers,
-    physiological_noise_force_n,
-    pressure_information,
-    share_resolution,
-    total_information,
-)
 from ...statistics import Array, fewer_groups, jackknife, t95
 from ..force.touch_error import TouchError
 from . import boards
@@ -64,7 +54,7 @@ class Spo2Objective:
     log_ratio_per_percent: float
     frames: float
 
-    def relative_variance(self, finger: int, led: int, read: Response) -> Array:
+    def relative_variance(self, finger: int, led: int, read: sensor_information.Response) -> Array:
         """Variance of the height of an LED's pulse in one reading over its square; 0 of LEDs that measure no oxygen.
 
         It is infinite where the converter is at its limit.
@@ -115,17 +105,17 @@ class Objective:
     """
 
     rules: Placement
-    points: Sequence[OperatingPoint]
+    points: Sequence[sensor_information.OperatingPoint]
     oxygen: Spo2Objective | None = None
     filters: Sequence[TouchError] = ()
     filter_groups: int = 8
     waves_left: float = 1.0
 
-    def columns(self, finger: int, led: int, read: Response) -> Array:
+    def columns(self, finger: int, led: int, read: sensor_information.Response) -> Array:
         """Columns of photodiodes for one LED, (..., c) float: the `fisher_information` [Pa^-2] and, with an oxygen
         objective, the relative variance of the LED's pulse [1].
         """
-        information = fisher_information(read)
+        information = sensor_information.fisher_information(read)
         if self.oxygen is None:
             return information
         variance = self.oxygen.relative_variance(finger, led, read)
@@ -142,7 +132,7 @@ class Objective:
                 sums[..., -1] = (oxygen.log_ratio_per_percent * shape_rms) ** 2 * oxygen.frames / sums[..., -1]
         return np.asarray(total)
 
-    def total(self, responses: Sequence[Sequence[Response]]) -> Array:
+    def total(self, responses: Sequence[Sequence[sensor_information.Response]]) -> Array:
         """Information of all photodiodes and LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
         by_led = [
             np.stack([self.columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
@@ -159,7 +149,7 @@ class Objective:
         if name == "oxygen":
             with np.errstate(divide="ignore"):
                 return self.over(1 / np.sqrt(total[..., -1]), name)
-        resolution = share_resolution if name == "share" else force_resolution_n
+        resolution = sensor_information.share_resolution if name == "share" else sensor_information.force_resolution_n
         information = total if self.oxygen is None else total[..., :-1]
         if name == "force" and self.waves_left < 1 and self.points[0].body is not None:
             part = np.ones(math.isqrt(2 * information.shape[-1]))
@@ -171,7 +161,8 @@ class Objective:
     def over(self, resolution: Array, name: str | None = None) -> Array:
         """One resolution, as of `value`, for all fingers or people, (fingers, ...) -> (...); name : the force's."""
         rules = self.rules
-        return over_fingers(resolution, name or rules.over_fingers, people=rules.people, quantile=rules.quantile)
+        people, quantile, over = rules.people, rules.quantile, name or rules.over_fingers
+        return sensor_information.over_fingers(resolution, over, people=people, quantile=quantile)
 
     def score(self, total: Array, over_touches_n: Array | None = None) -> Array:
         """What layouts are ranked by, (fingers, ..., n) -> (...): the weighted geometric mean of the values, or the
@@ -188,7 +179,9 @@ class Objective:
             logs = [weight * np.log(values[name]) for name, weight in weights.items()]
         return np.asarray(np.exp(np.sum(logs, axis=0)))
 
-    def force_over_touches(self, responses: Sequence[Sequence[Response]]) -> "ForceResolution | None":
+    def force_over_touches(
+        self, responses: Sequence[Sequence[sensor_information.Response]]
+    ) -> "ForceResolution | None":
         """Error of the force that a filter estimates over touches, by finger and LED (1 + blocks, photodiodes); None
         where it does not count."""
         if not self.filters:
@@ -262,7 +255,7 @@ class LayoutScore:
     electronics: ForceResolution
     over_touches: ForceResolution | None
     information_per_pa2: Array
-    responses: list[list[Response]]
+    responses: list[list[sensor_information.Response]]
     share: Array
     spo2_percent: Array | None
     ranked: Array
@@ -311,19 +304,19 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     responses = cache.read(layout.scene, layout.board, len(points))
     total = objective.total(responses)
     information = total if objective.oxygen is None else total[..., :-1]
-    still = [total_information(by_led, electronics_alone=True) for by_led in responses]
+    still = [sensor_information.total_information(by_led, electronics_alone=True) for by_led in responses]
     through, alone = (
-        np.stack([force_resolution_n(*both) for both in zip(matrix, points, strict=True)], 1)
+        np.stack([sensor_information.force_resolution_n(*both) for both in zip(matrix, points, strict=True)], 1)
         for matrix in (information, still)
     )
-    floors_n = np.array([physiological_noise_force_n(point) for point in points])
+    floors_n = np.array([sensor_information.physiological_noise_force_n(point) for point in points])
     over_touches, ranked_total = objective.force_over_touches(responses), total
     if over_touches is not None:
         ranked_total = np.stack([fewer_groups(of_finger, objective.filter_groups) for of_finger in total])
     return LayoutScore(
         force=ForceResolution(through, floors_n, objective),
         electronics=ForceResolution(alone, np.zeros(len(points)), objective),
-        information_per_pa2=np.stack([pressure_information(matrix) for matrix in information], 1),
+        information_per_pa2=np.stack([sensor_information.pressure_information(matrix) for matrix in information], 1),
         responses=responses,
         share=objective.value("share", total),
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),

@@ -12,14 +12,7 @@ from ...light.board_map import Arrivals
 from ...light.identity import light_digest, light_scene
 from ...scene import FingerCase, Placement, Prior, Scene
 from ...scene.priors import size_priors
-from ...sensor.information import (
-    OperatingPoint,
-    force_resolution_n,
-    operating_point,
-    over_fingers,
-    scene_responses,
-    total_information,
-)
+from ...sensor import information as sensor_information
 from ...statistics import Z95, jackknife, left_out
 from ...variables import described, jackknifed
 from ..prior_uncertainty import (
@@ -91,7 +84,7 @@ def over_people(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore
     reasons = {i: _reason(resolution, layouts[i], people[worst[i]]) for i in explained}
     data = described(
         __package__,
-        median_resolution_n=jackknifed(over_fingers(by_person, "", len(people), 0.5)),
+        median_resolution_n=jackknifed(sensor_information.over_fingers(by_person, "", len(people), 0.5)),
         worst_resolution_n=by_person[worst, 0, np.arange(len(layouts))],
         worst_person=[people[k].name for k in worst],
         worst_reason=[reasons.get(i, "") for i in range(len(layouts))],
@@ -128,7 +121,7 @@ class _Resolution:
 
     rules: Placement
     cache: PhotonMapCache
-    points: dict[Any, OperatingPoint] = field(default_factory=dict)
+    points: dict[Any, sensor_information.OperatingPoint] = field(default_factory=dict)
     light: dict[tuple[str, int], list[Arrivals]] = field(default_factory=dict)
 
     def over_priors(self, layout: CandidateLayout, priors: Sequence[Prior]) -> tuple[np.ndarray, np.ndarray]:
@@ -141,19 +134,19 @@ class _Resolution:
         ]
         over = self.rules.over_fingers
         nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
-        return np.log(over_fingers(nodes, over)), np.log(over_fingers(base, over))
+        return np.log(sensor_information.over_fingers(nodes, over)), np.log(sensor_information.over_fingers(base, over))
 
     def of(self, layout: CandidateLayout, case: FingerCase | boards.Person, scene: Scene) -> np.ndarray:
         """Force resolution on one finger changed to a scene, (1 + blocks,) float. [N]"""
         finger = scene.finger, scene.blood, scene.body, scene.touch
         if finger not in self.points:
-            touch = operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
+            touch = sensor_information.operating_point(scene, self.rules.force_n, since_rest_s=self.rules.since_rest_s)
             self.points[finger] = touch
         point, areas, leds = self.points[finger], layout.scene.layout.photodiode_areas, range(len(scene.leds))
         batches = (self._arrivals(layout, scene, case, led) for led in leds)
         by_led = (recorded(light, scene, led, point, areas, BLOCKS) for led, light in enumerate(batches))
-        read = scene_responses(layout.scene, map(left_out, by_led), point, replicates=True)
-        return force_resolution_n(total_information(read), point)
+        read = sensor_information.scene_responses(layout.scene, map(left_out, by_led), point, replicates=True)
+        return sensor_information.force_resolution_n(sensor_information.total_information(read), point)
 
     def _arrivals(
         self, layout: CandidateLayout, scene: Scene, case: FingerCase | boards.Person, led: int
