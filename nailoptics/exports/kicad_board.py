@@ -13,6 +13,7 @@ from ..scene.importers.board_files import View, read_board_file
 from ..scene.importers.kicad import moved_board, read_board, write_board
 from ..scene.importers.outlines import Outline
 from ..scene.importers.positions import PlacedPart
+from ..scene.parts import ROOM
 from ..scene.rectangles import turned
 from ..studies.placement.result import kicad_parts, outline
 
@@ -78,7 +79,8 @@ def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:
         length_mm = part.size_mm[1] + (getattr(part, "elements", 1) - 1) * (getattr(part, "pitch_mm", None) or 0.0)
         package = f"{'LED' if isinstance(part, Led) else 'PD'}_{part.size_mm[0]:g}x{length_mm:g}mm"
         at = view.place_in_file(part.position_mm), view.angle_in_file(part.rotation_deg), str(scene.board.faces_nail)
-        added.append((PlacedPart(str(part.reference), part.name, package, *at), (part.size_mm[0], length_mm)))
+        own: dict[str, Any] = {room: view.box(box) for room in ROOM if (box := getattr(part, room))}
+        added.append((PlacedPart(str(part.reference), part.name, package, *at, **own), (part.size_mm[0], length_mm)))
     return scene, moved_board(path, places, added)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..geometry.build import LED_LIGHT
 from ..scene import Photodiode, Scene, digest
 from ..scene.finger import ABSORBING
-from ..scene.parts import ELECTRICAL, BoardFile
+from ..scene.parts import ELECTRICAL, ROOM, BoardFile
 
 
 def light_scene(scene: Scene) -> Scene:
@@ -18,10 +18,11 @@ def light_scene(scene: Scene) -> Scene:
     width come after it; and the fingers and boards of a search for a layout are not those of its scene.
     """
     blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
-    usual: dict[str, Any] = dict.fromkeys(("reference", "part", "current_ma", "max_current_ma"))
+    usual: dict[str, Any] = dict.fromkeys((*ROOM, "reference", "part", "current_ma", "max_current_ma"))
     usual |= {"flux_mw": 1.0, "fwhm_nm": 0.0}
     leds = tuple(led.model_copy(update=usual | {"name": f"led{i}"}) for i, led in enumerate(scene.leds))
-    usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL} | {"reference": None, "part": None}
+    usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL}
+    usual |= dict.fromkeys((*ROOM, "reference", "part"))
     photodiodes = tuple(
         p.model_copy(update=usual | {"name": f"photodiode{i}"}) for i, p in enumerate(scene.photodiodes)
     )

@@ -5,7 +5,7 @@ import inspect
 import itertools
 import textwrap
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -123,3 +123,11 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$", max_length=40
 Point = tuple[float, float]
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3)]
 Size = tuple[Positive, Positive]
+
+# Two opposite corners of a rectangle.
+Box = tuple[float, float, float, float]
+
+
+def shifted(lines: Iterable[Polygon], by: Point) -> tuple[Polygon, ...]:
+    """Lines on a board elsewhere. [mm]"""
+    return tuple(tuple((x + by[0], y + by[1]) for x, y in line) for line in lines)

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from .base import Polygon
+from .base import Point, Polygon, shifted
 from .finger import Finger
 from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
@@ -92,6 +92,21 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     return Layout(outline, dies, tuple(wired), tuple(unwired), height_um, barriers, border)
 
 
+def room_of(part: Led | Photodiode, center_mm: Point, spare_mm: float = 0.0) -> Rectangle:
+    """What a part takes of a board where it has its centre: its courtyard, and its body, or its dies where none is
+    known, with so much beside it. [mm]"""
+    u, v = part.size_mm
+    if isinstance(part, Photodiode):
+        v += (part.elements - 1) * (part.pitch_mm or v)
+    boxes = [(-u / 2, -v / 2, u / 2, v / 2), *([part.body_mm] if part.body_mm else [])]
+    corners = np.concatenate([np.reshape(boxes, (-1, 2)) + sign * spare_mm for sign in (-1, 1)])
+    corners = np.concatenate([corners, np.reshape(part.courtyard_mm or (), (-1, 2))])
+    low, high = corners.min(0), corners.max(0)
+    aside = turned(tuple(((low + high) / 2).tolist()), part.rotation_deg)
+    place = center_mm[0] + aside[0], center_mm[1] + aside[1]
+    return Rectangle.around(part.name, place, tuple((high - low).tolist()), part.rotation_deg)
+
+
 def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[str, Rectangle], tuple[str, Rectangle]]]:
     """Pairs of parts whose boxes along the axes overlap: of a thousand parts few of half a million."""
     low, high = (np.array([[getattr(r, f"{axis}_{end}") for axis in "uv"] for _, r in parts]) for end in ("min", "max"))
@@ -102,10 +117,10 @@ def _side_by_side(parts: list[tuple[str, Rectangle]]) -> Iterator[tuple[tuple[st
 
 def _border(board: Board) -> Border:
     """The drawn border and its holes, in nail coordinates; none of a board without a drawing, or a rectangle. [mm]"""
-    lines, (du, dv) = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm else (), board.center_mm
+    lines = (board.outline_mm, *board.outline_holes_mm) if board.outline_mm else ()
     if len(lines) == 1 and np.prod(np.ptp(lines[0], axis=0)) - abs(area_mm2(lines[0])) < ROUNDING_MM:
         return ()
-    return tuple(tuple((u + du, v + dv) for u, v in line) for line in lines)
+    return shifted(lines, board.center_mm)
 
 
 def _outline(board: Board, border: Border, parts: list[tuple[str, Rectangle]], finger: Finger) -> Rectangle:

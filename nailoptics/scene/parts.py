@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
+from .base import Box, Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
@@ -29,6 +29,8 @@ ELECTRICAL = (
     "capacitance_pf",
     "feedback_ohm",
 )
+# What a part takes of the board beside its die.
+ROOM = ("body_mm", "courtyard_mm")
 # Where a part's dark current is given. [K]
 USUAL_TEMPERATURE_K = 298.15
 
@@ -71,6 +73,16 @@ class Mounted(Table):
     """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
     height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
     """Height by which its face protrudes from the board's underside. [um]"""
+    body_mm: Box | None = None
+    """Box around its body and pads, (u_min, v_min, u_max, v_max) from its position, before its rotation; filled from
+    kicad. [mm]"""
+    courtyard_mm: Box | None = None
+    """Box around its courtyard, on which no other part may lie, likewise; filled from kicad. [mm]"""
+
+    @property
+    def has_package(self) -> bool:
+        """Whether more than its die takes room on the board."""
+        return self.body_mm is not None or self.courtyard_mm is not None
 
 
 class Led(Mounted):
@@ -205,6 +217,9 @@ class BoardFile(Table):
     """Unit of a position file that does not state it, such as KiCad's CSV; mm if not given."""
     unmapped: tuple[str, ...] | None = None
     """References of the file that are no part of the scene; filled from it."""
+    taken_mm: tuple[Polygon, ...] | None = None
+    """Corners of the room that each of these takes on the nail's side of the board, from the board's origin, which
+    place keeps free; filled from kicad. [mm]"""
 
     def __hash__(self) -> int:  # parts is a dict; layouts are looked up by their board
         return hash(tuple(value for name, value in self.__dict__.items() if name != "parts"))

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field
 
 from ..errors import InputError
-from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique
+from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique, shifted
 from .finger import DermisAbsorption
 from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
@@ -161,7 +161,7 @@ class Placement(Table):
             return data  # which its fields refuse
         outline = read_outline(Path(folder or Path()) / data["outline"], unit_mm=UNITS_MM[unit])
         x, y = middle(outline.corners_mm) if origin == "middle" else origin
-        corners, *holes = (tuple((a - x, b - y) for a, b in line) for line in (outline.corners_mm, *outline.holes_mm))
+        corners, *holes = shifted((outline.corners_mm, *outline.holes_mm), (-x, -y))
         return data | {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
 
     def _check(self) -> None:

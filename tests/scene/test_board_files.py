@@ -327,7 +327,7 @@ def test_a_search_keeps_to_the_boards_own_outline_and_off_its_holes(tmp_path):
     assert base.board.size_mm == (8.0, 9.0) and base.board.center_mm == (0.5, -0.5)
     assert boards.rules(base).outline_mm == rules.outline_mm and min(y for _, y in rules.outline_mm) == -5
     # The hole lies 2 to 3 mm right of the origin and up to 1 mm above it, all moved by 0.5 mm; parts keep 0.3 mm off.
-    free = Sites(base, rules).photodiode_places([], boards.bare_board(base).layout.leds).centers_mm
+    free = Sites(base, rules).photodiode_places([], {0: Sites(base, rules).place_of(0)}).centers_mm
     near = free[(abs(free[:, 0] - 3.0) < 0.5 + 0.5 + 0.3 - 1e-6) & (abs(free[:, 1] - 0.25) < 0.75 + 0.25 + 0.3 - 1e-6)]
     assert len(free) > 100 and len(near) == 0 and free[:, 0].max() == pytest.approx(4.5 - 0.3 - 0.5, abs=0.25)
 
@@ -352,7 +352,7 @@ def test_a_written_board_keeps_the_references_of_its_file(tmp_path):
     scene = load_scene(path)
     assert [(p.ref, p.value) for p in result.kicad_parts(scene)] == [("D1", "led_660"), ("PD1", "left")]
     base, computed = boards.base_board(scene), [Rectangle("", u - 0.25, u + 0.25, 1.0, 2.0) for u in (0.0, 1.0, 2.0)]
-    best = candidates.searched(base, boards.rules(scene), [(-2.0, 1.0)], computed, side=None, name="search")
+    best = candidates.searched(base, boards.rules(scene), [(-2.0, 1.0)], computed, wall=None, name="search")
     # The file's one photodiode, at u = 1 mm, goes to the nearest place; names and references of the others are new.
     assert [(one.name, one.reference) for one in best.photodiodes] == [("PD2", None), ("left", "PD1"), ("PD3", None)]
     parts = result.kicad_parts(best)

@@ -78,7 +78,7 @@ def board(tmp_path, text):
 def test_parts_and_outline_are_read_alike_of_every_version(tmp_path, text):
     result = board(tmp_path, text)
     led, hole = result.footprints
-    assert replace(led, pads_middle_mm=(0.0, 0.0)) == PlacedPart(
+    assert replace(led, pads_middle_mm=(0.0, 0.0), body_mm=None) == PlacedPart(
         "D1", "660nm", "LED_SMD:LED_0603", (103.0, -102.0), 30.0, "bottom"
     )
     assert (hole.ref, hole.side) == ("REF**", "top") and result.auxiliary_mm == (105.0, -104.0)

@@ -3,19 +3,20 @@
 import logging
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...assets import data_dir
 from ...errors import InputError
-from ..base import Point
+from ..base import Box, Point
 from ..catalogue import ModulePart, load_part
 from ..rectangles import area_mm2, turned
 from ..text_files import number_columns, read_rows, read_text
 from .kicad import KicadBoard, read_board
-from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, dxf_lines, is_number, is_point, join, middle
+from .outlines import LEAST_AREA_MM2, SAME_PLACE_MM, Outline, around, dxf_lines, is_number, is_point, join, middle
 from .positions import READING, PlacedPart, read_positions, warn_of_bottom
 
 log = logging.getLogger(__name__)
@@ -67,6 +68,10 @@ class View:
         u, v = turned((-x if self.mirrored else x, y), self.turn_deg)
         return round(u, 9), round(v, 9)
 
+    def box(self, box: Box) -> Box:
+        """A box in a part's own frame, seen from the board's top, in its frame on the nail; and back. [mm]"""
+        return (-box[2], box[1], -box[0], box[3]) if self.mirrored else box
+
     def angle(self, rotation_deg: float) -> float:
         """An angle seen from the board's top, as it is on the nail. [deg]"""
         return round(((-rotation_deg if self.mirrored else rotation_deg) + self.turn_deg) % 360, 9)
@@ -113,6 +118,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     own: dict[str, Any] = {"unmapped": tuple(part.ref for part in placed if part.ref not in uses)}
     # A layout goes back into a board of KiCad.
     own |= {"parts": None} if board is None else view.fields
+    own["taken_mm"] = tuple(_taken([part for part in placed if part.ref not in uses], mapped, side, view)) or None
     # Where a size is given, it takes the place of the file's outline.
     if whole is not None and not {"outline_mm", "size_mm"} & table.keys():
         border, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
@@ -121,6 +127,25 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
     if FILM_UM[0] <= film_um <= FILM_UM[1] and "kapton_um" not in table:
         own["kapton_um"] = film_um
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), own)
+
+
+def _taken(
+    others: Sequence[PlacedPart], mapped: Sequence[PlacedPart], side: str, view: View
+) -> Iterator[tuple[Point, ...]]:
+    """Corners of the room that a board's other parts take on the side of the nail, as far as a nail may reach; a part
+    in whose room mapped ones were drawn leaves it to them."""
+    for part in others:
+        boxes = [part.beyond_mm] if part.side != side else [part.body_mm, part.courtyard_mm]
+        if (room := around([point for box in boxes if box for point in (box[:2], box[2:])])) is None:
+            continue
+        (x, y), (a, b, c, d) = part.position_mm, room
+        inside = (turned((m.position_mm[0] - x, m.position_mm[1] - y), -part.rotation_deg) for m in mapped)
+        if any(a < u < c and b < v < d for u, v in inside):
+            continue
+        corners = (turned(corner, part.rotation_deg) for corner in ((a, b), (c, b), (c, d), (a, d)))
+        places = tuple(view.place((x + u, y + v)) for u, v in corners)
+        if min(max(map(abs, place)) for place in places) < NAIL_REACH_MM:
+            yield places
 
 
 def _name(table: Mapping[str, Any]) -> str:
@@ -242,10 +267,16 @@ def _tables(
 
     def table(name: str, ref: str, at: Point, fields: dict[str, Any]) -> dict[str, Any]:
         # A footprint on the bottom is that of the library turned over around its x axis; the file's pads are, too.
-        x, y = turned((pads[0] + at[0], pads[1] + (-at[1] if part.side == "bottom" else at[1])), part.rotation_deg)
+        aside = pads[0] + at[0], pads[1] + (-at[1] if part.side == "bottom" else at[1])
+        x, y = turned(aside, part.rotation_deg)
         place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
         angle = view.angle(part.rotation_deg + more_deg)
-        return {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle} | fields
+        drawn: dict[str, Any] = {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle}
+        for room, box in (("body_mm", part.body_mm), ("courtyard_mm", part.courtyard_mm)):
+            points = product(box[::2], box[1::2]) if box else ()
+            if own := around([turned((a - aside[0], b - aside[1]), -more_deg) for a, b in points]):
+                drawn[room] = tuple(round(edge, 9) for edge in view.box(own))
+        return drawn | fields
 
     if kind == "module":
         module = load_part(str(use[kind]), beside=folder, expect=ModulePart)

@@ -14,10 +14,10 @@ import numpy as np
 
 from ...errors import InputError
 from ...io import write_text
-from ..base import Point, Polygon
+from ..base import Box, Point, Polygon
 from ..rectangles import turned
 from ..text_files import read_text
-from .outlines import FLAT_MM, Outline
+from .outlines import FLAT_MM, Outline, around, middle
 from .positions import PlacedPart
 
 EDGE = "Edge.Cuts"
@@ -106,7 +106,7 @@ def _point(tree: Sequence[Any], name: str) -> Point:
 
 
 def _board(tree: list[Any]) -> KicadBoard:
-    footprints, edges = [], [line for item in tree if (line := _edge(item, "gr_"))]
+    footprints, edges = [], [line for item in tree if (line := _line(item, "gr_"))]
     rows = [row for row in next(_all(tree, "layers"), Item()) if isinstance(row, list) and "user" not in row[2:3]]
     # The bottom's copper is the last; up to version 5 items call it what its user did.
     back = {"B.Cu", *(str(row[1]) for row in rows[-1:])}
@@ -118,9 +118,9 @@ def _board(tree: list[Any]) -> KicadBoard:
         ref, value = (texts.get(name, texts.get(name.lower(), "")) for name in ("Reference", "Value"))
         side = "bottom" if next(_all(item, "layer"), ["", "F.Cu"])[1] in back else "top"
         populated = "dnp" not in next(_all(item, "attr"), Item())
-        part = PlacedPart(ref, value, str(item[1]), (x, -y), angle, side, _pads_middle(item, angle), populated)
-        footprints.append(part)
-        for line in filter(None, (_edge(shape, "fp_") for shape in item)):
+        boxes = _boxes(item, angle, "B" if side == "bottom" else "F")
+        footprints.append(PlacedPart(ref, value, str(item[1]), (x, -y), angle, side, *boxes, populated))
+        for line in filter(None, (_line(shape, "fp_") for shape in item)):
             moved = (turned(point, angle) for point in line)
             edges.append(tuple((a + x, b - y) for a, b in moved))
     setup = next(_all(tree, "setup"), Item())
@@ -133,26 +133,39 @@ def _board(tree: list[Any]) -> KicadBoard:
     return KicadBoard(tuple(footprints), tuple(edges), auxiliary, grid, thickness_mm)
 
 
-def _pads_middle(footprint: list[Any], angle_deg: float) -> Point:
-    """Middle of the box around a footprint's pads, before its rotation; its position where it has none. [mm]"""
-    corners = []
-    for pad in _all(footprint, "pad"):
+def _boxes(footprint: list[Any], angle_deg: float, side: str) -> tuple[Point, Box | None, Box | None, Box | None]:
+    """Middle of a footprint's pads, its position where it has none, and the boxes around its body with the pads, its
+    courtyard, and what it takes of the board's other side, before its rotation. [mm]
+
+    side : F or B.
+    """
+    other = "F" if side == "B" else "B"
+    pads, drilled = (_pads(footprint, angle_deg, *kinds) for kinds in ((), ("thru_hole", "np_thru_hole")))
+    body, courtyard, beyond = (
+        [point for shape in footprint for point in _line(shape, "fp_", layer)]
+        for layer in (f"{side}.Fab", f"{side}.CrtYd", f"{other}.CrtYd")
+    )
+    boxes = around([*body, *pads]), around(courtyard), around([*beyond, *drilled])
+    return middle(pads) if pads else (0.0, 0.0), *boxes
+
+
+def _pads(footprint: list[Any], angle_deg: float, *kinds: str) -> list[Point]:
+    """Corners of the boxes around a footprint's pads of some kinds, or all, before its rotation. [mm]"""
+    corners: list[Point] = []
+    for pad in (pad for pad in _all(footprint, "pad") if not kinds or pad[2] in kinds):
         x, y, pad_deg = (*_numbers(pad, "at"), 0.0)[:3]
         width, height = (*_numbers(pad, "size"), 0.0, 0.0)[:2]
         c, s = (abs(f(math.radians(pad_deg - angle_deg))) for f in (math.cos, math.sin))
-        half = np.array([width * c + height * s, width * s + height * c]) / 2
-        corners += [np.array([x, -y]) - half, np.array([x, -y]) + half]
-    if not corners:
-        return 0.0, 0.0
-    a, b = (np.min(corners, axis=0) + np.max(corners, axis=0)) / 2
-    return float(a), float(b)
+        u, v = (width * c + height * s) / 2, (width * s + height * c) / 2
+        corners += [(x - u, -y - v), (x + u, v - y)]
+    return corners
 
 
-def _edge(item: Any, kind: str) -> Polygon:
-    """The line that an item draws on the outline's layer; none if it draws elsewhere."""
+def _line(item: Any, kind: str, layer: str = EDGE) -> Polygon:
+    """The line that an item draws on a layer, the outline's if not given; none if it draws elsewhere."""
     if not (isinstance(item, list) and item and str(item[0]).startswith(kind)):
         return ()
-    shape = str(item[0]).removeprefix(kind) if next(_all(item, "layer"), ["", ""])[1] == EDGE else ""
+    shape = str(item[0]).removeprefix(kind) if next(_all(item, "layer"), ["", ""])[1] == layer else ""
     if shape == "line":
         return _point(item, "start"), _point(item, "end")
     if shape == "rect":
@@ -293,13 +306,15 @@ def _filled(template: str, fields: Mapping[str, str]) -> str:
 
 def _footprint(part: PlacedPart, size_mm: Point, place: str) -> str:
     side, (u, v) = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
+    body = part.body_mm or (-u, -v, u, v)
     # Its two pads lie along its longer side.
     along, across = (1 - PAD_SHARE) * max(u, v), PAD_SHARE * 2 * max(u, v)
     fields = {name: _quoted(getattr(part, name)) for name in ("package", "ref", "value")}
     fields |= {f"tstamp_{name}": _stamp(part.ref, name) for name in ("reference", "value", "Fab", "CrtYd", 1, 2)}
     fields |= {"tstamp": _stamp(part.ref), "side": side, "place": place, "angle": f"{part.rotation_deg:.9g}"}
     fields["font"] = f"(effects (font (size 0.3 0.3) (thickness 0.05)){' (justify mirror)' if side == 'B' else ''})"
-    fields["corners"] = f"(start {-u:.9g} {-v:.9g}) (end {u:.9g} {v:.9g})"
+    for layer, box in (("body", body), ("courtyard", part.courtyard_mm or body)):
+        fields[layer] = f"(start {_place(box[:2])}) (end {_place(box[2:])})"
     fields["first"], fields["second"], fields["pad"] = (
         (f"0 {-along:.9g}", f"0 {along:.9g}", f"{2 * u:.9g} {across:.9g}")
         if v > u

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...io import write_text
-from ..base import Point, Polygon
+from ..base import Box, Point, Polygon
 from ..rectangles import area_mm2
 from ..text_files import read_bytes
 
@@ -63,6 +63,12 @@ def middle(points: Sequence[Point]) -> Point:
     """The middle of the box around points. [mm]"""
     xs, ys = zip(*points, strict=True)
     return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+
+
+def around(points: Sequence[Point]) -> Box | None:
+    """The box around points; None where that has no area. [mm]"""
+    xs, ys = zip(*points, strict=True) if points else ((0.0,), (0.0,))
+    return (min(xs), min(ys), max(xs), max(ys)) if min(xs) < max(xs) and min(ys) < max(ys) else None
 
 
 def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> list[Polygon]:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from ...assets import read_toml
 from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
+from ..base import Box
 from ..text_files import read_text, short
 
 log = logging.getLogger(__name__)
@@ -38,6 +39,8 @@ class PlacedPart:
 
     rotation_deg : Against the clock, seen from the top, on either side. [deg]
     pads_middle_mm : Middle of its pads, from its position, before its rotation. [mm]
+    body_mm, courtyard_mm, beyond_mm : Boxes around its body and pads, its courtyard, and what it takes of the board's
+        other side, likewise; None where its file does not draw them. [mm]
     populated : Whether it is fitted; False of parts marked DNP.
     """
 
@@ -48,6 +51,9 @@ class PlacedPart:
     rotation_deg: float
     side: str
     pads_middle_mm: tuple[float, float] = (0.0, 0.0)
+    body_mm: Box | None = None
+    courtyard_mm: Box | None = None
+    beyond_mm: Box | None = None
     populated: bool = True
 
     @property

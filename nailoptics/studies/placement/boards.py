@@ -4,19 +4,19 @@ a search may move on it."""
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import combinations, product
 from typing import TypeVar
 
 import numpy as np
 
 from ...errors import InputError
 from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
-from ...scene.base import Point
+from ...scene.base import Point, shifted
 from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
 from ...scene.importers.outlines import has_room
-from ...scene.layout import SIDES, lay_elements
-from ...scene.parts import check_one_response
+from ...scene.layout import SIDES, lay_elements, room_of
+from ...scene.parts import ROOM, check_one_response
 from ...scene.rectangles import Rectangle
 from ..prior_uncertainty import at_value, draw_people
 
@@ -27,6 +27,8 @@ NAIL_MARGIN_MM = 0.1
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
 SPECK, SPECK_MM, SPECK_PLACES = "speck", 0.05, 33
+# Bodies and courtyards that overlap by less do not. [mm]
+OVERLAP_MM = 1e-3
 # Places are rounded to so many decimals of a millimetre, below which sums of floats differ. [1]
 DECIMALS = 9
 # LEDs that a search places together.
@@ -37,14 +39,15 @@ SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_
 
 
 def rules(scene: Scene) -> Placement:
-    """The scene's [placement], or the usual rules; where they give no outline, that of the board's own file."""
-    placement, (du, dv) = scene.placement or Placement(), scene.board.center_mm
-    if placement.outline_mm is not None or scene.board.outline_mm is None:
-        return placement
-    corners, *holes = (
-        tuple((x + du, y + dv) for x, y in line) for line in (scene.board.outline_mm, *scene.board.outline_holes_mm)
-    )
-    return placement.model_copy(update={"outline_mm": corners, "outline_holes_mm": tuple(holes)})
+    """The scene's [placement], or the usual rules; where they give no outline, that of the board's own file, whose
+    other parts are kept out, too."""
+    placement, board = scene.placement or Placement(), scene.board
+    taken = shifted(board.taken_mm or (), board.center_mm)
+    update: dict[str, object] = {"keep_out_mm": (*placement.keep_out_mm, *taken)}
+    if placement.outline_mm is None and board.outline_mm is not None:
+        corners, *holes = shifted((board.outline_mm, *board.outline_holes_mm), board.center_mm)
+        update |= {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
+    return placement.model_copy(update=update)
 
 
 def check_two_zones(scene: Scene, command: str) -> None:
@@ -117,7 +120,7 @@ def base_board(scene: Scene) -> Scene:
     if (drawn := rules(scene).outline_mm) is not None:
         center, size = _on_the_nail(drawn, room)
         (du, dv), lines = board.center_mm, (drawn, *rules(scene).outline_holes_mm)
-        border, *holes = (tuple((x - du, y - dv) for x, y in line) for line in lines)
+        border, *holes = shifted(lines, (-du, -dv))
         update = {"outline_mm": border, "outline_holes_mm": tuple(holes)}
         scene = scene.model_copy(update={"board": board.model_copy(update=update)})
     elif board.size_mm is not None:
@@ -183,6 +186,8 @@ def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | 
         update |= replace(view, origin_mm=view.place_in_file((u - du, v - dv))).fields
     if board.outline_mm is not None:
         update |= {"outline_mm": moved(board.outline_mm), "outline_holes_mm": tuple(map(moved, board.outline_holes_mm))}
+    if board.taken_mm is not None:
+        update["taken_mm"] = tuple(map(moved, board.taken_mm))
     parts = {
         kind: tuple(p.model_copy(update={"position_mm": moved([p.position_mm])[0]}) for p in getattr(scene, kind))
         for kind in ("leds", "photodiodes")
@@ -223,9 +228,29 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
         near = sorted(places, key=lambda at: math.dist(at, place))
         place = next((at for at in near if has_room(at, (SPECK_MM, SPECK_MM), *lines)), place)
     board = scene.board.model_copy(update={"barrier_side": side})
-    speck = SINGLE | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
+    speck = SINGLE | dict.fromkeys(ROOM) | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
     photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
     return scene.model_copy(update={"photodiodes": photodiodes, "board": board})
+
+
+def crowded(scene: Scene) -> list[str]:
+    """Parts of a board's file whose bodies or courtyards overlap, or reach over an edge or another part, in words."""
+    board, lines, (du, dv) = scene.board, list[str](), scene.board.center_mm
+    both: tuple[Led | Photodiode, ...] = (*scene.leds, *scene.photodiodes)
+    parts = [(p, room_of(p, (p.position_mm[0] + du, p.position_mm[1] + dv))) for p in both if p.has_package]
+    for (one, room), (other, its) in combinations(parts, 2):
+        of_one, of_other = ((p.reference or p.name).partition(".")[0] for p in (one, other))
+        if room.overlap_mm(its) > OVERLAP_MM and of_one != of_other:
+            depth = f"{room.overlap_mm(its):.2g} mm"
+            lines.append(f"body or courtyard of {one.name} and {other.name} overlap by {depth}; move one of them")
+    border, *holes = scene.layout.border_mm or (scene.layout.outline.corners_mm,)
+    off = [*holes, *shifted(board.taken_mm or (), board.center_mm)]
+    for part, room in parts if board.outline_mm or board.size_mm else ():
+        half_mm = (room.u_max - room.u_min) / 2 - OVERLAP_MM, (room.v_max - room.v_min) / 2 - OVERLAP_MM
+        if not has_room(room.center_mm, half_mm, border, off):
+            where = "an edge of the board or nail, or another part of its file"
+            lines.append(f"body or courtyard of {part.name} reaches over {where}; move it")
+    return lines
 
 
 def check_search(base: Scene, placement: Placement) -> None:
@@ -274,6 +299,11 @@ def searchable_board(base: Scene, placement: Placement) -> Scene:
 
 
 def straightened(part: PartT) -> PartT:
-    """A part that lies along or across the nail, whichever is nearer."""
-    across = round(part.rotation_deg / 90) % 2
-    return part.model_copy(update={"rotation_deg": 0.0, "size_mm": part.size_mm[:: -1 if across else 1]})
+    """A part that lies along or across the nail, whichever is nearer; of a module without its package."""
+    of_module = dict.fromkeys(ROOM if "." in (part.reference or "") else ())
+    return part.model_copy(update={"rotation_deg": 90.0 * round(part.rotation_deg / 90) % 360} | of_module)
+
+
+def single(photodiode: Photodiode) -> Photodiode:
+    """A photodiode for another place: of an array one element, without its package."""
+    return photodiode.model_copy(update=SINGLE | dict.fromkeys(ROOM if photodiode.elements > 1 else ()))

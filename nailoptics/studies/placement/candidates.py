@@ -14,7 +14,7 @@ from ...scene.base import Point
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import DECIMALS, SINGLE, PartT, loose_photodiodes, straightened
+from .boards import DECIMALS, PartT, loose_photodiodes, single, straightened
 
 Places = Sequence[Point]
 # Of simple layouts, and the part of it by which a place may be off.
@@ -83,7 +83,7 @@ def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodi
     leds_deg, photodiodes_deg = (
         getattr(plan, f"{kind}_deg") or [0.0] * len(getattr(plan, f"{kind}_mm")) for kind in ("leds", "photodiodes")
     )
-    leds, photodiodes, like = [], [], base.photodiodes[0].model_copy(update=SINGLE)
+    leds, photodiodes, like = [], [], single(base.photodiodes[0])
     for led, i in zip(base.leds, _named_as(base, plan) if plan.led_refs else range(len(base.leds)), strict=True):
         reference, angle = (plan.led_refs[i][0] if plan.led_refs else led.reference, led.rotation_deg + leds_deg[i])
         leds.append(_at(base, led, plan.leds_mm[i], rotation_deg=angle % 360, reference=reference))
@@ -123,12 +123,18 @@ def _named_as(base: Scene, plan: Candidate) -> list[int]:
 
 
 def searched(
-    base: Scene, placement: Placement, leds_mm: Places, photodiodes: Sequence[Rectangle], *, side: str | None, name: str
+    base: Scene,
+    placement: Placement,
+    leds_mm: Places,
+    photodiodes: Sequence[Rectangle],
+    *,
+    wall: tuple[str, float] | None,
+    name: str,
 ) -> Scene:
     """The board with its LEDs at places on the nail, and the search's photodiodes beside those that are fixed.
 
     photodiodes : areas of new ones, or where elements are wired, those by name.
-    side : of the photodiodes on which the LEDs lie behind their wall; None without a wall.
+    wall : side of the photodiodes on which the LEDs lie behind their wall, and its gap to the nearest; None without.
     """
     leds = [_at(base, led, place) for led, place in zip(base.leds, leds_mm, strict=True)]
     parts = [photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed]
@@ -138,11 +144,12 @@ def searched(
             if wired := tuple(i for i, element in enumerate(part.element_names()) if element in names):
                 parts.append(part.model_copy(update={"wired": wired if len(wired) < part.elements else None}))
     else:
-        like = straightened(base.photodiodes[0]).model_copy(update=SINGLE)
+        like = single(straightened(base.photodiodes[0]))
         areas = sorted(photodiodes, key=lambda area: area.center_mm[::-1])
         for area, (new, ref) in zip(areas, _named(base, placement, [a.center_mm for a in areas]), strict=True):
             parts.append(_at(base, like, area.center_mm, name=new, reference=ref))
-    board = base.board.model_copy(update={"barrier_side": side})
+    side, gap_mm = wall or (None, base.board.barrier_gap_mm)
+    board = base.board.model_copy(update={"barrier_side": side, "barrier_gap_mm": gap_mm})
     scene = base.model_copy(update={"board": board, "leds": tuple(leds), "photodiodes": tuple(parts)})
     check(scene, name)
     return scene
@@ -154,8 +161,8 @@ def _named(base: Scene, placement: Placement, places: Places) -> list[tuple[str,
     from scipy.optimize import linear_sum_assignment
 
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
-    same = (1, like.part, like.size_mm)
-    alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm) == same]
+    same = (1, like.part, like.size_mm, like.body_mm, like.courtyard_mm)
+    alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm, p.body_mm, p.courtyard_mm) == same]
     fixed = [p for p in base.photodiodes if p not in loose]
     taken = {word for p in (*fixed, *alike) for word in (p.name, p.reference)}
     distance_mm = np.array([[math.dist(place, np.add(p.position_mm, (du, dv))) for p in alike] for place in places])

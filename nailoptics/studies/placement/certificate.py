@@ -28,8 +28,7 @@ from ...statistics import Array, jackknife
 from ...variables import Estimate, described
 from .candidates import CandidateLayout
 from .objective import LayoutScore, Objective
-from .row_design import RowDesign, SearchedSite
-from .search import SEARCH_PHOTONS, SEARCH_SHARE, Search
+from .search import SEARCH_PHOTONS, SEARCH_SHARE, RowDesign, Search, SearchedSite
 from .sites import PhotodiodePlaces
 
 # The bound is taken as found at this gap of the logarithm, or after so many programmes and steps for each mixture.

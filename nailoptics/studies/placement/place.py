@@ -26,7 +26,7 @@ from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_la
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import over_people, resolution_over_priors
-from .row_design import SearchedSite
+from .search import SearchedSite
 from .tolerances import tolerances
 from .verification import check_mitsuba, verify_by_mitsuba, verify_layout
 
@@ -206,6 +206,9 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
     if not scenes and base.board.unmapped is not None:
         scenes = [("drawn", base)]
+    for name, scene in scenes:
+        for line in boards.crowded(scene):
+            log.warning('layout "%s": %s', name, line)
     return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 
 

@@ -11,6 +11,8 @@ from ...light.transfer import provenance
 from ...scene import Scene, parse_scene, to_toml
 from ...scene.importers.outlines import Outline
 from ...scene.importers.positions import PlacedPart
+from ...scene.parts import ROOM
+from ...scene.rectangles import Rectangle
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, left_out
@@ -19,7 +21,7 @@ from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n, ties
 from .photon_maps import FingerCondition, PhotonMapCache
-from .row_design import SearchedSite
+from .search import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
@@ -168,7 +170,8 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
 def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: OperatingPoint) -> xr.Dataset:
     """What one more photodiode would read by itself, wherever it lies on the board."""
     photodiode, outline = straightened(scene.photodiodes[0]).model_copy(update=UNFITTED), maps[0].outline
-    half_u, half_v = (size / 2 for size in photodiode.size_mm)
+    die = Rectangle.around("", (0.0, 0.0), photodiode.size_mm, photodiode.rotation_deg)
+    half_u, half_v = die.u_max, die.v_max
     place_u = np.arange(outline.u_min + half_u, outline.u_max - half_u + 1e-9, PLACES_MM)
     place_v = np.arange(outline.v_min + half_v, outline.v_max - half_v + 1e-9, PLACES_MM)
     u, v = np.meshgrid(place_u, place_v, indexing="ij")
@@ -284,13 +287,14 @@ def kicad_parts(scene: Scene) -> list[PlacedPart]:
     for i, (led, area) in enumerate(zip(scene.leds, layout.leds, strict=True), start=1):
         ref = led.reference or (led.name if known else f"D{i}")
         value = led.part if led.part and led.reference else led.name
-        parts.append(PlacedPart(ref, value, "LED_die", area.center_mm, led.rotation_deg % 360, "bottom"))
+        drawn = {room: getattr(led, room) for room in ROOM}
+        parts.append(PlacedPart(ref, value, "LED_die", area.center_mm, led.rotation_deg % 360, "bottom", **drawn))
     for i, element in enumerate(layout.photodiodes, start=1):
         die = element.photodiode
         (width, length), turn = die.size_mm, die.rotation_deg % 360
         # An array is one part of the file; each of its elements is written by itself.
         own_reference = die.reference and die.reference + element.name.removeprefix(die.name)
         ref = own_reference or (element.name if known else f"PD{i}")
-        package = f"PD_{width:g}x{length:g}mm"
-        parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom"))
+        package, drawn = f"PD_{width:g}x{length:g}mm", {room: getattr(die, room) for room in ROOM if die.elements == 1}
+        parts.append(PlacedPart(ref, element.name, package, element.area.center_mm, turn, "bottom", **drawn))
     return parts

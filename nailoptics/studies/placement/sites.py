@@ -1,6 +1,6 @@
 """Where a search may put LEDs and photodiodes: rows of LEDs along a wall, and the places that the rules leave."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from ...scene import Led, Photodiode, Placement, Scene
 from ...scene.base import Point
 from ...scene.importers.outlines import has_room
-from ...scene.layout import SIDES, WALL_ROOM_MM, lay_elements, span_mm
+from ...scene.layout import SIDES, WALL_ROOM_MM, lay_elements, room_of, span_mm
 from ...scene.rectangles import Rectangle
 from . import boards
 
@@ -111,11 +111,10 @@ class Sites:
         return tuple(led.name in self.rules.fixed for led in self.base.leds)
 
     @cached_property
-    def _fixed(self) -> tuple[list[Rectangle], list[Rectangle]]:
-        """Elements of photodiodes that stay: those that are read, and those that are not wired."""
+    def _fixed(self) -> list[Rectangle]:
+        """Elements that are read of photodiodes that stay."""
         fixed = tuple(photodiode for photodiode in self.base.photodiodes if photodiode.name in self.rules.fixed)
-        read, unwired = lay_elements(self.base.board, fixed)
-        return [element.area for element in read], unwired
+        return [element.area for element in lay_elements(self.base.board, fixed)[0]]
 
     @cached_property
     def elements(self) -> tuple[Rectangle, ...]:
@@ -124,40 +123,61 @@ class Sites:
         wired = tuple(photodiode.model_copy(update={"wired": None}) for photodiode in loose)
         return tuple(element.area for element in lay_elements(self.base.board, wired)[0])
 
-    @cached_property
-    def obstacles(self) -> tuple[Rectangle, ...]:
-        """Everything of photodiodes that stays, read or not."""
-        return (*self._fixed[0], *self._fixed[1], *self.elements)
+    def obstacles(self, spare_mm: float = 0.0) -> list[Rectangle]:
+        """The room of every photodiode that stays, as of `room_of`."""
+        staying = (p for p in self.base.photodiodes if self.rules.wire or p.name in self.rules.fixed)
+        return [room_of(p, self._place_of(p), spare_mm) for p in staying]
 
     def die(self, led: int, place_mm: Point) -> Rectangle:
         """An LED's die at a place."""
         one = self.base.leds[led]
         return Rectangle.around(one.name, place_mm, one.size_mm, one.rotation_deg)
 
+    def room(self, led: int, place_mm: Point) -> Rectangle:
+        """What an LED takes at a place, with half of the clearance to another."""
+        return room_of(self.base.leds[led], place_mm, self.rules.clearance_mm / 2)
+
+    def _room_beside(self, led: int, place_mm: Point) -> Rectangle:
+        """The same with what photodiodes leave to a bare die for its bond wire, less half of their clearance."""
+        if self.base.leds[led].has_package:
+            return self.room(led, place_mm)
+        return room_of(self.base.leds[led], place_mm, self.rules.bond_wire_mm - self.rules.clearance_mm / 2)
+
     def place_of(self, led: int) -> Point:
         """Where the scene has an LED."""
-        (u, v), (du, dv) = self.base.leds[led].position_mm, self.base.board.center_mm
+        return self._place_of(self.base.leds[led])
+
+    def _place_of(self, part: Led | Photodiode) -> Point:
+        (u, v), (du, dv) = part.position_mm, self.base.board.center_mm
         return u + du, v + dv
 
     def may_lie(self, led: int, place_mm: Point) -> bool:
         """Whether an LED may lie at a place of the board, photodiodes that are still to be placed aside."""
-        die, edge = self.die(led, place_mm), self.rules.edge_mm
-        o = self.outline
-        inside = min(die.u_min - o.u_min, o.u_max - die.u_max, die.v_min - o.v_min, o.v_max - die.v_max)
-        if inside < edge - ROUNDING_MM or not has_room_for(die, self.rules):
+        beside, others = self._room_beside(led, place_mm), self.obstacles(self.rules.clearance_mm / 2)
+        inside = self._is_inside(self.base.leds[led], place_mm)
+        return inside and all(-beside.overlap_mm(other) >= -ROUNDING_MM for other in others)
+
+    def _is_inside(self, part: Led | Photodiode, place_mm: Point) -> bool:
+        """Whether a straight part at a place leaves its distance to edge and holes, and lies off what is kept out."""
+        rules, o, r = self.rules, self.outline, room_of(part, place_mm, self.rules.edge_mm)
+        if min(r.u_min - o.u_min, o.u_max - r.u_max, r.v_min - o.v_min, o.v_max - r.v_max) < -ROUNDING_MM:
             return False
-        return all(-die.overlap_mm(other) >= self.rules.bond_wire_mm - ROUNDING_MM for other in self.obstacles)
+        # Other parts of the board's file keep their clearance, too.
+        own = room_of(part, place_mm, rules.clearance_mm if self.base.board.taken_mm else 0.0)
+        if not has_room(own.center_mm, _half_mm(own), own.corners_mm, rules.keep_out_mm):
+            return False
+        drawn = rules.outline_mm
+        return drawn is None or has_room(r.center_mm, _half_mm(r), drawn, rules.outline_holes_mm)
 
     def go_together(self, places_mm: Sequence[Point]) -> bool:
         """Whether LEDs at these places, in the scene's order, leave their clearance to each other."""
-        dies = [self.die(i, place) for i, place in enumerate(places_mm)]
-        least = self.rules.clearance_mm - ROUNDING_MM
-        pairs = ((i, j) for j in range(len(dies)) for i in range(j) if not (self.is_fixed[i] and self.is_fixed[j]))
-        return all(-dies[i].overlap_mm(dies[j]) >= least for i, j in pairs)
+        rooms = [self.room(i, place) for i, place in enumerate(places_mm)]
+        pairs = ((i, j) for j in range(len(rooms)) for i in range(j) if not (self.is_fixed[i] and self.is_fixed[j]))
+        return all(-rooms[i].overlap_mm(rooms[j]) >= -ROUNDING_MM for i, j in pairs)
 
     def grid(self, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
         """Places of LEDs across and along the board. [mm]"""
-        free = [led.size_mm for led, fixed in zip(self.base.leds, self.is_fixed, strict=True) if not fixed]
+        free = [self.die(i, (0.0, 0.0)).size_mm for i, fixed in enumerate(self.is_fixed) if not fixed]
         return self._axes(step_mm, np.array(free).max(0))
 
     def _axes(self, step_mm: float, size_mm: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -190,8 +210,8 @@ class Sites:
 
     def _room_for_all(self, along: np.ndarray, axis: int, step_mm: float) -> np.ndarray:
         """Places along a row, on a grid so fine that as many LEDs as there are have room in it side by side."""
-        free = [led.size_mm[axis] for led, fixed in zip(self.base.leds, self.is_fixed, strict=True) if not fixed]
-        while len(along) < len(free) and step_mm / 2 >= max(free) + self.rules.clearance_mm:
+        free = [self.room(i, (0.0, 0.0)).size_mm[axis] for i, fixed in enumerate(self.is_fixed) if not fixed]
+        while len(along) < len(free) and step_mm / 2 >= max(free):
             step_mm /= 2
             along = self.grid(step_mm)[axis]
         return along
@@ -239,81 +259,92 @@ class Sites:
         if fixed is not None and face < fixed - ROUNDING_MM:
             return False
         room = span_mm(self.outline, row.side)[1] - face
-        if room <= LEAST_ROOM * self.outline.size_mm[axis] and not self.obstacles:
+        if room <= LEAST_ROOM * self.outline.size_mm[axis] and not self.obstacles():
             return False
-        behind = face + self._gap_mm + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM
-        return all(span_mm(obstacle, row.side)[0] - behind >= -ROUNDING_MM for obstacle in self.obstacles)
+        behind = face + self.gap_mm(row.side) + self.base.board.barrier_um * 1e-3 + WALL_ROOM_MM
+        return all(span_mm(obstacle, row.side)[0] - behind >= -ROUNDING_MM for obstacle in self.obstacles())
 
-    @property
-    def _gap_mm(self) -> float:
-        gap = self.base.board.barrier_gap_mm
-        return self.rules.bond_wire_mm if gap is None else gap
+    def gap_mm(self, side: str) -> float:
+        """From the LEDs' face to their wall: the board's gap, or what their bodies with the clearance need."""
+        gap, at = self.base.board.barrier_gap_mm, (0.0, 0.0)
+        gaps = [self.rules.bond_wire_mm if gap is None else gap]
+        for i, led in enumerate(self.base.leds):
+            if led.has_package:
+                room = room_of(led, at, self.rules.clearance_mm)
+                gaps.append(span_mm(room, side)[1] - span_mm(self.die(i, at), side)[1])
+        return max(gaps)
 
     def board_at(self, led: int, place_mm: Point, row: LedRow) -> Scene:
         """The bare board with one of its LEDs at a place, and the wall of its row."""
-        (du, dv), board, gap = self.base.board.center_mm, self.base.board, self._gap_mm
+        (du, dv), board = self.base.board.center_mm, self.base.board
         if row.side is not None:
-            gap += SIDES[row.side][1] * row.face_mm - span_mm(self.die(led, place_mm), row.side)[1]
+            gap = (
+                self.gap_mm(row.side) + SIDES[row.side][1] * row.face_mm - span_mm(self.die(led, place_mm), row.side)[1]
+            )
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
         update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
         led_moved: Led = self.base.leds[led].model_copy(update=update)
         return boards.bare_board(self.base.model_copy(update={"leds": (led_moved,), "board": board}), side=row.side)
 
-    def photodiode_places(self, walls: Sequence[Rectangle], leds: Sequence[Rectangle]) -> PhotodiodePlaces:
-        """The places that walls and, where there are none, LEDs leave to photodiodes."""
-        gap, walled = self.rules.clearance_mm, bool(walls)
+    def photodiode_places(self, walls: Sequence[Rectangle], leds_mm: Mapping[int, Point]) -> PhotodiodePlaces:
+        """The places that walls and, where there are none, LEDs at places leave to photodiodes."""
         if self.rules.wire:
             areas, spacing = list(self.elements), (0.0, 0.0)
         else:
-            size = self._size_mm
-            areas, spacing = list(self._grid_areas), (size[0] + gap, size[1] + gap)
-            for wall in walls:
-                behind = span_mm(wall, wall.name)[1] + max(gap, WALL_ROOM_MM)
-                areas = [a for a in areas if span_mm(a, wall.name)[0] >= behind - ROUNDING_MM]
-        free = [a for a in areas if walled or self._is_beside(a, leds)]
+            areas, spacing = (
+                list(self._grid_areas),
+                room_of(self._like, (0.0, 0.0), self.rules.clearance_mm / 2).size_mm,
+            )
+        free = np.ones(len(areas), bool)
+        for wall in [] if self.rules.wire else walls:
+            axis, way = SIDES[wall.name]
+            near = self._bounds_mm(areas)[:, axis if way > 0 else axis + 2] * way
+            behind = span_mm(wall, wall.name)[1] + max(self.rules.clearance_mm, WALL_ROOM_MM)
+            free &= near >= behind - ROUNDING_MM
+        free &= bool(walls) | self.are_beside(areas, leds_mm)
+        areas = [areas[k] for k in np.flatnonzero(free)]
         by_name = {name: photodiode for photodiode in self.base.photodiodes for name in photodiode.element_names()}
         by_name |= {e.name: e.photodiode for e in lay_elements(self.base.board, self.base.photodiodes)[0]}
-        kinds = [by_name.get(area.name, self.base.photodiodes[0]) for area in (*free, *self._fixed[0])]
-        return PhotodiodePlaces((*free, *self._fixed[0]), tuple(kinds), len(free), spacing)
+        kinds = [by_name.get(area.name, self.base.photodiodes[0]) for area in (*areas, *self._fixed)]
+        return PhotodiodePlaces((*areas, *self._fixed), tuple(kinds), len(areas), spacing)
 
-    def are_beside(self, areas: Sequence[Rectangle], leds_mm: Sequence[Point]) -> np.ndarray:
-        """Which photodiodes (m,) leave LEDs at these places the room for their bond wires, without walls, (m,) bool."""
-        dies = [self.die(i, place) for i, place in enumerate(leds_mm)]
-        return np.array([self._is_beside(area, dies) for area in areas], bool)
+    def are_beside(self, areas: Sequence[Rectangle], leds_mm: Mapping[int, Point]) -> np.ndarray:
+        """Which photodiodes (m,) leave LEDs at these places, by number, their room, without walls, (m,) bool."""
+        rooms = (self._room_beside(i, place) for i, place in leds_mm.items())
+        return self._are_clear(areas, rooms)
 
-    def _is_beside(self, area: Rectangle, leds: Sequence[Rectangle]) -> bool:
-        return all(_gap_mm(area, led) >= self.rules.bond_wire_mm - ROUNDING_MM for led in leds)
+    def _are_clear(self, areas: Sequence[Rectangle], others: Iterable[Rectangle]) -> np.ndarray:
+        """Which photodiodes (m,) lie off all of some others, by their bounds, (m,) bool."""
+        u_min, v_min, u_max, v_max = self._bounds_mm(areas, self.rules.clearance_mm / 2).T
+        clear = np.ones(len(areas), bool)
+        for r in others:
+            across = np.maximum(u_min - r.u_max, r.u_min - u_max)
+            clear &= np.maximum(across, np.maximum(v_min - r.v_max, r.v_min - v_max)) >= -ROUNDING_MM
+        return clear
+
+    def _bounds_mm(self, areas: Sequence[Rectangle], spare_mm: float = 0.0) -> np.ndarray:
+        """What photodiodes take at these areas, (m, 4) float: u_min, v_min, u_max, v_max. [mm]"""
+        if self.rules.wire or not areas:
+            bounds = np.array([(a.u_min, a.v_min, a.u_max, a.v_max) for a in areas]).reshape(-1, 4)
+            return bounds + spare_mm * np.array([-1, -1, 1, 1])
+        r = room_of(self._like, (0.0, 0.0), spare_mm)
+        return np.tile([a.center_mm for a in areas], 2) + (r.u_min, r.v_min, r.u_max, r.v_max)
 
     @cached_property
     def _grid_areas(self) -> tuple[Rectangle, ...]:
         """Every place of a photodiode on the board, beside those that stay."""
-        size_mm = self._size_mm
+        size_mm = Rectangle.around("", (0.0, 0.0), self._like.size_mm, self._like.rotation_deg).size_mm
         places = product(*(axis.tolist() for axis in self._axes(self.rules.photodiode_step_mm, size_mm)))
-        areas = (Rectangle.around("", place, size_mm) for place in places)
-        gap = self.rules.clearance_mm - ROUNDING_MM
-        clear = (area for area in areas if all(_gap_mm(area, obstacle) >= gap for obstacle in self.obstacles))
-        return tuple(area for area in clear if has_room_for(area, self.rules))
+        areas = [Rectangle.around("", place, size_mm) for place in places]
+        clear = self._are_clear(areas, self.obstacles(self.rules.clearance_mm / 2))
+        return tuple(areas[k] for k in np.flatnonzero(clear) if self._is_inside(self._like, areas[k].center_mm))
 
-    @property
-    def _size_mm(self) -> Point:
-        """Size of the photodiodes that are placed, which lie straight: that of the scene's first. [mm]"""
-        return boards.straightened(self.base.photodiodes[0]).size_mm
-
-
-def has_room_for(area: Rectangle, rules: Placement) -> bool:
-    """Whether a part lies within the outline with its distance from the edge, and off holes and what is kept out."""
-    center, (half_u, half_v) = area.center_mm, ((area.u_max - area.u_min) / 2, (area.v_max - area.v_min) / 2)
-    box = Rectangle.around("", center, (2 * half_u, 2 * half_v))
-    if not has_room(center, (half_u, half_v), box.corners_mm, rules.keep_out_mm):
-        return False
-    if rules.outline_mm is None:
-        return True
-    half = (half_u + rules.edge_mm, half_v + rules.edge_mm)
-    return has_room(center, half, rules.outline_mm, rules.outline_holes_mm)
+    @cached_property
+    def _like(self) -> Photodiode:
+        """What is placed, straight: the scene's first photodiode, of an array one element."""
+        return boards.single(boards.straightened(self.base.photodiodes[0]))
 
 
-def _gap_mm(first: Rectangle, other: Rectangle) -> float:
-    """The gap between the bounds of two parts, the larger of that across and that along. [mm]"""
-    across = max(first.u_min - other.u_max, other.u_min - first.u_max)
-    return max(across, first.v_min - other.v_max, other.v_min - first.v_max)
+def _half_mm(area: Rectangle) -> Point:
+    return area.size_mm[0] / 2, area.size_mm[1] / 2

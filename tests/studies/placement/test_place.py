@@ -32,7 +32,6 @@ from nailoptics.studies.placement import (
     photon_maps,
     place,
     result,
-    row_design,
     search,
     sites,
     verification,
@@ -147,7 +146,7 @@ def test_a_planted_optimum_is_found():
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
     read = information.response(plane.over(areas)[0], scene, 0, scene.photodiodes[0], AT)
-    chosen, reached = row_design.coordinate_exchange(
+    chosen, reached = search.coordinate_exchange(
         information.fisher_information(read)[None],
         sites.PhotodiodePlaces(tuple(Rectangle("", *area) for area in areas), (), len(areas), (0.5, 0.5)),
         count=2,
@@ -168,7 +167,7 @@ def test_places_keep_their_distances(scene):
         face = where.die(0, (-2.0, -2.0)).u_max
         board = where.board_at(0, (-2.0, -2.0), sites.LedRow(side, face))
         wall = board.layout.barriers[0]
-        places = where.photodiode_places([wall], []).centers_mm
+        places = where.photodiode_places([wall], {}).centers_mm
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
@@ -430,7 +429,7 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(computed, scene):
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
-    computed = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
+    computed = result._sites([search.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
     whole = xr.Dataset(computed, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0

@@ -15,7 +15,7 @@ from nailoptics.sensor import information
 from nailoptics.studies.placement import boards, search
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
-from nailoptics.studies.placement.row_design import STARTS, RowDesign, SearchedSite
+from nailoptics.studies.placement.search import STARTS, RowDesign, SearchedSite
 from nailoptics.studies.placement.sites import LedRow
 from nailoptics.tissue import BloodZones
 
@@ -132,15 +132,14 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
         board = one.sites.board_at(0, pools[0][0], row)
         walls = board.layout.barriers
         for leds in product(*pools):
-            dies = [one.sites.die(i, place) for i, place in enumerate(leds)]
             if not one.sites.go_together(leds):
                 continue
-            places = one.sites.photodiode_places(walls, dies)
+            places = one.sites.photodiode_places(walls, dict(enumerate(leds)))
             design = RowDesign(one.sites, one.objective, row, places, [{}, {}], 1)
             for i, place in enumerate(leds):
                 own = one.sites.board_at(i, place, row)
                 one.cache.extend(own, 1)
-                design.columns[i][place] = one._columns(i, own, design)
+                design.columns[i][place] = one.columns(i, own, design.places)
             information = design.information(leds)[0]
             for a, b in combinations(range(places.free), 2):
                 if np.any(np.abs(places.centers_mm[a] - places.centers_mm[b]) >= np.array(places.spacing_mm) - 1e-9):
