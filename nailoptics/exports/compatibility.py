@@ -13,10 +13,6 @@ from ..io import write_bytes, write_text
 from ..light import optics
 from ..scene import Scene, to_toml
 
-# Something of a scene that an export leaves out or changes: what in the scene's words, what it is in nailoptics, and
-# what the other program gets in its place, or what that does to a reading.
-Row = tuple[str, str, str]
-
 
 def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     """The scene as another program gets it, at rest, without what it lacks; reflecting: opaque parts do."""
@@ -27,8 +23,9 @@ def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     return scene.model_copy(update=update)
 
 
-def _lacking(scene: Scene, *, reflecting: bool) -> list[Row]:
-    """What no other program takes of a scene; arguments as of `as_seen`."""
+def _lacking(scene: Scene, *, reflecting: bool) -> list[tuple[str, str, str]]:
+    """What no other program takes of a scene: in the scene's words, what it is here, and what the program gets in its
+    place, or what that does to a reading; arguments as of `as_seen`."""
     lacking = []
     for led in scene.leds:
         if led.fwhm_nm:
@@ -116,15 +113,14 @@ def write_folder(
     scene: Scene,
     of_leds: Sequence[Any],
     *,
-    own: Iterable[Row],
     about: str,
     reflecting: bool = False,
     **values: object,
 ) -> dict[str, Path]:
     """Write an export: a file of each LED, the runner of sessions, the scene and a README; returns their paths.
 
-    program : names the README's template; values are what else that holds.
-    scene : the user's, of which own is what no other program lacks; reflecting as of `as_seen`.
+    program : names the README's template, which has what this program alone lacks; values are what else that holds.
+    scene : the user's; reflecting as of `as_seen`.
     of_leds : bytes of XML, or sessions, which become JSON; about : what one of these files is.
     """
     paths = {"readme": folder / "README.md", "scene": folder / "scene.toml"}
@@ -138,7 +134,7 @@ def write_folder(
         write_text(paths["run"], Path(__file__).with_name("run_session.py").read_text(encoding="utf-8"))
     write_text(paths["scene"], to_toml(as_seen(scene, reflecting=reflecting)))
     page = Template(Path(__file__).with_name(f"{program}.md").read_text(encoding="utf-8"))
-    table = "\n".join(f"| {' | '.join(row)} |" for row in (*own, *_lacking(scene, reflecting=reflecting)))
+    table = "\n".join(f"| {' | '.join(row)} |" for row in _lacking(scene, reflecting=reflecting))
     files = "\n".join(f"- `{name}`: {about}" for name in names)
     write_text(paths["readme"], page.substitute(values, rows=table, about=files, first=names[0]))
     return paths

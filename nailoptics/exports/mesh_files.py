@@ -89,17 +89,11 @@ def write_mitsuba(scene: Scene, folder: Path) -> dict[str, Path]:
         media = optics.finger_media(exported, geometry.regions, led.wavelength_nm)
         made = finger_scene(None, geometry, media, None, sensor=sensor, emitters=colours, folder=meshes)
         files.append(_document(made, names, folder))
-    own = [
-        ("emission of the LEDs", "Lambertian, from the whole die", "the same, backwards"),
-        ("sides of dies and photodiodes in the film", "those of photodiodes detect, too", "black"),
-        ("paths in the tissue", "recorded for every photon", "none: render again for other absorption"),
-    ]
     return compatibility.write_folder(
         "mitsuba",
         folder,
         scene,
         files,
-        own=own,
         reflecting=True,
         about="one LED's scene, for variants `scalar_rgb`, `llvm_ad_rgb`, `cuda_ad_rgb`",
         photodiodes=", ".join(f"{k} {name}" for k, name in enumerate(names, start=1)),

@@ -101,22 +101,14 @@ def write_mcx(scene: Scene, folder: Path, *, voxel_mm: float = USUAL_VOXEL_MM) -
     exported = compatibility.as_seen(scene, reflecting=False)
     geometry = build(exported)
     made = voxels(geometry, voxel_mm)
-    cubes = f"cubes of {made.side_mm:g} mm: faces lie along the axes, with more area and other normals"
-    behind = f"shine from there; swallow light {DIE_BACK * made.side_mm:.3f} mm or more behind"
-    own = [
-        ("shape", "tetrahedra that conform to the interfaces", cubes),
-        ("emission of the LEDs", "Lambertian, from the whole die", "the same: planar, focal length -inf"),
-        ("faces of dies", "where they are", behind),
-        ("faces of photodiodes", "where they are", "in whole voxels as all faces; their edges are exact"),
-    ]
     paths = compatibility.write_folder(
         "mcx",
         folder,
         scene,
         [mcx_session(exported, geometry, made, i) for i in range(len(exported.leds))],
-        own=own,
         shape=" x ".join(map(str, made.region.shape)),
         side_mm=f"{made.side_mm:g}",
+        behind_mm=f"{DIE_BACK * made.side_mm:.3f}",
         about="a session of one LED; coefficients in 1/mm, places in voxels",
         media=", ".join(f"{k} {name}" for k, name in enumerate(("opaque", *optics.absorbers(scene), "air"))),
         photons=MCX_PHOTONS,
@@ -196,13 +188,12 @@ def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     exported = compatibility.as_seen(scene, reflecting=False)
     geometry = build(exported)
     mesh = tetrahedra(geometry)
-    there = f"{CONES} cones from {CONES} places of the die, of equal weight: the nearest to it that MMC has"
     return compatibility.write_folder(
         "mmc",
         folder,
         scene,
         [mmc_session(exported, geometry, mesh, i) for i in range(len(exported.leds))],
-        own=[("emission of the LEDs", "Lambertian, from the whole die", there)],
+        cones=CONES,
         tetrahedra=len(mesh.tetrahedra),
         nodes=len(mesh.nodes),
         about="a session of one LED, mesh included; coefficients in 1/mm",

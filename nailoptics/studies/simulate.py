@@ -7,6 +7,7 @@ from typing import Unpack
 import numpy as np
 import xarray as xr
 
+from ..assets import read_toml
 from ..errors import InputError, unless_cut_off
 from ..hemodynamics.for_scene import blood_over_touch, hold_end
 from ..light import ProgressCallback, Transfer, backend, section
@@ -17,13 +18,6 @@ from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
 from .prior_uncertainty import readings_over_priors
 
 log = logging.getLogger(__name__)
-
-COORDINATES = {
-    "time": "time from the start of the simulation",
-    "led": "LED",
-    "photodiode": "photodiode",
-    "absorber": "absorbing region or blood zone",
-}
 
 
 def simulate(
@@ -78,8 +72,8 @@ def simulate_from(light: WornLight, *, course: xr.Dataset, seed: int) -> xr.Data
         volts_stderr = result.volts_stderr.values
         of_ambient = np.where(result.saturated, 0.0, result.ambient_left_v_stderr.values[:, None])
         np.hypot(volts_stderr, of_ambient, out=volts_stderr)
-    for name, text in COORDINATES.items():
-        result[name].attrs = {"long_name": text} | result[name].attrs
+    for name in ("led", "photodiode", "absorber"):
+        result[name].attrs = {"long_name": read_toml("axes.toml")[name]} | result[name].attrs
     result.attrs = light.in_place.attributes | {
         "seed": seed,
         "title": "nailoptics: touch to volts",
