@@ -73,10 +73,6 @@ class Arrivals:
         columns = {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in PHOTON_COLUMNS}
         return replace(batches[0], photons=int(first[-1]), photon=photon, **columns)
 
-    def thin(self, step: int, first: int) -> "Arrivals":
-        """The arrivals of every so many photons, from one of the first on."""
-        return replace(self.select(self.photon % step == first), photons=len(range(first, self.photons, step)))
-
     def from_outside(self, per_mm2: np.ndarray, mu_a: np.ndarray, *, area_mm2: float, n: float) -> np.ndarray:
         """What each photon that left adds to what its photodiode collects of light from outside, (sources, n) float;
         the sum over the photons that were emitted is all of it.
@@ -294,23 +290,28 @@ def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = No
     )
 
 
-def readings(arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectangle]) -> tuple[np.ndarray, np.ndarray]:
-    """Means per emitted photon over each rectangle and their standard errors, (rectangles, values) float each.
+def readings(
+    arrivals: Arrivals, values: np.ndarray, rectangles: Sequence[Rectangle], *, blocks: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means per emitted photon over each rectangle, in each of so many blocks of photons, (blocks, rectangles, values)
+    float, and standard errors of all photons together, (rectangles, values) float.
 
     values : (n, q) float, such as those of a BloodPoint.
     """
-    (u, v), total, square = arrivals.place_mm.T, [], []
+    (u, v), total, square, block = arrivals.place_mm.T, [], [], arrivals.photon % blocks
     for r in rectangles:
         inside = np.flatnonzero(r.holds(u, v))
         # A photon that arrives twice is one photon: its first arrival would have ended it there.
         inside = inside[np.unique(arrivals.photon[inside], return_index=True)[1]]
-        total.append(values[inside].sum(0))
-        square.append((values[inside] ** 2).sum(0))
-    return np.array(total) / arrivals.photons, stderr_of_mean(np.array(total), np.array(square), arrivals.photons)
+        columns = values[inside].T
+        total.append([np.bincount(block[inside], column, minlength=blocks) for column in columns])
+        square.append((columns**2).sum(1))
+    sums, photons = np.array(total), [len(range(k, arrivals.photons, blocks)) for k in range(blocks)]
+    return (sums / photons).transpose(2, 0, 1), stderr_of_mean(sums.sum(2), np.array(square), arrivals.photons)
 
 
 class PhotonMap:
-    """Sums of arrivals on cells of the board, in blocks of photons: any rectangle is read in microseconds.
+    """Sums of arrivals on cells of the board, in blocks of photons: rectangles are read in milliseconds.
 
     Blocks are independent samples of equal size, for standard errors. Between cells' edges sums are interpolated.
     """
@@ -322,7 +323,6 @@ class PhotonMap:
         self.v_mm = np.linspace(outline.v_min, outline.v_max, self.shape[1] + 1)
         self.sums = np.zeros((values, blocks, *self.shape))
         self.photons = 0
-        self._table: np.ndarray | None = None
 
     def add(self, arrivals: Arrivals, values: np.ndarray) -> None:
         """Add arrivals; values (n, q) float is what each of them counts."""
@@ -334,37 +334,32 @@ class PhotonMap:
         for total, column in zip(self.sums, values.T, strict=True):
             total += np.bincount(flat, column, minlength=total.size).reshape(total.shape)
         self.photons += arrivals.photons
-        self._table = None
 
     def over(self, rectangles: Sequence[Rectangle] | np.ndarray) -> np.ndarray:
         """Means per emitted photon over rectangles in each block, (blocks, rectangles, values) float.
 
         rectangles : or (m, 4) float, u_min, u_max, v_min, v_max. [mm]
         """
-        if self._table is None:
-            padded = np.pad(self.sums, ((0, 0), (0, 0), (1, 0), (1, 0)))
-            self._table = np.ascontiguousarray(padded.cumsum(2).cumsum(3).transpose(2, 3, 1, 0))
         if not isinstance(rectangles, np.ndarray):
             strips = [r.strips() for r in rectangles]
             edges = [(s.u_min, s.u_max, s.v_min, s.v_max) for patch_strips in strips for s in patch_strips]
             per_strip = self.over(np.array(edges).reshape(-1, 4))
             return np.add.reduceat(per_strip, np.cumsum([0, *map(len, strips[:-1])]), axis=1) if strips else per_strip
-        low_u, high_u, low_v, high_v = rectangles.T
-        corner = self._corner
-        sums = corner(high_u, high_v) - corner(low_u, high_v) - corner(high_u, low_v) + corner(low_u, low_v)
-        return sums.transpose(1, 0, 2) * (self.blocks / self.photons)
+        # Places on a grid share their columns of cells.
+        columns, column = np.unique(rectangles[:, :2], axis=0, return_inverse=True)
+        lines, along = self._share(columns, self.u_mm) @ self.sums, self._share(rectangles[:, 2:], self.v_mm)
+        means = np.empty((self.blocks, len(rectangles), len(self.sums)))
+        for i in range(len(columns)):
+            mine = column.ravel() == i
+            means[:, mine] = (lines[:, :, i] @ along[mine].T).transpose(1, 2, 0)
+        return means * (self.blocks / self.photons)
 
-    def _corner(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Sums of all cells below and left of points, (m, blocks, values), linear between the cells' corners."""
-        assert self._table is not None
-        parts = []
-        for place, edges, count in zip((u, v), (self.u_mm, self.v_mm), self.shape, strict=True):
-            at = np.clip((place - edges[0]) * (count / (edges[-1] - edges[0])), 0, count)
-            index = np.minimum(at.astype(np.int64), count - 1)
-            parts.append((index, (at - index)[:, None, None]))
-        (i, a), (j, b) = parts
-        t = self._table
-        return (1 - a) * ((1 - b) * t[i, j] + b * t[i, j + 1]) + a * ((1 - b) * t[i + 1, j] + b * t[i + 1, j + 1])
+    @staticmethod
+    def _share(ends_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
+        """How much of each cell between edges lies between each pair of ends (m, 2), (m, cells) float. [1]"""
+        cells = np.arange(len(edges_mm) - 1)
+        low, high = (ends_mm - edges_mm[0]).T[:, :, None] * (len(cells) / (edges_mm[-1] - edges_mm[0]))
+        return np.clip(high - cells, 0, 1) - np.clip(low - cells, 0, 1)
 
     def per_mm2(self) -> tuple[np.ndarray, np.ndarray]:
         """Means per emitted photon and area, and their standard errors over blocks, (values, u, v) float. [mm^-2]"""

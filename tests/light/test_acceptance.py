@@ -137,7 +137,8 @@ def test_maps_read_a_narrow_response_as_a_trace_does(jit_backend):
     bare, own = (BoardTracer(one, spacing_mm=0.3) for one in (board, scene))
     point, photons = blood_point(scene, 0), 1 << 18
     arrived = bare.arrivals(0, photons=photons, seed=1)
-    by_map = [column[:, 0] for column in readings(arrived, point.values(arrived), areas)]
+    (mean,), error_of_mean = readings(arrived, point.values(arrived), areas)
+    by_map = [mean[:, 0], error_of_mean[:, 0]]
     each = [own.detected(0, point, photons=photons // 8, seed=seed)[:, 0] for seed in range(4)]
     fresh = [np.mean(each, 0), np.std(each, 0, ddof=1) / 2]
     # Four batches know their own spread badly: it is no less than that of as many photons of the map.

@@ -157,12 +157,13 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         left = left_out(one.over(areas))
         volts = information.response(left, scene, 0, scene.photodiodes[0], at)
         resolution = information.force_resolution_n(information.fisher_information(volts).sum(-2), at)
+        (over_areas,), error_over_areas = readings(together, point.values(together), areas)
         mean, error = one.per_mm2()
         # The cell in which the first photodiode's centre lies.
         u, v = areas[0].center_mm
         cell = np.searchsorted(one.u_mm, u) - 1, np.searchsorted(one.v_mm, v) - 1
         return {
-            "rectangle": readings(together, point.values(together), areas),
+            "rectangle": (over_areas, error_over_areas),
             "cell": (mean[0][cell], error[0][cell]),
             "resolution": (resolution[0], jackknife(resolution)),
         }

@@ -134,19 +134,19 @@ class TouchError:
         batch, count = noise.shape
         size, since_s, known = len(self._initial), 1.0 / RATE_HZ, self.noise
         everything, drift = np.zeros((2, batch, size + count, size + count)), known.drift_covariance(led)
-        # The covariance that the filter believes, and the true one.
+        # The covariance that the filter believes, and the true one, and all of their rows.
         everything[:, :, :size, :size], everything[:, :, size:, size:] = self._initial, drift
-        claimed, true = everything
+        (claimed, true), rows = everything, everything.reshape(-1, size + count)
         lag, moved, change = (np.zeros((batch, n)) for n in (size + count, count, count))
-        # Of the readings, and of the touch, which is read as 0 at rest.
-        jacobian, claimed2, true2 = np.zeros((batch, count + 2, size + count)), *np.zeros((2, batch, count + 2))
+        # Of readings, and of the touch, which is read as 0 at rest; and variances of their noise, believed and true.
+        jacobian, noise2 = np.zeros((batch, count + 2, size + count)), np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
-        claimed2[:, count:], true2[:, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
-        waves, at = slice(kalman.FIRST_WAVE, size), range(TOUCH.start, TOUCH.stop)
+        noise2[0, :, count:], noise2[1, :, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
+        waves, touch2 = slice(kalman.FIRST_WAVE, size), _diagonal(everything)[..., TOUCH]
         for step, force_n in zip(self._steps, self._force_n, strict=True):
-            claimed[:, at, at] += since_s * step.rate**2
+            touch2[0] += since_s * step.rate**2
             everything[:, :, :size] = step.transition @ everything[:, :, :size]
-            everything[..., :size] = everything[..., :size] @ step.transition.T
+            rows[:, :size] = rows[:, :size] @ step.transition.T
             claimed[:, :size, :size] += step.noise
             # What the filter takes for noise of walls and pulp is none of the body's.
             true[:, waves, waves] += step.noise[waves, waves]
@@ -155,23 +155,29 @@ class TouchError:
             lag[:, TOUCH] += step.moved
             jacobian[:, :count, :size] = slopes @ step.by_state
             moved = moved * np.exp(-since_s / READING_CORRELATION_S)
-            claimed2[:, :count] = noise**2 + known.model_error2(change, moved, since_s)
+            noise2[0, :, :count] = noise2[1, :, :count] + known.model_error2(change, moved, since_s)
             moved, change = moved + slopes @ step.blood - change, slopes @ step.blood
             read = slice(count if force_n else count + 2)
-            _update(everything, lag, jacobian[:, read], claimed2[:, read], true2[:, read])
-            yield lag[:, TOUCH] ** 2 + true[:, at, at]
+            _update(everything, lag, jacobian[:, read], noise2[..., read])
+            yield lag[:, TOUCH] ** 2 + touch2[1]
 
 
-def _update(covariances: Array, lag: Array, jacobian: Array, claimed2: Array, true2: Array) -> None:
+def _diagonal(matrices: Array) -> Array:
+    """The diagonals (..., n) of matrices (..., n, n), which change with them."""
+    return np.einsum("...ii->...i", matrices)
+
+
+def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> None:
     """Update the covariances that a filter believes and the true ones, (2, batch, n, n), and its lag (batch, n), by m
-    readings with a Jacobian (batch, m, n), whose noise has a variance (batch, m) in its belief and in truth."""
+    readings with a Jacobian (batch, m, n), whose noise has a variance (2, batch, m) in its belief and in truth."""
     by_state = jacobian @ covariances
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
-    innovation[..., range(claimed2.shape[1]), range(claimed2.shape[1])] += np.stack([claimed2, true2])
-    gain = np.swapaxes(np.linalg.solve(innovation[0], by_state[0]), 1, 2)
+    _diagonal(innovation)[...] += noise2
+    gain = np.swapaxes(np.linalg.inv(innovation[0]) @ by_state[0], 1, 2)
     # (1 - K H) P (1 - K H)^T + K R K^T in Joseph's form.
     half = gain @ (0.5 * innovation @ np.swapaxes(gain, 1, 2) - by_state)
-    covariances += half + np.swapaxes(half, 2, 3)
+    covariances += half
+    covariances += np.swapaxes(half, 2, 3)
     lag -= (gain @ (jacobian @ lag[..., None]))[..., 0]
 
 

@@ -240,16 +240,15 @@ def crowded(scene: Scene) -> list[str]:
     parts = [(p, room_of(p, (p.position_mm[0] + du, p.position_mm[1] + dv))) for p in both if p.has_package]
     for (one, room), (other, its) in combinations(parts, 2):
         of_one, of_other = ((p.reference or p.name).partition(".")[0] for p in (one, other))
-        if room.overlap_mm(its) > OVERLAP_MM and of_one != of_other:
-            depth = f"{room.overlap_mm(its):.2g} mm"
-            lines.append(f"body or courtyard of {one.name} and {other.name} overlap by {depth}; move one of them")
+        if (depth_mm := room.overlap_mm(its)) > OVERLAP_MM and of_one != of_other:
+            names = f"{one.name} and {other.name}"
+            lines.append(f"body or courtyard of {names} overlap by {depth_mm:.2g} mm; move one of them")
     border, *holes = scene.layout.border_mm or (scene.layout.outline.corners_mm,)
     off = [*holes, *shifted(board.taken_mm or (), board.center_mm)]
     for part, room in parts if board.outline_mm or board.size_mm else ():
         half_mm = (room.u_max - room.u_min) / 2 - OVERLAP_MM, (room.v_max - room.v_min) / 2 - OVERLAP_MM
         if not has_room(room.center_mm, half_mm, border, off):
-            where = "an edge of the board or nail, or another part of its file"
-            lines.append(f"body or courtyard of {part.name} reaches over {where}; move it")
+            lines.append(f"body or courtyard of {part.name} reaches over an edge or another part; move it")
     return lines
 
 

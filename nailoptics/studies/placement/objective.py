@@ -353,8 +353,13 @@ def score_layouts(
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
+    scored: dict[tuple[int, int], LayoutScore] = {}
     while True:
-        scores = [score_layout(layout, cache, objective) for layout in layouts]
+        # Those whose board was not traced further have the scores that they had.
+        known = [(i, cache.of(layout.board).photons_in_all) for i, layout in enumerate(layouts)]
+        for key in (key for key in known if key not in scored):
+            scored[key] = score_layout(layouts[key[0]], cache, objective)
+        scores = [scored[key] for key in known]
         tied = np.flatnonzero(ties(scores))
         worst = max(scores[i].relative_error for i in tied)
         report_progress("evaluate", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)

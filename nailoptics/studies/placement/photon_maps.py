@@ -35,10 +35,8 @@ def recorded(
     batches: Sequence[Arrivals], scene: Scene, led: int, point: OperatingPoint, areas: Sequence[Rectangle], blocks: int
 ) -> np.ndarray:
     """Means per emitted photon of light of one LED that was recorded on areas, (blocks, areas, values) float."""
-    blood = blood_point(scene, led, blood_fraction=point.blood_fraction)
-    light = Arrivals.joined(batches)
-    by_block = (light.thin(blocks, k) for k in range(blocks))
-    return np.stack([readings(block, blood.values(block), areas)[0] for block in by_block])
+    blood, light = blood_point(scene, led, blood_fraction=point.blood_fraction), Arrivals.joined(batches)
+    return readings(light, blood.values(light), areas, blocks=blocks)[0]
 
 
 class Stopped(Exception):
@@ -72,6 +70,11 @@ class TracedBoard:
     def photons(self) -> int:
         """How many photons of every LED were traced on every finger."""
         return min(board_map.photons for by_led in self.maps for board_map in by_led)
+
+    @property
+    def photons_in_all(self) -> int:
+        """How many photons its maps hold together."""
+        return sum(board_map.photons for by_led in self.maps for board_map in by_led)
 
 
 @dataclass

@@ -278,9 +278,8 @@ class Sites:
         """The bare board with one of its LEDs at a place, and the wall of its row."""
         (du, dv), board = self.base.board.center_mm, self.base.board
         if row.side is not None:
-            gap = (
-                self.gap_mm(row.side) + SIDES[row.side][1] * row.face_mm - span_mm(self.die(led, place_mm), row.side)[1]
-            )
+            edge = span_mm(self.die(led, place_mm), row.side)[1]
+            gap = self.gap_mm(row.side) + SIDES[row.side][1] * row.face_mm - edge
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
         update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
@@ -289,13 +288,9 @@ class Sites:
 
     def photodiode_places(self, walls: Sequence[Rectangle], leds_mm: Mapping[int, Point]) -> PhotodiodePlaces:
         """The places that walls and, where there are none, LEDs at places leave to photodiodes."""
-        if self.rules.wire:
-            areas, spacing = list(self.elements), (0.0, 0.0)
-        else:
-            areas, spacing = (
-                list(self._grid_areas),
-                room_of(self._like, (0.0, 0.0), self.rules.clearance_mm / 2).size_mm,
-            )
+        areas = list(self.elements if self.rules.wire else self._grid_areas)
+        of_one = room_of(self._like, (0.0, 0.0), self.rules.clearance_mm / 2)
+        spacing = (0.0, 0.0) if self.rules.wire else of_one.size_mm
         free = np.ones(len(areas), bool)
         for wall in [] if self.rules.wire else walls:
             axis, way = SIDES[wall.name]
@@ -311,8 +306,7 @@ class Sites:
 
     def are_beside(self, areas: Sequence[Rectangle], leds_mm: Mapping[int, Point]) -> np.ndarray:
         """Which photodiodes (m,) leave LEDs at these places, by number, their room, without walls, (m,) bool."""
-        rooms = (self._room_beside(i, place) for i, place in leds_mm.items())
-        return self._are_clear(areas, rooms)
+        return self._are_clear(areas, (self._room_beside(i, place) for i, place in leds_mm.items()))
 
     def _are_clear(self, areas: Sequence[Rectangle], others: Iterable[Rectangle]) -> np.ndarray:
         """Which photodiodes (m,) lie off all of some others, by their bounds, (m,) bool."""
