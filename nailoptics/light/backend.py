@@ -23,6 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+from ..assets import read_toml
 from ..errors import InputError, WriteError
 from ..io import cache_folder, write_bytes
 
@@ -33,18 +34,7 @@ Name = Literal["cuda", "llvm", "metal", "scalar"]
 NAMES: tuple[Name, ...] = ("cuda", "llvm", "metal", "scalar")
 ENGINES = ("photons", "volpath")
 VARIANTS: dict[Name, str] = {name: f"{name}_ad_mono" for name in NAMES} | {"scalar": "scalar_rgb"}
-ADVICE = (
-    "the scalar backend is slow; to trace much faster install libLLVM 15 or newer (Debian, Ubuntu: apt install "
-    "libllvm19; Linux on x86-64: pip install 'nailoptics[llvm]'), or set DRJIT_LIBLLVM_PATH to one"
-)
-VOLPATH_ADVICE = (
-    "volpath traces with the slow scalar backend, because this libLLVM compiles the photons engine only; to trace much "
-    "faster install libLLVM 17 or newer (Debian, Ubuntu: apt install libllvm19), or set DRJIT_LIBLLVM_PATH to one"
-)
-METAL_ADVICE = (
-    "metal is untried: nailoptics never ran on an Apple GPU, which sums in single precision; compare it once with "
-    "--backend llvm (brew install llvm)"
-)
+ADVICE = read_toml("backends.toml")
 # Where macOS has Metal.
 METAL = "/System/Library/Frameworks/Metal.framework"
 PROBE_TIMEOUT_S = 120.0
@@ -123,9 +113,9 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
         for candidate in _look(name):
             if candidate.usable:
                 if volpath and "volpath" not in candidate.engines:
-                    return replace(choose("scalar"), why=f"{name} {candidate.why}", advice=VOLPATH_ADVICE)
+                    return replace(choose("scalar"), why=f"{name} {candidate.why}", advice=ADVICE["volpath"])
                 why = "requested" if requested == name else "; ".join(failures) or "the fastest that there is"
-                advice = {"metal": METAL_ADVICE, "scalar": ADVICE}.get(name) if requested == "auto" else None
+                advice = ADVICE.get(name) if requested == "auto" else None
                 return replace(candidate, why=why, advice=advice)
             failed.append(f"{candidate.library}: {candidate.why}" if candidate.library else candidate.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")

@@ -131,7 +131,15 @@ def read_rest(
     cpu, begin = time.process_time(), time.perf_counter()
     options, engine = _options(scene, requested)
     if engine == "volpath":
-        result, unmet = _rest_by_volpath(scene, options, progress)
+        zones, blood = optics.zones(scene).count, scene.blood.rest_blood_fraction
+        rest = None if scene.phantom is not None else np.full((1, zones), blood)
+        traced, rows = volpath.read_leds(scene, options, progress, rest), list[dict[str, Any]]()
+        for led, r in zip(scene.leds, traced, strict=True):
+            values = zip(photodiode_names(scene), r.fraction[:, 0], r.fraction_stderr[:, 0], strict=True)
+            rows += [_row(led, *value, r.paths) for value in values]
+        energy = mean_of_leds([r.energy for r in traced if r.energy]) if scene.phantom is not None else None
+        photons, unmet = sum(r.paths for r in traced), _unmet(traced)
+        result = RestReadings(rows, energy, photons, "volpath", options.backend)
     else:
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
         result = rest_of(transfer)
@@ -144,7 +152,7 @@ def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
     where volpath cannot run on the backend and takes scalar."""
     options = TraceOptions(**requested)
     chosen = backends.choose(options.backend, volpath=scene.light.engine == "volpath")
-    if chosen.advice == backends.VOLPATH_ADVICE:
+    if chosen.advice == backends.ADVICE["volpath"]:
         log.warning(chosen.advice)
     if engine_for(scene, chosen) == "volpath" and not chosen.jit and any(led.fwhm_nm for led in scene.leds):
         log.warning("the scalar backend traces an LED's line at its peak alone")
@@ -305,22 +313,6 @@ def rest_of(transfer: Transfer) -> RestReadings:
             rows.append(row)
     made = {name: getattr(transfer, name) for name in ("photons", "engine", "backend", "reused")}
     return RestReadings(rows, transfer.energy(), **made, transfer=transfer)
-
-
-def _rest_by_volpath(
-    scene: Scene, options: TraceOptions, progress: ProgressCallback | None
-) -> tuple[RestReadings, NotReachedError | None]:
-    """The readings of a scene at rest, traced by volpath."""
-    zones, blood = optics.zones(scene).count, scene.blood.rest_blood_fraction
-    rest = None if scene.phantom is not None else np.full((1, zones), blood)
-    traced = volpath.read_leds(scene, options, progress, rest)
-    rows = []
-    for led, r in zip(scene.leds, traced, strict=True):
-        values = zip(photodiode_names(scene), r.fraction[:, 0], r.fraction_stderr[:, 0], strict=True)
-        rows += [_row(led, *value, r.paths) for value in values]
-    energy = mean_of_leds([r.energy for r in traced if r.energy]) if scene.phantom is not None else None
-    photons = sum(r.paths for r in traced)
-    return RestReadings(rows, energy, photons, "volpath", options.backend), _unmet(traced)
 
 
 def _row(led: Led, photodiode: str, fraction: Any, stderr: Any, photons: int) -> dict[str, Any]:

@@ -72,8 +72,8 @@ def test_volpath_takes_the_scalar_backend_where_only_photons_compile(library, fr
     for requested in ("auto", "llvm"):
         stock = backend.choose(requested, volpath=True)
         assert (stock.name, stock.jit, stock.engines) == ("scalar", False, ("volpath",))
-        assert "SIGABRT" in stock.why and stock.advice == backend.VOLPATH_ADVICE
-    assert "libllvm19" in backend.VOLPATH_ADVICE and "\n" not in backend.VOLPATH_ADVICE
+        assert "SIGABRT" in stock.why and stock.advice == backend.ADVICE["volpath"]
+    assert "libllvm19" in backend.ADVICE["volpath"] and "\n" not in backend.ADVICE["volpath"]
     assert {f.name: f.why.rpartition("; ")[2] for f in backend.findings() if f.usable} == {
         "llvm": "selected",
         "scalar": "selected for volpath",

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ... import tissue
+from ...assets import read_toml
 from ...display import Displayed
 from ...errors import InputError, NotReachedError, unless_cut_off
 from ...hemodynamics.for_scene import blood_over_touch
@@ -28,13 +29,7 @@ from .paired import Estimates, PairedReadings, PairedTracer
 # Costs of one level, measured twice, differ by about this part.
 COST_NOISE = 0.1
 REFERENCE, OWN = "full", "the scene itself"
-CHEAPER: dict[str, Changes] = {
-    "matched indices": {"light": {"index_steps": False}},
-    "similarity": {"light": {"similarity": True}},
-    "similarity, matched": {"light": {"similarity": True, "index_steps": False}},
-    "no epidermis, no Kapton": {"light": {"left_out": ["epidermis", "kapton"]}},
-    "no bone either": {"light": {"left_out": ["bone", "epidermis", "kapton"]}},
-}
+CHEAPER: dict[str, Changes] = read_toml("cheaper_models.toml")
 FULL: Changes = {"light": {"engine": "auto", "index_steps": True, "similarity": False, "left_out": ()}} | PART_WIDTH
 # Other ways to follow the blood over the touch, by arguments of `blood_over_touch`.
 COURSES: dict[str, dict[str, Any]] = {"walls with mass": {"model": "inertial"}, "vessels to 1e-3": {"rtol": 1e-3}}
