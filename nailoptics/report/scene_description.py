@@ -64,16 +64,6 @@ def body_words(scene: Scene) -> str:
     return ", ".join(parts)
 
 
-def _exposure_words(exposures: list[dict[str, Any]]) -> str:
-    """The LED that is brightest on the nail, beside the limits of IEC 62471, and what one of its readings takes."""
-    worst = max(exposures, key=lambda row: row["nail_w_per_m2"])
-    skin, eye_w_per_m2 = worst["nail_w_per_m2"] / SKIN_W_PER_M2, sum(row["eye_w_per_m2"] for row in exposures)
-    charge = "" if worst["charge_c"] is None else f" and {1e6 * worst['charge_c']:.2g} uC"
-    numbers = {"skin_mm": 1e3 * SKIN_M, "skin": 100 * skin, "eye_w_per_m2": eye_w_per_m2, "charge": charge}
-    numbers |= {"eye_m": EYE_M, "eye_limit": EYE_W_PER_M2, "light_uj": 1e6 * worst["light_j"]}
-    return TEXTS["exposure"].format(**worst | numbers)
-
-
 def _led_line(led: dict[str, Any]) -> str:
     part, width = f" ({led['part']})" if "part" in led else "", f", {led['fwhm_nm']:g} nm wide"
     at = "at ({:g}, {:g}) mm".format(*led["position_mm"])
@@ -109,7 +99,13 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
     for title, rows in (("reading at rest:", readings), ("noise of one sample, rms:", noise)):
         lines += [title, *(f"  {line}" for line in aligned(rows))] if rows else []
     lines += [f"noise: {report['noise']}"] if report["noise"] else []
-    return [*lines, _exposure_words(report["exposure"])]
+    # The LED that is brightest on the nail, beside the limits of IEC 62471, and what one of its readings takes.
+    exposures, worst = report["exposure"], max(report["exposure"], key=lambda row: row["nail_w_per_m2"])
+    skin, eye_w_per_m2 = worst["nail_w_per_m2"] / SKIN_W_PER_M2, sum(row["eye_w_per_m2"] for row in exposures)
+    charge = "" if worst["charge_c"] is None else f" and {1e6 * worst['charge_c']:.2g} uC"
+    numbers = {"skin_mm": 1e3 * SKIN_M, "skin": 100 * skin, "eye_w_per_m2": eye_w_per_m2, "charge": charge}
+    numbers |= {"eye_m": EYE_M, "eye_limit": EYE_W_PER_M2, "light_uj": 1e6 * worst["light_j"]}
+    return [*lines, TEXTS["exposure"].format(**worst | numbers)]
 
 
 def check_lines(report: dict[str, Any]) -> list[str]:

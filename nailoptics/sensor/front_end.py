@@ -101,11 +101,6 @@ class SampledFrontEnd:
         lit = [[float(name == light) - float(name == DARK) for name in self.slot_names] for light in self.lights[:2]]
         return np.array(lit)
 
-    @property
-    def corrected(self) -> Array:
-        """How much of each LED's own light is in the red and the infrared reading, less the dark one, (2, 2) float."""
-        return (self.weights @ self.mixing)[:, :2]
-
     def slot_volts(self, fraction: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Mean volts of every slot and where the converter is at its limit, (slots, ..., photodiodes) each.
 

@@ -109,18 +109,6 @@ def offset_of(scene: Scene, prior: Prior) -> float:
         return float(((np.log(value) if prior.scale == "log" else value) - mean) / sd)
 
 
-def standard_draws(correlation: np.ndarray) -> np.ndarray:
-    """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors) float.
-    Always the same ones: a Latin hypercube with its mirror image, so that odd moments are exactly 0, too."""
-    count, generator = len(correlation), np.random.default_rng(1)
-    below = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS // 2)]
-    sides = generator.choice([-1.0, 1.0], (DRAWS // 2, count))
-    half = sides * generator.permuted(np.tile(below, (count, 1)), axis=1).T
-    independent = half @ np.linalg.inv(np.linalg.cholesky(2 * half.T @ half / DRAWS)).T
-    draws = independent @ covariance_root(correlation).T
-    return np.concatenate([draws, -draws])
-
-
 def known_priors(scene: Scene) -> tuple[Prior, ...]:
     """The priors of a scene's finger and of its body."""
     return (*scene.finger_priors, *scene.priors.of_body(scene.body))
@@ -211,7 +199,15 @@ class PriorSensitivity:
 
     @cached_property
     def _standard(self) -> np.ndarray:
-        return standard_draws(self.correlation)
+        """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors)
+        float. Always the same ones: a Latin hypercube with its mirror image, so that odd moments are exactly 0, too."""
+        count, generator = len(self.correlation), np.random.default_rng(1)
+        below = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS // 2)]
+        sides = generator.choice([-1.0, 1.0], (DRAWS // 2, count))
+        half = sides * generator.permuted(np.tile(below, (count, 1)), axis=1).T
+        independent = half @ np.linalg.inv(np.linalg.cholesky(2 * half.T @ half / DRAWS)).T
+        draws = independent @ covariance_root(self.correlation).T
+        return np.concatenate([draws, -draws])
 
     @cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray]:

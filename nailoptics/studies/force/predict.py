@@ -10,16 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...scene.importers.sensor_recordings import (
-    MOST_VOLTS,
-    STDIN,
-    Recording,
-    check_header,
-    check_known,
-    read_sensor_recording,
-    reading_columns,
-    samples_by_line,
-)
+from ...scene.importers import sensor_recordings
+from ...scene.importers.sensor_recordings import STDIN, Recording, check_known
 from ...sensor.electronics import recorded_at_limit
 from ...variables import Estimate, Variables, described
 from ...version import code_attributes
@@ -59,7 +51,7 @@ def predict(
     if not 0 < release_n < press_n < np.inf:
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
     subject = _subject(subject)
-    recording = readings if isinstance(readings, Recording) else read_sensor_recording(readings)
+    recording = readings if isinstance(readings, Recording) else sensor_recordings.read_sensor_recording(readings)
     recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
     estimates = estimate_pressures(subject, recording.time_s, recording.volts)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
@@ -87,11 +79,11 @@ def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:
     """
 
     def titles(header: list[str]) -> tuple[str, ...]:
-        check_header(header, STDIN)
-        check_known(reading_columns(header), subject.light.names, STDIN)
+        sensor_recordings.check_header(header, STDIN)
+        check_known(sensor_recordings.reading_columns(header), subject.light.names, STDIN)
         return "time_s", *subject.light.names
 
-    samples = samples_by_line(lines, titles)
+    samples = sensor_recordings.samples_by_line(lines, titles)
     yield ",".join(CSV_COLUMNS)
     for force in predict_live(subject, ((sample.pop("time_s"), sample) for sample in samples)):
         yield _csv_row(*force)
@@ -137,7 +129,7 @@ def predict_live(
             raise InputError(f"sample {sample!r:.100}: give a time in s and numbers in V, as {example}.") from None
         if last_s is not None and not time_s > last_s:
             raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
-        if np.nanmax(np.abs(volts), initial=0.0) > MOST_VOLTS:
+        if np.nanmax(np.abs(volts), initial=0.0) > sensor_recordings.MOST_VOLTS:
             raise InputError(f"{where} looks like a converter's counts; convert it to volts.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)

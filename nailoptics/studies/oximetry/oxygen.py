@@ -19,18 +19,7 @@ from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_end_of
 from ...statistics import Array, jackknife, seed_of
 from ...variables import Estimate, Variables, described, jackknifed, variable
 from ..prior_uncertainty import at_value
-from .ratio import (
-    FIT_SO2,
-    Pulsation,
-    calibrate_curve,
-    path_length_ratios,
-    path_warnings,
-    read_pulsations,
-    read_states,
-    saturation_curve,
-    saturation_of,
-    trace_for_ratio,
-)
+from . import ratio as pulsations
 
 FORCES_N = np.linspace(0.0, 2.0, 9)
 REST_BLOOD = np.linspace(0.01, 0.06, 6)
@@ -57,7 +46,7 @@ class CalibratedOximeter:
     leds: tuple[int, int]
     so2: Array
     curve: Array
-    nominal: Pulsation
+    nominal: pulsations.Pulsation
 
     def bias(self, ratio: Array) -> tuple[Array, Array]:
         """Bias of SpO2 and its standard error, (photodiodes, n) each. [percent]
@@ -71,13 +60,14 @@ class CalibratedOximeter:
         out = np.full(ratio.shape, np.nan)
         for g, j in np.ndindex(ratio.shape[:2]):
             if np.isfinite(self.curve[g, j]).all():
-                out[g, j] = 100 * saturation_of(ratio[g, j], self.so2, self.curve[g, j])
+                out[g, j] = 100 * pulsations.saturation_of(ratio[g, j], self.so2, self.curve[g, j])
         return out
 
     def ratio(self, changes: list[tuple[Scene, BloodBeat]]) -> Array:
         """Ratios of ratios in scenes that differ only in absorption and spectra, (1 + groups, photodiodes, n) float."""
         changed = ((replace(self.transfer, scene=scene), (scene.blood.so2, beat)) for scene, beat in changes)
-        return np.concatenate([read_pulsations(light, self.leds, [state]).ratio for light, state in changed], -1)
+        read = (pulsations.read_pulsations(light, self.leds, [state]) for light, state in changed)
+        return np.concatenate([one.ratio for one in read], -1)
 
 
 def sensitivity_curves(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> dict[str, Variables]:
@@ -170,10 +160,10 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
     states = [(scene.blood.so2, rest_beat(scene))]
 
     def error_of(light: Transfer) -> float:
-        value, error = jackknifed(read_pulsations(light, leds, states).ratio[..., 0])
+        value, error = jackknifed(pulsations.read_pulsations(light, leds, states).ratio[..., 0])
         return float(np.nanmin(np.where(value > 0, error / value, np.inf), initial=np.inf))
 
-    transfer, unmet = as_far_as_reached(trace_for_ratio, scene, error_of, options, progress)
+    transfer, unmet = as_far_as_reached(pulsations.trace_for_ratio, scene, error_of, options, progress)
     result = oximeter_from(transfer, options=options)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return unless_cut_off(result, unmet)
@@ -183,15 +173,15 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
     """What `oximeter` returns, from light that is already traced."""
     scene, leds = transfer.scene, oximeter_leds(transfer.scene)
     beat = rest_beat(scene)
-    curve = saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0)
+    curve = pulsations.saturation_curve(transfer, leds, beat, low=min(SO2[0], scene.blood.so2), high=1.0)
     oximeter = CalibratedOximeter(transfer, leds, SO2, curve(SO2).ratio, curve(scene.blood.so2))
     sources, seed = (scene.ambient or LAMP, SUN), seed_of(options.seed, _LEAKAGE)
     (ambient_a, sun_a), (ambient_stderr_a, sun_stderr_a), _ = trace_ambient(scene, sources, options, seed=seed)
     front_end = front_end_of(scene, leds, ambient_a)
-    path_ratio = path_length_ratios(transfer, leds, beat)
-    calibrations, ratio = Variables(), curve(FIT_SO2).ratio
+    path_ratio = pulsations.path_length_ratios(transfer, leds, beat)
+    calibrations, ratio = Variables(), curve(pulsations.FIT_SO2).ratio
     for degree, name in ((2, "quadratic"), (1, "linear")):
-        fits, miss = calibrate_curve(FIT_SO2, ratio, degree)
+        fits, miss = pulsations.calibrate_curve(pulsations.FIT_SO2, ratio, degree)
         calibrations |= described(__package__, **{name: jackknifed(fits), f"{name}_miss": miss})
     slope = np.abs(calibrations["linear"][1][:, 1])
     volts = _volts(transfer, leds, beat, front_end)
@@ -253,7 +243,7 @@ def light_of_touch(scene: Scene, transfer: Transfer, leds: tuple[int, int]) -> t
 def _volts(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end: SampledFrontEnd) -> Variables:
     """Both LEDs' readings over a beat, less the dark slot's, and the volts of every slot."""
     states = [(transfer.scene.blood.so2, beat.resting, beat.pulse)]
-    light = np.stack([read_states(transfer, led, states) for led in leds])
+    light = np.stack([pulsations.read_states(transfer, led, states) for led in leds])
     slots, full = front_end.slot_volts(np.swapaxes(light, 2, 3))
     volts = np.einsum("ls,sgtj->gljt", front_end.weights, slots)
     return described(
@@ -291,14 +281,15 @@ def _error_variables(
 
 def _warnings(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, path_ratio: Array) -> list[str]:
     scene, nominal = oximeter.transfer.scene, oximeter.nominal
-    lines = path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
+    lines = pulsations.path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
     _, full = front_end.slot_volts(nominal.dc[0, ..., 0])
     for name, over in zip(oximeter.transfer.photodiodes, full.T, strict=True):
         if over.any():
             full_in = f'photodiode "{name}" saturates in slot "{front_end.slot_names[int(over.argmax())]}"'
             cure = "lower the LED's flux_mw or electronics.feedback_ohm"
             lines.append(f"{full_in}: its volts do not measure the light; {cure}")
-    crosstalk = float(np.abs(front_end.corrected - np.eye(2)).max())
+    # How much of each LED's own light is in the red and the infrared reading, less the dark one.
+    crosstalk = float(np.abs((front_end.weights @ front_end.mixing)[:, :2] - np.eye(2)).max())
     if crosstalk > MOST_CROSSTALK:
         cure = "raise electronics.bandwidth_hz or oximeter.settle, or lengthen the slots"
         lines.append(f"slots: {crosstalk:.1%} of a reading is not its own LED's settled light; {cure}")

@@ -15,16 +15,8 @@ from ...scene.priors import size_priors
 from ...sensor import information as sensor_information
 from ...statistics import Z95, jackknife, left_out
 from ...variables import described, jackknifed
-from ..prior_uncertainty import (
-    PriorSensitivity,
-    at_value,
-    known_priors,
-    nodes_of,
-    only_absorbs,
-    over_priors,
-    prior_variables,
-    value_of,
-)
+from .. import prior_uncertainty
+from ..prior_uncertainty import PriorSensitivity, at_value, known_priors, nodes_of, only_absorbs, over_priors, value_of
 from . import boards
 from .candidates import CandidateLayout
 from .objective import LayoutScore
@@ -185,4 +177,4 @@ def _dataset(over: PriorSensitivity, chosen: Sequence[int], untraced: Sequence[P
         best_surely_beaten_at=int(surely.sum()),
         nodes=len(change),
     )
-    return xr.Dataset(data).merge(prior_variables(over.priors, untraced, scene))
+    return xr.Dataset(data).merge(prior_uncertainty.prior_variables(over.priors, untraced, scene))

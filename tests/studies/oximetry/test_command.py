@@ -11,7 +11,7 @@ SHIPPED = (data_dir("scenes") / "pulse_oximeter.toml").read_text(encoding="utf-8
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("nailoptics.studies.oximetry.oxygen.trace_for_ratio", None)
+    monkeypatch.setattr("nailoptics.studies.oximetry.ratio.trace_for_ratio", None)
     return tmp_path
 
 

@@ -187,7 +187,7 @@ def test_two_dies_along_the_nail_are_warned_of(light):
 
 
 def test_no_light_is_traced_for_what_is_no_oximeter(monkeypatch):
-    monkeypatch.setattr("nailoptics.studies.oximetry.oxygen.trace_for_ratio", None)
+    monkeypatch.setattr("nailoptics.studies.oximetry.ratio.trace_for_ratio", None)
     with pytest.raises(InputError, match="heartbeat"):
         oximeter(shipped().model_copy(update={"body": None}))
     one = shipped().model_copy(update={"oximeter": None, "leds": shipped().leds[:1]})
