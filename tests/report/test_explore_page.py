@@ -27,7 +27,8 @@ from nailoptics.scene.importers.positions import read_positions
 from nailoptics.sensor import electronics
 from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
 from nailoptics.statistics import jackknife
-from nailoptics.studies.exploration.explore import KERNEL_ERROR, Exploration
+from nailoptics.studies.exploration.explore import KERNEL_ERROR, Exploration, blood_polynomial
+from nailoptics.studies.exploration.pair_table import BloodPolynomial
 from nailoptics.studies.placement.result import kicad_parts
 
 
@@ -98,12 +99,21 @@ def half(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float16).astype(float)
 
 
-def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list[float], *, points: int = 0) -> float:
-    """What a photodiode reads, from the tables at the precision in which the page has them.
+def reading(
+    explored: Exploration,
+    kernel: np.ndarray,
+    polynomial: BloodPolynomial,
+    die: Any,
+    area: Any,
+    state: list[float],
+    points: int = 0,
+) -> float:
+    """What a photodiode reads, from a table at the precision in which the page has it.
 
+    kernel : (size, monomials) float. Of a wavelength, of the scene's finger or a person's.
     points : Of Gauss quadrature along each side; as many as the page takes if 0.
     """
-    table, nodes = explored.colours[colour], []
+    nodes: list[Any] = []
     for one in (die, area):
         turn = np.radians(one["turn"])
         rules = [
@@ -117,7 +127,7 @@ def reading(explored: Exploration, colour: int, die: Any, area: Any, state: list
     (x, wx), (y, wy) = nodes
     pairs = np.repeat(x, len(y), 0), np.tile(y, (len(x), 1))
     weights = np.outer(wx, wy).ravel() * area["size"][0] * area["size"][1] * explored.radial(*pairs)
-    coefficients = half(table.coefficients) @ explored.polynomial.monomials(np.array([state]))[0]
+    coefficients = half(kernel) @ polynomial.monomials(np.array([state]))[0]
     return float(weights @ (explored.basis.matrix(*pairs) @ coefficients))
 
 
@@ -134,16 +144,24 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
         state, colour = [*rng.uniform(0.0, 0.1, 2).tolist(), float(rng.uniform(0.7, 1.0))], int(rng.integers(3))
         die = {"at": x, "size": (0.25, 0.25), "turn": 0.0}
         area = {"at": y, "size": size, "turn": turn}
-        shown_fraction = shown.evaluate(
-            """([colour, x, y, size, turn, state]) => dot(monomials(state), readPair(
-                {u: x[0], v: x[1], width: 0.25, length: 0.25, turn: 0},
-                {u: y[0], v: y[1], width: size[0], length: size[1], turn: turn * Math.PI / 180}, colours[colour]
-            ).coefficients)""",
+        shown_fraction, *of_people = shown.evaluate(
+            """([colour, x, y, size, turn, state]) => {
+                const pair = readPair({u: x[0], v: x[1], width: 0.25, length: 0.25, turn: 0},
+                    {u: y[0], v: y[1], width: size[0], length: size[1], turn: turn * Math.PI / 180}, colours[colour]);
+                return [dot(monomials(state), pair.coefficients),
+                    ...people.map((person, i) => dot(monomials(state, null, person.polynomial), pair.people[i]))];
+            }""",
             [colour, x, y, size, turn, state],
         )
-        assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state), rel=1e-6)
+        table, own = explored.colours[colour], explored.polynomial
+        assert shown_fraction == pytest.approx(reading(explored, table.coefficients, own, die, area, state), rel=1e-6)
         # Beside kinks of the table a few points miss some.
-        assert shown_fraction == pytest.approx(reading(explored, colour, die, area, state, points=12), rel=0.02)
+        expected = reading(explored, table.coefficients, own, die, area, state, 12)
+        assert shown_fraction == pytest.approx(expected, rel=0.02)
+        assert len(of_people) == len(explored.people) == 3
+        for fraction, kernel, one in zip(of_people, table.people, explored.people, strict=True):
+            expected = reading(explored, kernel, blood_polynomial(one.scene, chosen=False), die, area, state)
+            assert fraction == pytest.approx(expected, rel=1e-6)
 
 
 def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: Exploration):
@@ -232,6 +250,52 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             [given, force_n, scene.blood.rest_blood_fraction],
         )
         assert displayed == pytest.approx(expected, rel=1e-6)
+
+
+def test_people_read_the_shown_layout_with_blood_touch_and_waves_of_their_own(shown: Any, explored: Exploration):
+    """Expected: what steady vessels and Cramer-Rao make of each person's readings; the table says so as parts move."""
+    force_n = float(explored.touch["force_n"][12])
+    before = shown.inner_text("#people")
+    people = shown.evaluate(
+        """force => { change((layout) => { layout.force = force; layout.photodiodes[0].v += 0.4; });
+            return JSON.parse(JSON.stringify(workbench.result.people)); }""",
+        force_n,
+    )
+    assert shown.inner_text("#people") != before
+    assert shown.locator("#people thead th").all_text_contents()[1:] == ["This finger", "10 %", "50 %", "90 %"]
+    texts = shown.locator("#people tbody tr").first.locator("td").all_text_contents()
+    for k, (displayed, one, text) in enumerate(zip(people, explored.people, texts[1:], strict=True)):
+        worn = one.scene
+        blood = shown.evaluate("([k, f]) => stateAt(f, people[k].rest, 0.9, people[k])", [k, force_n])
+        rest = worn.blood.rest_blood_fraction
+        assert blood[:2] == pytest.approx(steady_blood(worn, [force_n])[0], abs=0.01 * rest)
+        point, rows_ = operating_point(worn, force_n, since_rest_s=60.0), displayed["rows"]
+        light, zone = np.array([row["light"] for row in rows_]), np.array([row["zone"] for row in rows_])
+        read = Response(
+            volts=light,
+            noise_v2=np.array([row["noiseV2"] for row in rows_]),
+            slope_v_per_pa=zone @ point.blood_per_pa,
+            zone_v=zone,
+            shunted_fraction=0 * light,
+            body_v=None if point.body is None else point.body.shapes_v(zone, light, 0),
+            independent_v2=0.0 if point.body is None else (point.body.reading_gain * light) ** 2,
+        )
+        assert not any(row["saturated"] or row["few"] for row in rows_)
+        expected = float(force_resolution_n(total_information([read]), point))
+        value = displayed["throughBody" if point.body else "electronics"]["value"]
+        assert value == pytest.approx(expected, rel=1e-3)
+        assert ("None" in text) == (not shown.evaluate("([k, x]) => isKnown(x, people[k])", [k, value]))
+    assert len({row["rows"][0]["volts"] for row in people}) == 3
+
+
+def test_a_converter_at_its_limit_is_shown_for_whom_it_is(shown: Any):
+    """The second person's light is made so bright that no reading is below the limit."""
+    shown.evaluate(
+        """() => { for (const pair of caches.values()) pair.people[1] = pair.people[1].map((x) => 1e6 * x); draw(); }"""
+    )
+    cells = shown.locator("#people tr", has_text="Saturated readings").locator("td").all_text_contents()
+    count = shown.evaluate("workbench.result.rows.length")
+    assert cells[2] == f"{count} of {count}" and cells[0] != cells[2]
 
 
 def test_the_noise_budget_of_a_pair_has_all_causes_of_its_variance(shown: Any, explored: Exploration):

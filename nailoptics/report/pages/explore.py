@@ -13,6 +13,7 @@ from ...scene.base import MOST_PHOTODIODES
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, SOURCES, SUN
 from ...statistics import MIN_EFFECTIVE_TERMS
+from ...studies.exploration.drawn_people import DRAWN, QUANTILES, RANKED_N, DrawnPerson
 from ...studies.exploration.explore import (
     BLOCKS,
     BLOOD_RANGE,
@@ -21,6 +22,8 @@ from ...studies.exploration.explore import (
     SAME_NM,
     ColourTable,
     Exploration,
+    blood_polynomial,
+    touch_table,
 )
 from ...studies.exploration.pair_table import NEAREST_MM
 from .. import maps
@@ -28,7 +31,7 @@ from ..files import Report, run_summary
 from ..html import Html, Script, details, document, file_text, preformatted, section, small, subheading, texts
 
 # What of a part is its place in a layout, and not the part.
-PLACED = {"name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"}
+PLACED = ["name", "reference", "position_mm", "rotation_deg", "wired", "feedback_ohm"]
 # Rules of Gauss quadrature up to so many points.
 MOST_POINTS = 6
 # More pairs of an LED and a photodiode than this, or a longer scene, would hold up a browser.
@@ -61,6 +64,7 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
     diodes = [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
     (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.colours[0].fluence
     ambient = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
+    ambient |= {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP), "sun": SOURCES.index(SUN)}
     radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
     rest = scene.blood.rest_blood_fraction
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
@@ -85,40 +89,35 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
         "stage": _stage(scene),
         "touch": exploration.touch,
+        "people": list(map(_person, exploration.people, QUANTILES)),
+        "peopleDrawn": {"count": DRAWN, "forceN": RANKED_N},
         "board": _board(scene),
-        "layout": _layout(scene, diodes, leds),
+        "placed": PLACED,
         # What a scene that is dropped on the page must keep, and a layout's parts.
         "rules": {
-            "scene": _bare(Scene.model_json_schema()),
+            "scene": Scene.model_json_schema(),
             "mostElements": MOST_PHOTODIODES,
             "mostPairs": max(MOST_PAIRS, pairs),
             "mostBytes": MOST_SCENE_BYTES,
         },
         "formula": FORMULA,
-        "ambient": {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP)} | ambient,
+        "ambient": ambient,
         "fluence": {"radiusMm": fluence.radius_mm.values, "depthMm": fluence.depth_mm.values},
     }
 
 
-def _bare(schema: Any, *, names: bool = False) -> Any:
-    """A JSON Schema without what explains it and without what must be given, of which a part may fill in some.
-
-    names : whether the keys are names of fields.
-    """
-    if isinstance(schema, list):
-        return [_bare(item) for item in schema]
-    if not isinstance(schema, dict):
-        return schema
-    left_out = () if names else ("description", "title", "required")
-    kept = {key: value for key, value in schema.items() if key not in left_out}
-    return {k: _bare(value, names=not names and k in ("properties", "$defs")) for k, value in kept.items()}
+def _person(person: DrawnPerson, quantile: float) -> dict[str, Any]:
+    blood, polynomial = person.scene.blood, blood_polynomial(person.scene, chosen=False)
+    over = {"bloodFraction": polynomial.blood_fraction, "so2": polynomial.so2, "exponents": polynomial.exponents}
+    known = {"quantile": quantile, "resolutionN": person.resolution_n, "rest": blood.rest_blood_fraction}
+    return known | {"so2": blood.so2, "touch": touch_table(person.scene), "polynomial": over}
 
 
 def _colour(table: ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
     log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
-    kernels["logFluence"] = log_fluence
+    kernels |= {"logFluence": log_fluence, "people": table.people}
     halves = {name: np.ascontiguousarray(values, "<f2").tobytes() for name, values in kernels.items()}
     encoded = {name: base64.b64encode(half).decode() for name, half in halves.items()}
     return {"nm": table.led.wavelength_nm, "photons": table.photons} | encoded
@@ -126,7 +125,7 @@ def _colour(table: ColourTable) -> dict[str, Any]:
 
 def _fields(part: Led | Photodiode) -> dict[str, Any]:
     """What of a part is not its place in a layout."""
-    return part.model_dump(mode="json", exclude_none=True, exclude=PLACED)
+    return part.model_dump(mode="json", exclude_none=True, exclude={*PLACED})
 
 
 def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
@@ -201,31 +200,6 @@ def _board(scene: Scene) -> dict[str, Any]:
         "plateMm": finger.nail_thickness_mm,
         "bedMm": finger.bed_thickness_mm,
         "covered": board.cover_um > 0,
-    }
-
-
-def _layout(scene: Scene, diodes: list[Photodiode], leds: list[dict[str, Any]]) -> dict[str, Any]:
-    """The scene's own layout, from the nail's centre."""
-    du, dv = scene.board.center_mm
-
-    def placed(part: Led | Photodiode, kinds: list[dict[str, Any]]) -> dict[str, Any]:
-        u, v = part.position_mm
-        place = {"name": part.name, "u": u + du, "v": v + dv, "turn": part.rotation_deg, "reference": part.reference}
-        return place | {"kind": kinds.index(_fields(part))}
-
-    kinds, led_kinds = [_fields(diode) for diode in diodes], [kind["fields"] for kind in leds]
-    return {
-        "leds": [placed(led, led_kinds) for led in scene.leds],
-        "photodiodes": [
-            placed(p, kinds)
-            | {"width": p.size_mm[0], "length": p.size_mm[1]}
-            | {"elements": p.elements, "pitch": p.pitch_mm, "wired": p.wired}
-            for p in scene.photodiodes
-        ],
-        "force": scene.touch.force_n if getattr(scene.touch, "force_n", None) else 1.0,
-        "rest": scene.blood.rest_blood_fraction,
-        "so2": scene.blood.so2,
-        "ambient": SOURCES.index(SUN),
     }
 
 

@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 import xarray as xr
@@ -27,7 +27,7 @@ from ...geometry import underside
 from ...hemodynamics.touch import touch_course
 from ...light import ProgressCallback, optics
 from ...light.backend import choose_jit
-from ...light.board_map import Arrivals, BoardTracer, blood_point
+from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
 from ...light.tracing.store import CODE, LightStore, made_by, program_digest, stored_or_made
@@ -38,6 +38,7 @@ from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import Array, seed_of
 from ..placement import boards, candidates
+from .drawn_people import DrawnPerson, ranked_people
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
 
 # Photons of each of the scene's own wavelengths, on a board with a wall, through which little light comes, and without;
@@ -58,10 +59,14 @@ BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
 AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
 # Photons of the fluence around a source, and the width of its rings. [mm]
 FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
+# The scene as it is, then on people's fingers, each with the polynomial over its blood.
+Fingers: TypeAlias = list[tuple[Scene, BloodPolynomial]]
 # What is traced of each wavelength.
-TRACED = ("coefficients", "direct", "blocks", "fluence", "photons")
+TRACED = ("coefficients", "direct", "blocks", "fluence", "photons", "people")
 # Streams of random numbers.
-EVERYWHERE, FLUENCE, PILOT = 11, 12, 13
+EVERYWHERE, FLUENCE, PILOT, RANKING = 11, 12, 13, 14
+# The degree of polynomials over the blood of people, whose saturation is their own and whose blood at rest, too.
+PERSON_DEGREE = 3
 
 
 @dataclass
@@ -73,6 +78,7 @@ class ColourTable:
     direct : (size,) float. Its part never in the bed, at rest.
     blocks : (blocks, size, 3) float. At rest the kernel and its change with either blood, by single groups of photons.
     fluence : (radius_mm, depth_mm) float. Around a source amid the board without its wall, per power. [mm^-2]
+    people : (people, size, monomials) float. The kernel of each of the people, over blood.
     """
 
     led: Led
@@ -81,6 +87,7 @@ class ColourTable:
     blocks: Array
     fluence: xr.DataArray
     photons: int
+    people: Array
 
 
 @dataclass(repr=False)
@@ -99,24 +106,23 @@ class Exploration(Displayed):
     touch: dict[str, Any]
     ambient_nodes: tuple[Array, Array]
     ambient_a_per_mm2: Array
+    people: list[DrawnPerson]
     attributes: dict[str, Any] = field(default_factory=dict)
 
 
 class ColourSums:
     """Arrivals of one wavelength summed over the functions of a pair of places."""
 
-    def __init__(
-        self, lit: Scene, number: int, basis: PairBasis, polynomial: BloodPolynomial, options: TraceOptions
-    ) -> None:
+    def __init__(self, lit: Scene, tracer: BoardTracer, number: int, basis: PairBasis, fingers: Fingers) -> None:
         """lit : the bare board. number : of the wavelength."""
-        self.lit, self.number, self.seed, self.basis, self.polynomial = lit, number, options.seed, basis, polynomial
-        self.tracer = BoardTracer(lit, backend=options.backend, spacing_mm=DISTANCE_MM)
-        self.rest = blood_point(lit, 0)
-        self.points = []
-        for *blood, so2 in polynomial.states.tolist():
-            state = lit.model_copy(update={"blood": lit.blood.with_so2(so2)})
-            self.points.append(blood_point(state, 0, blood_fraction=blood))
-        self.sums = np.zeros((basis.size, len(polynomial.exponents) + 1))
+        self.lit, self.tracer, self.number, self.basis, self.seed = lit, tracer, number, basis, tracer.seed
+        self.rest, self.fingers, self.points = blood_point(lit, 0), fingers, list[list[BloodPoint]]()
+        for worn, polynomial in fingers:
+            on = [{"finger": worn.finger, "blood": worn.blood.with_so2(so2)} for *_, so2 in polynomial.states]
+            states = zip(on, polynomial.states[:, :2], strict=True)
+            self.points.append([blood_point(lit.model_copy(update=one), 0, blood_fraction=b) for one, b in states])
+        self.first = np.cumsum([0, *(len(polynomial.exponents) for _, polynomial in fingers)])
+        self.sums = np.zeros((basis.size, self.first[-1] + 1))
         self.blocks, self.photons = np.zeros((BLOCKS, basis.size, 3)), np.zeros(BLOCKS)
         self.weight = self.arrivals = 0.0
         self.ambient_a = np.zeros((len(SOURCES), AMBIENT_CELLS, AMBIENT_CELLS))
@@ -152,27 +158,37 @@ class ColourSums:
 
     def _values(self, arrivals: Arrivals) -> Array:
         """What each arrival adds: to each monomial, to the direct part, to the reading at rest and its two changes."""
-        rest = self.rest.values(arrivals)
-        mu_a = np.stack([point.mu_a for point in self.points]) - arrivals.mu_a
-        states = transmissions(arrivals.path_mm, mu_a, self.points[0].share) * arrivals.weight[:, None]
-        return np.column_stack([states @ self.polynomial.coefficients.T, rest[:, [1, 0]], rest[:, 2:]])
+        rest, columns = self.rest.values(arrivals), list[Array]()
+        for points, (_, polynomial) in zip(self.points, self.fingers, strict=True):
+            mu_a = np.stack([point.mu_a for point in points]) - arrivals.mu_a
+            states = transmissions(arrivals.path_mm, mu_a, points[0].share) * arrivals.weight[:, None]
+            columns.append(states @ polynomial.coefficients.T)
+        return np.column_stack([*columns, rest[:, [1, 0]], rest[:, 2:]])
 
     def table(self, led: Led, projection: PairProjection, fluence: xr.DataArray) -> ColourTable:
         """The table from all that was summed."""
-        per_photon, count = self.area_mm2 / self.photons.sum(), len(self.polynomial.exponents)
-        weight, rest = self.weight / self.arrivals * per_photon, self.blocks[..., 0].sum(0)
+        per_photon, first = self.area_mm2 / self.photons.sum(), self.first[:-1]
+        weight = self.weight / self.arrivals * per_photon
         blocks = self.blocks * (self.area_mm2 / self.photons)[:, None, None]
-        # The reading at rest, and beside it what blood changes, of which the first monomial is constant.
-        at_rest = np.column_stack([rest * per_photon, self.sums[:, count] * per_photon, blocks[..., 0].T])
-        changes = self.sums[:, :count] * per_photon
-        changes[:, 0] -= rest * per_photon
-        at_rest = projection.solve(at_rest, weight=weight)
-        changes = np.column_stack([changes, *blocks[..., 1:]])
-        changes = projection.solve(changes, weight=weight, softer=ZONES)
-        changes[:, 0] += at_rest[:, 0]
-        slopes = changes[:, count:].reshape(len(changes), BLOCKS, 2)
-        groups = np.concatenate([at_rest[:, 2:, None], slopes], -1).transpose(1, 0, 2)
-        return ColourTable(led, changes[:, :count], at_rest[:, 1], groups, fluence, int(self.photons.sum()))
+        changes, direct = self.sums[:, :-1] * per_photon, self.sums[:, -1] * per_photon
+        # The readings at rest, and beside them what blood changes, of which the first monomial is constant.
+        rest = []
+        for columns, (worn, polynomial) in zip(self._by_finger(changes), self.fingers, strict=True):
+            zone = worn.blood.rest_blood_fraction
+            rest.append(columns @ polynomial.monomials(np.array([[zone, zone, worn.blood.so2]]))[0])
+        at_rest = projection.solve(np.column_stack([*rest, direct, blocks[..., 0].T]), weight=weight)
+        changes[:, first] -= np.transpose(rest)
+        changes = projection.solve(np.column_stack([changes, *blocks[..., 1:]]), weight=weight, softer=ZONES)
+        changes[:, first] += at_rest[:, : len(first)]
+        own, *people = self._by_finger(changes)
+        slopes = changes[:, self.first[-1] :].reshape(len(changes), BLOCKS, 2)
+        groups = np.concatenate([at_rest[:, len(first) + 1 :, None], slopes], -1).transpose(1, 0, 2)
+        photons = int(self.photons.sum())
+        return ColourTable(led, own, at_rest[:, len(first)], groups, fluence, photons, np.array(people))
+
+    def _by_finger(self, columns: Array) -> list[Array]:
+        """The monomials of each finger, (size, monomials) each."""
+        return np.split(columns, self.first[1:], axis=1)[:-1]
 
     def _add_ambient(self, left: Arrivals) -> None:
         """Add light that leaves, as that from outside comes in, to the cell of the board from which it started."""
@@ -211,14 +227,15 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
-    touch = touch_table(base)
-    sources = colours(base)
-    # What is venous depends on the blood at rest, so that there is none to choose.
-    most = BLOOD_RANGE[1] if base.blood.venous_so2 is None else 1.0
-    highest = min(1.0, most * base.blood.rest_blood_fraction * float(np.max(touch["blood"])))
-    polynomial = BloodPolynomial((0.0, highest), (min(LEAST_SO2, base.blood.so2), 1.0))
-    bare = boards.bare_board(base)
-    sums = [ColourSums(lit_by(bare, led), k, basis, polynomial, options) for k, led in enumerate(sources)]
+    sources, bare, store = colours(base), boards.bare_board(base), LightStore.of_command(options)
+    how: dict[str, Any] = {"store": store[0] if store else None, "backend": options.backend, "seed": options.seed}
+    lit = {(led.wavelength_nm, led.fwhm_nm): lit_by(bare, led) for led in sources}
+    tracers = {light: BoardTracer(one, spacing_mm=DISTANCE_MM, **how) for light, one in lit.items()}
+    by_led = [tracers[led.wavelength_nm, led.fwhm_nm] for led in base.leds]
+    people = ranked_people(base, by_led, seed_of(options.seed, RANKING))
+    fingers = [(base, blood_polynomial(base, chosen=True))]
+    fingers += [(person.scene, blood_polynomial(person.scene, chosen=False)) for person in people]
+    sums = [ColourSums(one, tracers[light], k, basis, fingers) for k, (light, one) in enumerate(lit.items())]
     light, unmet = as_far_as_reached(_stored_light, base, sums, sources, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
     attributes |= {"backend": choose_jit(options.backend, "explore").name}
@@ -226,11 +243,23 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
     radial, tables = RadialFunction(light["radial"]), _tables(sources, light)
     ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
-    exploration = Exploration(base, basis, radial, polynomial, tables, touch, *ambient, attributes)
+    own = fingers[0][1], tables, touch_table(base)
+    exploration = Exploration(base, basis, radial, *own, *ambient, people, attributes)
     if unmet and unmet.interrupted:
         attributes["cut_off"] = str(unmet)
         raise NotReachedError(str(unmet), result=exploration)
     return exploration
+
+
+def blood_polynomial(scene: Scene, chosen: bool) -> BloodPolynomial:
+    """Over all blood under the forces of the page; chosen : and all blood at rest and saturation that can be chosen."""
+    blood = scene.blood
+    # What is venous depends on the blood at rest, so that there is none to choose.
+    most = BLOOD_RANGE[1] if chosen and blood.venous_so2 is None else 1.0
+    over = 0.0, min(1.0, most * blood.rest_blood_fraction * float(np.max(touch_table(scene)["blood"])))
+    if chosen:
+        return BloodPolynomial(over, (min(LEAST_SO2, blood.so2), 1.0))
+    return BloodPolynomial(over, (blood.so2, blood.so2), PERSON_DEGREE)
 
 
 def _stored_light(
@@ -265,12 +294,13 @@ def _stored_light(
 
 def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     """All that decides the tables' bits: beside the light's ways what absorbs it, what reads it, and this program."""
-    base, polynomial, backend = sums[0].lit, sums[0].polynomial, sums[0].tracer.backend.name
+    base, backend, fingers = sums[0].lit, sums[0].tracer.backend.name, sums[0].fingers
     read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
     light = digest(light_scene(base).model_copy(update=read_by))
     leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.lit.leds[0] for band in sums)]
-    made = made_by("explore", light, leds[0][0], seed=seed, backend=backend)
-    made |= {"leds": leds, "states": [[*polynomial.blood_fraction], [*polynomial.so2]]}
+    made = made_by("explore", light, leds[0][0], seed=seed, backend=backend) | {"leds": leds}
+    made |= {"states": [[*polynomial.blood_fraction, *polynomial.so2] for _, polynomial in fingers]}
+    made |= {"people": [[one.model_dump_json() for one in (worn.fingertip, worn.blood)] for worn, _ in fingers[1:]]}
     return made | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
 
 
@@ -279,7 +309,7 @@ def _tables(sources: list[Led], light: dict[str, Array]) -> list[ColourTable]:
     rings = {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
     fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
     columns = light["coefficients"], light["direct"], light["blocks"], fluence, light["photons"].tolist()
-    return list(map(ColourTable, sources, *columns))
+    return list(map(ColourTable, sources, *columns, light["people"]))
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:

@@ -35,39 +35,43 @@ MIDDLE_STEP_MM = 2.5
 DIFFERENCE, BEND, LINES, ZONES = 5.0, 1.0, 500, 8.0
 # Pairs of places at which M is summed, low in discrepancy, and the shortest distance that g distinguishes. [mm]
 PAIRS, NEAREST_MM = 1 << 19, 0.2
-# Degrees in the blood of both zones together, in the saturation, and in all.
-BLOOD_DEGREE, SO2_DEGREE, DEGREE = 4, 2, 4
+# Degrees in the saturation and in all.
+SO2_DEGREE, DEGREE = 2, 4
 
 
 @dataclass(frozen=True)
 class BloodPolynomial:
     """Polynomials in the blood of both zones and the saturation, over a box of states.
 
-    blood_fraction, so2 : lowest and highest of the box.
+    blood_fraction, so2 : lowest and highest of the box; of one saturation alone both are the same.
+    degree : in all.
     """
 
     blood_fraction: tuple[float, float]
     so2: tuple[float, float]
+    degree: int = DEGREE
 
     @property
-    def exponents(self) -> list[tuple[int, int, int]]:
+    def exponents(self) -> list[tuple[int, ...]]:
         """Exponents of both zones' blood and of the saturation in each monomial, all scaled to -1 to 1."""
-        blood, so2 = range(BLOOD_DEGREE + 1), range(SO2_DEGREE + 1)
-        return [e for e in product(blood, blood, so2) if e[0] + e[1] <= BLOOD_DEGREE and sum(e) <= DEGREE]
+        return [e for e in product(*(range(len(nodes)) for nodes in self._nodes)) if sum(e) <= self.degree]
+
+    @property
+    def _nodes(self) -> list[Array]:
+        """Chebyshev's nodes of each variable."""
+        degrees = self.degree, self.degree, SO2_DEGREE if self.so2[0] < self.so2[1] else 0
+        ends = zip((self.blood_fraction, self.blood_fraction, self.so2), degrees, strict=True)
+        return [a + (b - a) * (0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / (n or 1))) for (a, b), n in ends]
 
     @property
     def states(self) -> Array:
-        """Where a reading must be known, (n, 3): blood of both zones and saturation, at Chebyshev's nodes."""
-        blood, so2 = (
-            low + (high - low) * (0.5 - 0.5 * np.cos(np.pi * np.arange(count) / (count - 1)))
-            for (low, high), count in ((self.blood_fraction, BLOOD_DEGREE + 1), (self.so2, SO2_DEGREE + 1))
-        )
-        return np.array(list(product(blood, blood, so2)))
+        """Where a reading must be known, (n, 3): blood of both zones and saturation."""
+        return np.array(list(product(*self._nodes)))
 
     def monomials(self, states: Array) -> Array:
         """Each monomial at states (n, 3), (n, monomials) float."""
-        bounds = np.array([self.blood_fraction, self.blood_fraction, self.so2])
-        scaled = 2 * (states - bounds[:, 0]) / (bounds[:, 1] - bounds[:, 0]) - 1
+        low, high = np.array([self.blood_fraction, self.blood_fraction, self.so2]).T
+        scaled = 2 * (states - low) / np.where(high > low, high - low, 1.0) - 1
         return np.asarray(np.prod(scaled[:, None, :] ** np.array(self.exponents)[None], axis=-1))
 
     @property

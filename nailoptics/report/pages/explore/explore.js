@@ -18,11 +18,14 @@ function unpackHalf(text) {
 
 const colours = tables.colours.map((colour) => ({
   ...colour, coefficients: unpackHalf(colour.coefficients), direct: unpackHalf(colour.direct), blocks: unpackHalf(colour.blocks),
-  logFluence: unpackHalf(colour.logFluence),
+  logFluence: unpackHalf(colour.logFluence), people: unpackHalf(colour.people),
 }));
 const basis = tables.basis;
 const monomialCount = tables.polynomial.exponents.length;
 const blockCount = tables.blocks;
+// Fingers on which a layout is read: the scene's own, then those of people drawn from the priors.
+const ownFinger = { touch: tables.touch, polynomial: tables.polynomial }, { people } = tables;
+const personCount = people.length, personMonomials = people[0].polynomial.exponents.length;
 const size = basis.axes.reduce((n, axis) => n * axis.length, 1);
 
 /** Index of the node before x and the part of the way to the next; what lies outside counts as on the edge. */
@@ -71,21 +74,28 @@ function points(rectangle, spacingMm) {
 }
 
 /**
- * What a photodiode's element reads of an LED: coefficients over blood and saturation, its direct part, and by groups
- * of photons the reading and its change with the blood of either zone at rest. Parts of the LED's light.
+ * What a photodiode's element reads of an LED: coefficients over blood and saturation, those of each person, its direct
+ * part, and without each group of photons, as parts of the whole, the reading and its change with the blood of either
+ * zone at rest. Parts of the LED's light.
  */
 function readPair(led, element, colour) {
   const sums = new Float64Array(size), area = element.width * element.length, onElement = points(element, 0.25);
   for (const x of points(led, 0.25)) for (const y of onElement) addFunctions(x, y, x[2] * y[2] * area * radial(Math.hypot(x[0] - y[0], x[1] - y[1])), sums);
   const coefficients = new Float64Array(monomialCount), blocks = new Float64Array(3 * blockCount);
+  const ofPeople = people.map(() => new Float64Array(personMonomials));
   let direct = 0;
   for (let k = 0; k < size; k++) {
     if (sums[k] === 0) continue;
     for (let m = 0; m < monomialCount; m++) coefficients[m] += sums[k] * colour.coefficients[k * monomialCount + m];
     for (let m = 0; m < blocks.length; m++) blocks[m] += sums[k] * colour.blocks[k * blocks.length + m];
+    for (let i = 0; i < personCount; i++) for (let m = 0; m < personMonomials; m++) ofPeople[i][m] += sums[k] * colour.people[(i * size + k) * personMonomials + m];
     direct += sums[k] * colour.direct[k];
   }
-  return { coefficients, blocks, direct };
+  const without = [0, 1, 2].map((q) => {
+    const values = Array.from({ length: blockCount }, (_, k) => blocks[3 * k + q]), mean = values.reduce((sum, x) => sum + x, 0) / blockCount;
+    return values.map((x) => (mean ? (blockCount * mean - x) / (blockCount - 1) / mean : 1));
+  });
+  return { coefficients, without, direct, people: ofPeople };
 }
 
 /** Logarithm of the fluence rate around a source, at a distance and a depth. [mm] */
@@ -96,10 +106,12 @@ function logFluence(colour, distance, depth) {
 }
 
 /** Each monomial at a state [blood, blood, saturation], or its derivative by the blood of a zone. */
-function monomials(state, zone = null) {
-  const { exponents, bloodFraction, so2 } = tables.polynomial, bounds = [bloodFraction, bloodFraction, so2];
+function monomials(state, zone = null, polynomial = tables.polynomial) {
+  const { exponents, bloodFraction, so2 } = polynomial, bounds = [bloodFraction, bloodFraction, so2];
   const scaled = state.map((x, k) => (2 * (x - bounds[k][0])) / (bounds[k][1] - bounds[k][0]) - 1);
   return exponents.map((powers) => powers.reduce((product, power, k) => {
+    // A person has one saturation alone, whose power is none.
+    if (power === 0 && k !== zone) return product;
     if (k !== zone) return product * scaled[k] ** power;
     return power ? (product * power * scaled[k] ** (power - 1) * 2) / (bounds[k][1] - bounds[k][0]) : 0;
   }, 1));
@@ -115,9 +127,19 @@ function atForce(rows, force) {
 }
 
 /** Blood of both zones and its saturation under a held force. */
-function stateAt(force, rest, so2) {
-  const [low, high] = tables.polynomial.bloodFraction;
-  return [...atForce(tables.touch.blood, force).map((x) => Math.min(high, Math.max(low, x * rest))), so2];
+function stateAt(force, rest, so2, { touch, polynomial } = ownFinger) {
+  const [low, high] = polynomial.bloodFraction;
+  return [...atForce(touch.blood, force).map((x) => Math.min(high, Math.max(low, x * rest))), so2];
+}
+
+/** What a finger's readings take from its blood at rest and under a held force. */
+function touched(finger, force, rest, so2) {
+  const { polynomial } = finger, [start, state] = [0, force].map((at) => stateAt(at, rest, so2, finger));
+  const slopes = (at) => [0, 1].map((zone) => monomials(at, zone, polynomial));
+  return {
+    start, state, rest: monomials(start, null, polynomial), now: monomials(state, null, polynomial), slope: slopes(state), restSlope: slopes(start),
+    moved: [0, 1].map((k) => state[k] - start[k]),
+  };
 }
 
 /** The largest E24 resistor that holds a photocurrent [A] below the converter's limit by the headroom. [ohm] */
@@ -151,10 +173,10 @@ function stage(kind, lit, ambient, ohm) {
 /**
  * The force that one sample of all readings resolves, whatever its split. [N]
  * readings : [{led, light, zone: [V, V], noiseV2, saturated}], light and zone in volts.
- * point : blood per Pa (zone, pressure), waves' covariance of the blood; null where the body is left out.
+ * point : blood per Pa (zone, pressure), waves' covariance of the blood; null where the body is left out; the finger's touch.
  */
 function forceResolution(readings, point, ledCount) {
-  const touch = tables.touch, body = point.body, extra = body ? 2 + ledCount + 1 : 0, n = 2 + extra;
+  const { body, touch = tables.touch } = point, extra = body ? 2 + ledCount + 1 : 0, n = 2 + extra;
   const total = Array.from({ length: n }, () => new Float64Array(n)), waves = body ? root2(point.waves) : null;
   for (const one of readings) {
     if (one.saturated) continue;
@@ -244,10 +266,9 @@ function dieOf(led) {
   return { name: led.name, u: led.u, v: led.v, width: kind.widthMm, length: kind.lengthMm, turn: (led.turn * Math.PI) / 180 };
 }
 
-/** All readings of a layout under a force, one row for each LED and element, and their force resolution. */
+/** All readings of a layout under a force, one row for each LED and element, and their force resolution; and those of people. */
 function evaluate(layout, cache = new Map()) {
-  const rest = stateAt(0, layout.rest, layout.so2), state = stateAt(layout.force, layout.rest, layout.so2);
-  const known = { rest: monomials(rest), state: monomials(state), slope: [monomials(state, 0), monomials(state, 1)] };
+  const at = touched(ownFinger, layout.force, layout.rest, layout.so2);
   const rows = [], elements = layout.photodiodes.flatMap((pd) => elementsOf(pd));
   // A bed with hardly any blood is the brightest; a resistor is the same under all LEDs, and has room for a lamp.
   const least = tables.polynomial.bloodFraction[0], bright = monomials([least, least, layout.so2]);
@@ -264,51 +285,57 @@ function evaluate(layout, cache = new Map()) {
     element.ohm = tables.stage.feedbackOhm ?? fittedOhm(Math.max(0, ...lit) + ambientA + diode.darkA);
   }
   layout.leds.forEach((led, number) => {
-    for (const element of elements) rows.push(readRow(pairOf(led, element), known, led, number, element, layout, state, rest));
+    for (const element of elements) {
+      const pair = pairOf(led, element);
+      rows.push({ led: number, element, pair, ...readRow(pair, pair.coefficients, at, led, element, ambientCurrent(element, layout.ambient)) });
+    }
   });
   if (cache.size > 4000) cache.clear();
-  return { rows, state, rest, ...resolve(rows, layout.force, layout.rest, layout.leds.length) };
+  return { rows, state: at.state, rest: at.start, ...resolve(rows, layout.force, layout.rest, layout.leds.length), people: readPeople(layout, rows) };
+}
+
+/** The same rows and force resolution of each person, with the board's resistors and the light from outside as it is. */
+function readPeople(layout, rows) {
+  return people.map((person, i) => {
+    const at = touched(person, layout.force, person.rest, person.so2);
+    const theirs = rows.map(({ led, element, pair, ambientA }) => ({ led, element, pair, ...readRow(pair, pair.people[i], at, layout.leds[led], element, ambientA) }));
+    return { rows: theirs, ...resolve(theirs, layout.force, person.rest, layout.leds.length, person) };
+  });
 }
 
 /** Photocurrent of all of an LED's light on a photodiode. [A] */
 const currentPerFraction = (led, diode) => tables.ledKinds[led.kind].fluxMw * 1e-3 * diode.responsivity[led.kind];
 
-function readRow(pair, known, led, number, element, layout, state, rest) {
-  const diode = tables.photodiodeKinds[element.kind], gain = currentPerFraction(led, diode) * element.ohm;
-  const atRest = dot(known.rest, pair.coefficients), now = dot(known.state, pair.coefficients);
-  const slope = known.slope.map((row) => dot(row, pair.coefficients));
-  const groups = [0, 1, 2].map((q) => Array.from({ length: blockCount }, (_, k) => pair.blocks[3 * k + q]));
-  const means = groups.map((values) => values.reduce((sum, x) => sum + x, 0) / blockCount);
-  // Without each group, as parts of the whole.
-  const without = groups.map((values, q) => values.map((x) => (means[q] ? (blockCount * means[q] - x) / (blockCount - 1) / means[q] : 1)));
+/** One reading of a finger, by its light's coefficients; the photons' part of the errors is that of the scene's own finger. */
+function readRow(pair, coefficients, at, led, element, ambientA) {
+  const diode = tables.photodiodeKinds[element.kind], gain = currentPerFraction(led, diode) * element.ohm, { without } = pair;
+  const atRest = dot(at.rest, coefficients), now = dot(at.now, coefficients);
+  const slope = at.slope.map((row) => dot(row, coefficients)), restSlope = at.restSlope.map((row) => dot(row, coefficients));
   const counted = jackknife(without[0]), few = !(atRest > 0 && now > 0) || counted > tables.fewRelative;
-  const moved = state.slice(0, 2).map((x, k) => x - rest[k]);
-  const linear = without[1].map((_, k) => moved[0] * means[1] * without[1][k] + moved[1] * means[2] * without[2][k]);
+  const linear = without[1].map((_, k) => at.moved[0] * restSlope[0] * without[1][k] + at.moved[1] * restSlope[1] * without[2][k]);
   // What either zone's blood changes by itself, added up: both may cancel in a reading, their errors do not.
-  const gross = Math.abs(moved[0] * slope[0]) + Math.abs(moved[1] * slope[1]), changeCounted = jackknife(linear);
-  const light = Math.max(now, 0), ambient = ambientCurrent(element, layout.ambient);
-  const read = stage(diode, (light * gain) / element.ohm, ambient, element.ohm);
-  const change = (now - atRest) * gain;
+  const gross = Math.abs(at.moved[0] * slope[0]) + Math.abs(at.moved[1] * slope[1]), changeCounted = jackknife(linear);
+  const light = Math.max(now, 0), read = stage(diode, (light * gain) / element.ohm, ambientA, element.ohm);
   return {
-    led: number, element, few, fraction: now, fractionRest: atRest, gain, ambientA: ambient, ...read,
+    few, fraction: now, fractionRest: atRest, gain, ambientA, ...read,
     fractionError: now * Math.hypot(counted, tables.kernelError),
     restError: atRest * Math.hypot(counted, tables.kernelError),
     voltsError: gain * now * Math.hypot(counted, tables.kernelError),
-    change, changeError: gain * Math.hypot(changeCounted, tables.kernelChangeError * gross), changeCounted, gross, slope,
+    change: (now - atRest) * gain, changeError: gain * Math.hypot(changeCounted, tables.kernelChangeError * gross), changeCounted, gross, slope,
     directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
-    light: light * gain, zone: slope.map((x) => x * gain), without, pair,
+    light: light * gain, zone: slope.map((x) => x * gain), without,
   };
 }
 
 /** Force resolution of all rows, with physiological noise and of the electronics alone, with standard errors. [N] */
-function resolve(rows, force, rest, ledCount) {
-  const usable = rows.filter((row) => !row.few), touch = tables.touch;
+function resolve(rows, force, rest, ledCount, { touch } = ownFinger) {
+  const usable = rows.filter((row) => !row.few);
   const scaled = (values) => values.map((row) => row.map((x) => x * rest));
   const bloodPerPa = scaled(atForce(touch.blood_per_pa, force));
   const waves = atForce(touch.waves, force).map((row) => row.map((x) => x * rest * rest));
   const resolutions = {};
   for (const [name, body] of [["throughBody", touch.has_body], ["electronics", false]]) {
-    const point = { bloodPerPa, waves, body };
+    const point = { bloodPerPa, waves, body, touch };
     const value = forceResolution(usable, point, ledCount);
     const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(usable.map((row) => ({
       ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),
@@ -378,6 +405,23 @@ function overlap(one, other) {
 }
 
 // ---------------------------------------------------------------------------------------------------- the layout
+
+/** The scene's own layout, from the nail's centre. */
+function ownLayoutOf({ leds, photodiodes, board, touch, blood }) {
+  const [du, dv] = board.center_mm, fieldsOf = (part) => JSON.stringify(Object.entries(part).filter(([key]) => !tables.placed.includes(key)));
+  const placed = (part, kinds) => ({
+    name: part.name, u: part.position_mm[0] + du, v: part.position_mm[1] + dv, turn: part.rotation_deg, reference: part.reference ?? null,
+    kind: kinds.findIndex((kind) => fieldsOf(kind.fields) === fieldsOf(part)),
+  });
+  const diodeKinds = tables.photodiodeKinds;
+  return {
+    leds: leds.map((led) => placed(led, tables.ledKinds)),
+    photodiodes: photodiodes.map((pd) => ({
+      ...placed(pd, diodeKinds), width: pd.size_mm[0], length: pd.size_mm[1], elements: pd.elements, pitch: pd.pitch_mm ?? null, wired: pd.wired ?? null,
+    })),
+    force: touch.force_n || 1, rest: blood.rest_blood_fraction, so2: blood.so2, ambient: tables.ambient.sun,
+  };
+}
 
 /** A layout as plain data, short enough for a link. */
 function packed(layout) {

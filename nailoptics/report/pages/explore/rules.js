@@ -1,4 +1,5 @@
-// What a layout and a scene must keep before this page shows them: the JSON Schemas of Python's own models.
+// What a layout and a scene must keep before this page shows them: the JSON Schemas of Python's own models, but for what
+// must be given, of which a part may fill in some.
 
 /** Why a value breaks a JSON Schema, with its place; empty where it keeps it. Knows the keywords that models make. */
 function broken(value, schema, place) {
@@ -26,7 +27,6 @@ const RULES = {
   exclusiveMinimum: (x, least) => x > least, exclusiveMaximum: (x, most) => x < most,
   minItems: (x, least) => x.length >= least, maxItems: (x, most) => x.length <= most,
   maxLength: (x, most) => x.length <= most, pattern: (x, form) => new RegExp(form).test(x),
-  required: (x, names) => names.every((name) => x[name] !== undefined),
 };
 
 function brokenInside(value, schema, place) {

@@ -3,8 +3,9 @@
 const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0, dragging: false, other: null, own: {} };
 const caches = new Map();
-// A force resolution above half of the prior's standard deviation is no information. [N]
-const PRIOR_ONLY_N = 0.5 * tables.touch.prior_pa * Math.hypot(...tables.touch.force_per_pa);
+/** Whether a force resolution of a finger [N] is below half of the prior's standard deviation, above which it is no information. */
+const isKnown = (value, { touch } = ownFinger) => value < 0.5 * touch.prior_pa * Math.hypot(...touch.force_per_pa);
+const resolutionOf = (result) => (tables.touch.has_body ? result.throughBody : result.electronics);
 
 // ---- words and numbers
 
@@ -172,10 +173,11 @@ function drawPart(kind, part, row) {
 
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
-  const resolution = (one) => (one.value > PRIOR_ONLY_N ? ["None", ""] : both(one.value, one.error, "N"));
-  const [value, error] = resolution(tables.touch.has_body ? result.throughBody : result.electronics);
-  cards.push([value, error, tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
-  if (!isOwn()) cards.push([...resolution(tables.touch.has_body ? ownResult().throughBody : ownResult().electronics), "the same of the scene's own layout"]);
+  const resolution = (one) => (isKnown(one.value) ? both(one.value, one.error, "N") : ["None", ""]);
+  cards.push([...resolution(resolutionOf(result)), tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
+  if (!isOwn()) cards.push([...resolution(resolutionOf(ownResult())), "the same of the scene's own layout"]);
+  const { prefix, cells } = commonUnit(result.people.map(resolutionOf), (one, i) => isKnown(one.value, people[i]));
+  cards.push([cells.map(([number]) => number).join(" · "), `${prefix}N`, "the same for three people", "narrow"]);
   if (tables.touch.has_body) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
@@ -186,12 +188,41 @@ function drawCards() {
       cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light is shunted: it bypassed the bed"]);
     }
   }
-  $("cards").replaceChildren(...cards.map(([number, small, words]) => {
-    const item = element("li", /\d/.test(number) ? {} : { class: "weak" }), big = element("b", {}, number);
+  $("cards").replaceChildren(...cards.map(([number, small, words, name = ""]) => {
+    const item = element("li", { class: /\d/.test(number) ? name : "weak" }), big = element("b", {}, number);
     if (small) big.append(" ", element("small", {}, small));
     item.append(big, element("span", {}, words));
     return item;
   }));
+}
+
+/** Values with standard errors in one unit: its prefix, and the texts of both; those that are not known are none. */
+function commonUnit(values, known) {
+  const shown = values.filter(known), [factor, prefix] = prefixOf(Math.max(0, ...shown.map((one) => Math.abs(one.value))) || 1);
+  return { prefix, cells: values.map((one, i) => (known(one, i) ? withError(one.value, one.error, "", factor).split(" ± ") : ["None", ""])) };
+}
+
+/** The selected reading and the force resolution on the scene's finger and on those of the people, side by side. */
+function drawPeople() {
+  const { result, layout } = workbench, fingers = [ownFinger, ...people], results = [result, ...result.people], row = result.rows[workbench.chosen.row], lines = [];
+  const add = (name, values, unit, known) => { const { prefix, cells } = commonUnit(values, known); lines.push([`${name} [${prefix}${unit}]`, cells]); };
+  const resolutions = (of) => [of, ...of.people].map(resolutionOf), isResolved = (one, i) => isKnown(one.value, fingers[i]);
+  add("Force resolution", resolutions(result), "N", isResolved);
+  if (!isOwn()) add("… of the scene's own layout", resolutions(ownResult()), "N", isResolved);
+  if (row && !row.few) {
+    const theirs = results.map((of) => of.rows[workbench.chosen.row]);
+    add(`${layout.leds[row.led].name} on ${row.element.name}, now`, theirs.map((one) => ({ value: one.volts, error: one.voltsError })), "V", () => true);
+    add("… change by the touch", theirs.map((one) => ({ value: one.change, error: one.changeError })), "V", () => true);
+  }
+  lines.push(["Saturated readings", results.map((of) => [`${of.rows.filter((one) => one.saturated).length} of ${of.rows.length}`, ""])]);
+  lines.push(["Blood at rest [%]", [layout.rest, ...people.map((person) => person.rest)].map((x) => [(100 * x).toFixed(1), ""])]);
+  const head = element("tr", {}, ...["", "This finger", ...people.map((person) => `${100 * person.quantile} %`)].map((text) => element("th", { scope: "col" }, text)));
+  const body = lines.map(([name, cells]) => element("tr", {}, element("th", { scope: "row" }, name), ...cells.map(([number, small]) => {
+    const cell = element("td", number === "None" || (name === "Saturated readings" && !number.startsWith("0")) ? { class: "bad" } : {}, number);
+    if (small) cell.append(element("small", {}, `± ${small}`));
+    return cell;
+  })));
+  $("people").replaceChildren(element("thead", {}, head), element("tbody", {}, ...body));
 }
 
 /** The causes of the selected reading's noise, the largest first, each as a bar as long as its part of the variance. */
@@ -370,7 +401,7 @@ function drawPlots() {
     const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
     for (const [name, body] of [["body", tables.touch.has_body], ["electronics", false]]) {
       const value = forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
-      resolutions[name].push(value < PRIOR_ONLY_N ? 1e3 * value : null);
+      resolutions[name].push(isKnown(value) ? 1e3 * value : null);
     }
   }
   const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.has_body ? [6, 4] : [], points: { show: false } }], data = [forces, resolutions.electronics];
@@ -601,6 +632,8 @@ function drawFixed() {
     `Beside photon noise, readings have an rms error of ${(100 * tables.kernelError).toFixed(1)} %, changes of ${(100 * tables.kernelChangeError).toFixed(1)} % of the sum of both zones' absolute contributions, and the force resolution of ${(100 * tables.kernelResolutionError).toFixed(1)} %, by interpolation between the table's nodes and the few percent of light that photodiodes absorb and a bare board reflects. The stated errors include this.`,
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
+  const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i]));
+  $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables, so that most of each stated error is common to them.`;
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
 }
 
@@ -620,6 +653,7 @@ function draw() {
   $("ambient").value = workbench.layout.ambient === null ? "" : workbench.layout.ambient;
   drawBoard();
   drawCards();
+  drawPeople();
   drawProperties();
   drawReadings();
   drawSection();
@@ -628,6 +662,7 @@ function draw() {
   workbench.milliseconds = performance.now() - begin;
 }
 
+tables.layout = ownLayoutOf(tables.scene);
 workbench.layout = copy(tables.layout);
 if (location.hash.length > 1) { try { workbench.layout = fromLink(location.hash.slice(1)); } catch (error) { say(`The link is of another page, and the scene's own layout is shown: ${error.message}.`); } }
 $("section-colours").style.background = `linear-gradient(to right, ${SCALE_COLOURS.map((rgb) => `rgb(${rgb})`)})`;
