@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.interpolate import RegularGridInterpolator
 from small_scenes import finger
 
-from nailoptics import load_scene
+from nailoptics import export, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
@@ -23,6 +23,7 @@ from nailoptics.io import FORMULA
 from nailoptics.report.pages.explore import MOST_POINTS, _readout, page
 from nailoptics.scene import to_toml
 from nailoptics.scene.files import parse_scene
+from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.sensor import electronics
 from nailoptics.sensor.information import Response, force_resolution_n, operating_point, total_information
@@ -30,6 +31,8 @@ from nailoptics.statistics import jackknife
 from nailoptics.studies.exploration.explore import KERNEL_ERROR, Exploration, blood_polynomial
 from nailoptics.studies.exploration.pair_table import BloodPolynomial
 from nailoptics.studies.placement.result import kicad_parts
+
+KICAD = Path(__file__).parents[1] / "scene" / "of_kicad"
 
 
 @pytest.fixture(scope="module", params=["prototype", "placement"])
@@ -441,6 +444,37 @@ def test_a_dragged_led_and_a_typed_force_are_saved_as_scene_and_positions(
     assert np.array([p.position_mm for p in positions]) == pytest.approx(
         np.array([p.position_mm for p in expected]), abs=1e-5
     )
+
+
+def test_a_layout_of_a_kicad_board_moves_its_footprints_and_nothing_else(tab: Any, tmp_path: Path):
+    """Expected: the parts where they were dragged, by KiCad's coordinates; every other line of the file as it was."""
+    (tmp_path / "board.kicad_pcb").write_bytes((KICAD / "version_9.kicad_pcb").read_bytes())
+    text = """schema_version = 1
+    [finger]
+    digit = "thumb"
+    [board]
+    kicad = "board.kicad_pcb"
+    parts.D1 = { led = "led_800" }
+    parts.PD1 = { photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5] }
+    parts.PD2 = { photodiode = "pd_array_4x1", elements = 1, size_mm = [1.0, 0.5] }
+    """
+    (tmp_path / "explore.html").write_text(page(made_exploration(parse_scene(text, folder=tmp_path))), encoding="utf-8")
+    tab.goto((tmp_path / "explore.html").as_uri())
+    tab.evaluate("""change(({ leds: [led], photodiodes: [pd] }) => { led.v -= 0.5; pd.u += 0.25; pd.turn += 15; })""")
+    scene = load_scene(saved(tab, "#save-scene", tmp_path))
+    export(scene, tmp_path / "moved.kicad_pcb", folder=tmp_path)
+    before, after = (read_board(tmp_path / name).footprints for name in ("board.kicad_pcb", "moved.kicad_pcb"))
+    steps = {a.ref: np.subtract(b.position_mm, a.position_mm) for a, b in zip(before, after, strict=True)}
+    turned = {a.ref: (b.rotation_deg - a.rotation_deg) % 360 for a, b in zip(before, after, strict=True)}
+    first = scene.photodiodes[0].reference
+    assert steps.pop("D1") == pytest.approx([0.0, -0.5], abs=1e-6) and steps.pop(first) == pytest.approx(
+        [0.25, 0.0], abs=1e-6
+    )
+    assert turned.pop(first) == pytest.approx(15.0, abs=1e-6)
+    assert not np.any(list(steps.values())) and not any(turned.values())
+    lines = ((tmp_path / name).read_text().splitlines() for name in ("board.kicad_pcb", "moved.kicad_pcb"))
+    changed = [old for old, new in zip(*lines, strict=True) if old != new]
+    assert len(changed) == 7 and all(line.strip().startswith("(at ") for line in changed)
 
 
 def test_parts_that_are_added_have_references_of_their_own(shown: Any, explored: Exploration, tmp_path: Path):

@@ -176,24 +176,31 @@ function drawCards() {
   const resolution = (one) => (isKnown(one.value) ? both(one.value, one.error, "N") : ["None", ""]);
   cards.push([...resolution(resolutionOf(result)), tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
   if (!isOwn()) cards.push([...resolution(resolutionOf(ownResult())), "the same of the scene's own layout"]);
-  const { prefix, cells } = commonUnit(result.people.map(resolutionOf), (one, i) => isKnown(one.value, people[i]));
-  cards.push([cells.map(([number]) => number).join(" · "), `${prefix}N`, "the same for three people", "narrow"]);
+  const { prefix, cells } = commonUnit(result.people.map(resolutionOf), (one, i) => isKnown(one.value, people[i])), some = cells.some(([, error]) => error);
+  cards.push([some ? cells.map(([number]) => number).join(" · ") : "None", some ? `${prefix}N` : "", "the same for three people (10, 50, 90 %)", "narrow"]);
   if (tables.touch.has_body) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
     if (row.few) cards.push(["Too few photons", "", name]);
     else {
-      cards.push([...(row.saturated ? ["Saturated", ""] : both(row.volts, row.voltsError, "V")), `${name}, now`]);
-      cards.push([...both(row.change, row.changeError, "V"), `${name}, change under ${+layout.force.toFixed(3)} N`]);
+      cards.push([...(row.saturated ? ["Saturated", ""] : both(row.volts, row.voltsError, "V")), `${name}, now${row.saturated ? whySaturated(row) : ""}`]);
+      cards.push([...(row.saturated ? ["None", ""] : both(row.change, row.changeError, "V")), `${name}, change under ${+layout.force.toFixed(3)} N`]);
       cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light is shunted: it bypassed the bed"]);
     }
   }
   $("cards").replaceChildren(...cards.map(([number, small, words, name = ""]) => {
-    const item = element("li", { class: /\d/.test(number) ? name : "weak" }), big = element("b", {}, number);
+    const item = element("li", { class: /\d/.test(number) ? name : `${name} weak` }), big = element("b", {}, number);
     if (small) big.append(" ", element("small", {}, small));
     item.append(big, element("span", {}, words));
     return item;
   }));
+}
+
+/** What drives the converter to its limit, and a resistor for this light. */
+function whySaturated({ amplified, ambientA, element }) {
+  const volts = (x) => `${x.toPrecision(2)} V`, fitted = fittedOhm(amplified / element.ohm);
+  const ohms = fitted >= 1e6 ? `${+(fitted / 1e6).toPrecision(2)} Mohm` : `${+(fitted / 1e3).toPrecision(2)} kohm`;
+  return `: ${volts(amplified)} of ${volts(tables.stage.limitV)}, of which ${volts(ambientA * element.ohm)} from outside; ${ohms} would fit`;
 }
 
 /** Values with standard errors in one unit: its prefix, and the texts of both; those that are not known are none. */
@@ -205,14 +212,15 @@ function commonUnit(values, known) {
 /** The selected reading and the force resolution on the scene's finger and on those of the people, side by side. */
 function drawPeople() {
   const { result, layout } = workbench, fingers = [ownFinger, ...people], results = [result, ...result.people], row = result.rows[workbench.chosen.row], lines = [];
-  const add = (name, values, unit, known) => { const { prefix, cells } = commonUnit(values, known); lines.push([`${name} [${prefix}${unit}]`, cells]); };
+  const add = (name, values, unit, known) => { const { prefix, cells } = commonUnit(values, known); lines.push([cells.some(([, error]) => error) ? `${name} [${prefix}${unit}]` : name, cells]); };
   const resolutions = (of) => [of, ...of.people].map(resolutionOf), isResolved = (one, i) => isKnown(one.value, fingers[i]);
   add("Force resolution", resolutions(result), "N", isResolved);
   if (!isOwn()) add("… of the scene's own layout", resolutions(ownResult()), "N", isResolved);
   if (row && !row.few) {
     const theirs = results.map((of) => of.rows[workbench.chosen.row]);
-    add(`${layout.leds[row.led].name} on ${row.element.name}, now`, theirs.map((one) => ({ value: one.volts, error: one.voltsError })), "V", () => true);
-    add("… change by the touch", theirs.map((one) => ({ value: one.change, error: one.changeError })), "V", () => true);
+    const isRead = (_, i) => !theirs[i].saturated;
+    add(`${layout.leds[row.led].name} on ${row.element.name}, now`, theirs.map((one) => ({ value: one.volts, error: one.voltsError })), "V", isRead);
+    add("… change by the touch", theirs.map((one) => ({ value: one.change, error: one.changeError })), "V", isRead);
   }
   lines.push(["Saturated readings", results.map((of) => [`${of.rows.filter((one) => one.saturated).length} of ${of.rows.length}`, ""])]);
   lines.push(["Blood at rest [%]", [layout.rest, ...people.map((person) => person.rest)].map((x) => [(100 * x).toFixed(1), ""])]);
@@ -293,7 +301,8 @@ function drawSection() {
   if (!row) return;
   const led = workbench.layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v);
   const { epoxyMm, plateMm, bedMm } = tables.board, deep = tables.fluence.depthMm.at(-1), top = epoxyMm + 0.6;
-  const perMm = Math.min(height / (deep + top), width / (separation + 2));
+  const sizes = [dieOf(led), row.element].map((one) => Math.min(one.width, one.length));
+  const perMm = Math.min(height / (deep + top), width / (separation + Math.max(2, Math.max(...sizes) + 0.4)));
   const x = (along) => width / 2 + (along - separation / 2) * perMm, y = (depth) => (depth + top) * perMm;
   const colour = colours[tables.ledKinds[led.kind].colour], cells = [];
   for (let px = 0; px < width; px += CELL_PX) {
@@ -317,8 +326,8 @@ function drawSection() {
     context.fillText(name, x(along), y(-epoxyMm) - 11);
   };
   context.textAlign = "center";
-  drawPart(led.name, 0, Math.min(dieOf(led).width, dieOf(led).length), "--led");
-  drawPart(row.element.name, separation, Math.min(row.element.width, row.element.length), "--diode");
+  drawPart(led.name, 0, sizes[0], "--led");
+  drawPart(row.element.name, separation, sizes[1], "--diode");
   const line = (fromX, fromY, length, text) => {
     context.fillRect(fromX, fromY, length, 1.5);
     context.fillText(text, fromX + 6, fromY - 5);
@@ -633,7 +642,8 @@ function drawFixed() {
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
   const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i]));
-  $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables, so that most of each stated error is common to them.`;
+  ranked.cells = ranked.cells.map(([number]) => [number === "None" ? number : String(+Number(number).toPrecision(2))]);
+  $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading${ranked.cells.some(([number]) => number !== "None") ? `: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N` : ""}. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables, so that most of each stated error is common to them.`;
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
 }
 
