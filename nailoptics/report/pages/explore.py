@@ -2,7 +2,6 @@
 
 import base64
 import json
-import math
 from typing import Any
 
 import numpy as np
@@ -63,10 +62,9 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
     # Without those that differ in their places alone.
     diodes = [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
     (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.colours[0].fluence
-    ambient = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
+    ambient: dict[str, Any] = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
     ambient |= {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP), "sun": SOURCES.index(SUN)}
     radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
-    rest = scene.blood.rest_blood_fraction
     pairs = len(scene.leds) * sum(photodiode.elements for photodiode in scene.photodiodes)
     return {
         "scene": scene.model_dump(mode="json", exclude_none=True, exclude={"placement"}),
@@ -78,12 +76,9 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "blocks": BLOCKS,
         "kernelError": KERNEL_ERROR,
         "kernelChangeError": KERNEL_CHANGE_ERROR,
-        # The force resolved goes as the slopes of the readings.
-        "kernelResolutionError": math.hypot(KERNEL_ERROR, KERNEL_CHANGE_ERROR),
         "fewRelative": MIN_EFFECTIVE_TERMS**-0.5,
         "sameNm": SAME_NM,
-        # Blood at rest, from the least to the most that can be chosen.
-        "restRange": [rest * factor if scene.blood.venous_so2 is None else rest for factor in BLOOD_RANGE],
+        "bloodRange": BLOOD_RANGE,
         "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
@@ -185,22 +180,12 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
 
 
 def _board(scene: Scene) -> dict[str, Any]:
-    finger, layout, board = scene.fingertip, scene.layout, scene.board
-    r, wall = layout.outline, None
-    if layout.barriers:
-        w = layout.barriers[0]
+    r, wall = scene.layout.outline, None
+    if scene.layout.barriers:
+        w = scene.layout.barriers[0]
         wall = {"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max}
-    return {
-        "outline": [r.u_min, r.u_max, r.v_min, r.v_max],
-        "wall": wall,
-        "center": list(board.center_mm),
-        "nailMm": [finger.nail_width_mm, finger.nail_length_mm],
-        "zoneEdgeMm": scene.zone_edges_mm[0],
-        "epoxyMm": board.height_mm,
-        "plateMm": finger.nail_thickness_mm,
-        "bedMm": finger.bed_thickness_mm,
-        "covered": board.cover_um > 0,
-    }
+    outline = [r.u_min, r.u_max, r.v_min, r.v_max]
+    return {"outline": outline, "wall": wall, "zoneEdgeMm": scene.zone_edges_mm[0], "epoxyMm": scene.board.height_mm}
 
 
 EXPLORATION = Report(

@@ -9,9 +9,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ...light.board_map import Arrivals, BoardTracer, blood_point, readings
+from ...light.board_map import Arrivals, BoardTracer
 from ...scene import Electronics, Scene
 from ...sensor.information import force_resolution_n, operating_point, scene_responses, total_information
+from ..placement.photon_maps import recorded
 from ..prior_uncertainty import at_value, draw_people, known_priors, only_absorbs
 
 # People who are drawn, and which of them the page has: by this part of them a force is resolved no coarser.
@@ -44,7 +45,6 @@ def ranked_people(scene: Scene, tracers: Sequence[BoardTracer], seed: int) -> li
 
 def _resolution_n(worn: Scene, light: Sequence[Arrivals]) -> float:
     point, areas = operating_point(worn, RANKED_N), worn.layout.photodiode_areas
-    blood = [blood_point(worn, led, blood_fraction=point.blood_fraction) for led in range(len(light))]
-    by_led = [readings(one, state.values(one), areas)[0] for one, state in zip(light, blood, strict=True)]
+    by_led = [recorded([one], worn, led, point, areas, 1)[0] for led, one in enumerate(light)]
     fitted = worn.model_copy(update={"electronics": Electronics(feedback_ohm="auto")})
     return float(force_resolution_n(total_information(scene_responses(fitted, by_led, point)), point))

@@ -241,7 +241,10 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     attributes |= {"backend": choose_jit(options.backend, "explore").name}
     attributes |= {"scene": to_toml(scene), "digest": digest(scene)}
     attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
-    radial, tables = RadialFunction(light["radial"]), _tables(sources, light)
+    radial, rings = RadialFunction(light["radial"]), {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
+    fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
+    kernels = light["coefficients"], light["direct"], light["blocks"], fluence
+    tables = list(map(ColourTable, sources, *kernels, light["photons"].tolist(), light["people"]))
     ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
     own = fingers[0][1], tables, touch_table(base)
     exploration = Exploration(base, basis, radial, *own, *ambient, people, attributes)
@@ -302,14 +305,6 @@ def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     made |= {"states": [[*polynomial.blood_fraction, *polynomial.so2] for _, polynomial in fingers]}
     made |= {"people": [[one.model_dump_json() for one in (worn.fingertip, worn.blood)] for worn, _ in fingers[1:]]}
     return made | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
-
-
-def _tables(sources: list[Led], light: dict[str, Array]) -> list[ColourTable]:
-    """The tables of the wavelengths from all that was traced."""
-    rings = {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
-    fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
-    columns = light["coefficients"], light["direct"], light["blocks"], fluence, light["photons"].tolist()
-    return list(map(ColourTable, sources, *columns, light["people"]))
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:

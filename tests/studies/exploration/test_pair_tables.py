@@ -9,14 +9,15 @@ import pytest
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
+from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.tracing import StageProgress
-from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.studies.exploration import explore as study
 from nailoptics.studies.exploration.explore import BLOCKS, explore, explored_board
 from nailoptics.studies.exploration.pair_table import BloodPolynomial, PairProjection, RadialFunction, pair_basis
 from nailoptics.studies.placement import boards
+from nailoptics.studies.prior_uncertainty import at_value
 
 BOARD = Rectangle("board", -4.0, 4.0, -5.0, 5.0)
 WALL = Rectangle("left", -0.9, -0.7, -5.0, 5.0)
@@ -67,10 +68,11 @@ def test_stored_tables_are_those_of_the_blood_and_photodiodes():
     """What changes the tables is traced anew; what only names parts or lights them more is not."""
     plain = scene()
 
-    def digest_of(changed, seed=0):
+    def digest_of(changed, seed=0, plate=1.5):
         polynomial = BloodPolynomial((0.0, 0.1), (0.7, 1.0))
         bare = study.lit_by(boards.bare_board(explored_board(changed)), changed.leds[0])
-        sums = study.ColourSums(bare, 0, pair_basis(BOARD, None), polynomial, TraceOptions(seed=seed))
+        drawn = [(changed, polynomial), (at_value(changed, "finger.plate_absorption", plate), polynomial)]
+        sums = study.ColourSums(bare, BoardTracer(bare, seed=seed), 0, pair_basis(BOARD, None), drawn)
         return json.dumps(study._made([sums], seed), sort_keys=True)
 
     led, blood = plain.leds[0], plain.blood
@@ -81,7 +83,7 @@ def test_stored_tables_are_those_of_the_blood_and_photodiodes():
     others += [plain.model_copy(update={"blood": blood.model_copy(update={"so2": blood.so2 - 0.1})})]
     slow = [p.model_copy(update={"quantum_efficiency": 0.5}) for p in plain.photodiodes]
     others += [plain.model_copy(update={"photodiodes": tuple(slow)})]
-    assert len({digest_of(plain), digest_of(plain, seed=1), *map(digest_of, others)}) == 5
+    assert len({digest_of(plain), digest_of(plain, 1), digest_of(plain, plate=2.0), *map(digest_of, others)}) == 6
 
 
 @pytest.mark.parametrize("name", ["left", "right", "below", "above"])

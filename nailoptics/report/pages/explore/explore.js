@@ -3,6 +3,17 @@
 "use strict";
 
 const tables = JSON.parse(document.getElementById("tables").textContent);
+{
+  const { finger, board, blood } = tables.scene;
+  Object.assign(tables.board, {
+    center: board.center_mm, nailMm: [finger.nail_width_mm, finger.nail_length_mm], plateMm: finger.nail_thickness_mm, bedMm: finger.bed_thickness_mm,
+    covered: board.cover_um > 0,
+  });
+  // Blood at rest, from the least to the most that can be chosen: none, where what is venous depends on it.
+  tables.restRange = tables.bloodRange.map((factor) => blood.rest_blood_fraction * (blood.venous_so2 === undefined ? factor : 1));
+  // The force resolved goes as the slopes of the readings.
+  tables.kernelResolutionError = Math.hypot(tables.kernelError, tables.kernelChangeError);
+}
 
 // ---------------------------------------------------------------------------------------------------- physics
 
