@@ -517,6 +517,7 @@ def protocol(
     *,
     output: Output = Path("protocol.csv"),
     seed: int = 0,
+    donnings: int = 1,
     json_: Json = False,
 ) -> None:
     """Write the touches to calibrate a sensor with, four minutes of varied touches on both sides, and a page to follow.
@@ -527,13 +528,14 @@ def protocol(
         force: With - a local page shows the line beside the force on stdin, in lines of time_s and force_n.
         output: File to write, with its page beside it.
         seed: Seed of the touches; others for another person, or another day.
+        donnings: How often the sensor is put on; with 2 it is taken off and put on again halfway.
     """
     from .report.pages.protocol import live_columns, page, serve
     from .scene import load_scene
     from .scene.importers.sensor_recordings import samples_by_line
     from .scene.protocol import protocol as draw
 
-    drawn, rate_hz = draw(seed), load_scene(scene).touch.sample_rate_hz
+    drawn, rate_hz = draw(seed, donnings=donnings), load_scene(scene).touch.sample_rate_hz
     _check_file(output, ".csv", "the file of a protocol")
     measured = samples_by_line(terminal.text_lines(sys.stdin), live_columns) if force else None
     drawn.save(output, sample_rate_hz=rate_hz)

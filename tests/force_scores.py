@@ -4,7 +4,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -197,9 +197,7 @@ def pair(subject: Subject, recording: Recording) -> str:
 def thinned(recording: Recording, rate_hz: float) -> Recording:
     """Every so-manieth sample of a recording, so that no more than so many are left in a second."""
     stride = max(1, round(1.0 / (rate_hz * float(np.median(np.diff(recording.time_s))))))
-    take = slice(None, None, stride)
-    force_n, site = (None if one is None else one[take] for one in (recording.force_n, recording.site))
-    return replace(recording, time_s=recording.time_s[take], volts=recording.volts[:, take], force_n=force_n, site=site)
+    return recording.at(slice(None, None, stride))
 
 
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:

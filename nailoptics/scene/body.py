@@ -83,6 +83,10 @@ class Drift(Table):
     # moisture and sweat, which nobody has measured: an assumption.
     reading_per_rt_min: Annotated[float, Field(ge=0, le=0.1)] = 0.0005
     """The same of each reading, independently: adhesive, photodiode, amplifier. [1/sqrt(min)]"""
+    # How alike a sensor sits that is bonded anew nobody has measured: an assumption.
+    donning: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    """Relative standard deviation of each reading from one time that the sensor is put on to the next, independently,
+    in touches of profile "protocol" with protocol_donnings."""
 
 
 class Motion(Table):

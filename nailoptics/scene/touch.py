@@ -9,9 +9,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from ..errors import InputError
 from .base import LEAST_AREA_MM2, MOST_FORCE_N, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
 from .importers.sensor_recordings import PRESSURES, check_columns, with_recording
-from .protocol import protocol
+from .protocol import MOST_DONNINGS, is_off, protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
 # The paper's subjects pressed slowly, at 0.05 Hz, and its readings are means of three cycles.
@@ -76,6 +77,8 @@ class Touch(Table):
     """The list of steps, in order of time; before the first the force is 0."""
     protocol_seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of the protocol's touches, as of the command protocol --seed."""
+    protocol_donnings: Annotated[int, Field(ge=1, le=MOST_DONNINGS)] = 1
+    """How often the sensor is put on in it, by which readings change as body.drift.donning says."""
     duration_s: Annotated[float, Field(gt=0, le=86400)] = 4.0
     """Simulated time; if not given 4, the end of the last cycle, or 2 after the last step. [s]"""
     sample_rate_hz: Annotated[float, Field(gt=0, le=100_000)] = 100.0
@@ -141,9 +144,10 @@ class Touch(Table):
         known = ("force_n", *PRESSURES, *BESIDE_FORCE)
         data = with_recording(data, folder, "touch", known, either=(("force_n",), PRESSURES))
         if data.get("profile") == "protocol" and "recorded_time_s" not in data:
-            seed = data.get("protocol_seed", 0)
-            drawn = protocol(seed if isinstance(seed, int) and seed >= 0 else 0)  # else the field's rule says so
-            data = data | {f"recorded_{name}": tuple(column.tolist()) for name, column in drawn._asdict().items()}
+            seed, donnings = data.get("protocol_seed", 0), data.get("protocol_donnings", 1)
+            with suppress(InputError):  # the fields' rules say what is wrong
+                drawn = protocol(seed, donnings=donnings)
+                data = data | {f"recorded_{name}": tuple(column.tolist()) for name, column in drawn._asdict().items()}
         if data.get("profile") == "cycle":
             data = CYCLE | data
         if data.get("site") in tuple(SHARES):
@@ -200,6 +204,10 @@ class Touch(Table):
         """Sample times, (t,) float, from the start of the touch. [s]"""
         first_s = self.recorded_time_s[0] if self.recorded_time_s else 0.0
         return first_s + np.arange(math.floor(self.intervals + 1e-9) + 1) / self.sample_rate_hz
+
+    def is_off(self, at_s: np.ndarray) -> np.ndarray:
+        """Whether the sensor is off the finger at some times (T,), bool."""
+        return is_off(at_s, *self.corners()) if self.profile == "protocol" else np.zeros(at_s.shape, bool)
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and forces [N] between which the force is linear, (k,) float each; a time twice where it jumps.

@@ -27,7 +27,7 @@ LIFT_UM, SLIDE_UM = 40.0, 250.0
 # Random walks are drawn at so many knots in a second, whatever the rate of the samples, and are linear between them.
 KNOTS_PER_S = 20.0
 # Streams of the body's seed, beside those of its pressures.
-_LED_DRIFT, _READING_DRIFT = 21, 22
+_LED_DRIFT, _READING_DRIFT, _DONNING = 21, 22, 25
 _MOTIONS = {"lift": 23, "slide": 24}
 
 
@@ -180,6 +180,9 @@ def drift_and_motion(scene: Scene, time_s: Array) -> xr.Dataset:
         walk = _random_walks(leds, since_s, seed_of(body.seed, _LED_DRIFT)) * drift.led_per_rt_min
         data |= described(__package__, led_drift=np.exp(walk))
         walk = _random_walks(leds * photodiodes, since_s, seed_of(body.seed, _READING_DRIFT)) * drift.reading_per_rt_min
+        number = np.cumsum(np.diff(scene.touch.is_off(time_s), prepend=False)) // 2
+        drawn = np.random.default_rng(seed_of(body.seed, _DONNING)).normal(size=(number[-1], leds * photodiodes))
+        walk += drift.donning * np.concatenate([np.zeros((1, leds * photodiodes)), drawn])[number].T
         data |= described(__package__, reading_drift=np.exp(walk).reshape(leds, photodiodes, -1))
     for name, stream in _MOTIONS.items():
         # An Ornstein-Uhlenbeck process.

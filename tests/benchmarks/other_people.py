@@ -1,6 +1,6 @@
 """Estimated force of people of another simulator, which knows nothing of how the package models body and light.
 
-    python tests/benchmarks/other_people.py FOLDER [--people ann ...] [--rate 50]
+    python tests/benchmarks/other_people.py FOLDER [--people ann ...] [--rate 50] [--donnings 2]
 
 Writes recordings of eight people who wear the sensor of scenes/prototype.toml, runs `nailoptics calibrate` and
 `nailoptics predict` on them as commands, and prints a table. FOLDER keeps what is done: the same command goes on.
@@ -15,6 +15,9 @@ a distal one, which presses on the bed under the nail's distal half, whitens it 
 some seconds. Pressures at rest are as measured in nailfolds [6, 7]; the heart, breath and vasomotion move them.
 Light. Attenuation by the effective attenuation coefficient of each zone [8, 9], weighted by its place between LED and
 photodiode; gain, offset, drift, noise of electronics, 16 bits; a load cell with noise, a tare and an error of its gain.
+
+With --donnings the sensor is put on anew for every recording, and so often within the protocol: its gains and its place
+along the nail differ each time.
 
 Each person is drawn from `RANGES`. Where no measured range was found (compliance of the bed's venules, what reaches the
 bed of a pressure on the pulp) it is wide and chosen so that the nail reddens or refills in one to three seconds and
@@ -60,6 +63,7 @@ REST = 6.0  # at the beginning of each [s]
 MMHG_PER_KPA = 7.5
 BLOOD_PER_MM = 0.45  # absorption of whole blood at 800 nm [8]
 SCATTERING_PER_MM = 1.7  # reduced, of skin at 800 nm [9]
+DONNED = (0.05, 0.2)  # sd of gains and of the place along the nail [mm] when the sensor is put on anew: judgement
 
 RANGES = {  # least and most of each person's
     "area_mm2": (90.0, 170.0),  # of contact at 1 N [1]
@@ -152,10 +156,11 @@ HELD_OUT = tuple(
 )
 
 
-def followed(person: Person, rng: np.random.Generator, path: Path) -> tuple[np.ndarray, ...]:
-    """What `touches` returns of the command's protocol, written to path; and whether the touch is proximal."""
-    seed = str(PEOPLE.index(person.name))
-    run(["protocol", str(SCENE), "--seed", seed, "-o", str(path)], path.with_suffix(".json"))
+def followed(person: Person, rng: np.random.Generator, path: Path, donnings: int) -> tuple[np.ndarray, ...]:
+    """What `touches` returns of the command's protocol, written to path; whether the touch is proximal; and how often
+    the sensor was put on before, NaN while it is off."""
+    own = ["--seed", str(PEOPLE.index(person.name)), "--donnings", str(donnings)]
+    run(["protocol", str(SCENE), *own, "-o", str(path)], path.with_suffix(".json"))
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     time = np.arange(-WARM_UP, table[-1, 0], STEP)
     force = np.interp(time, table[:, 0], table[:, 1])
@@ -163,7 +168,10 @@ def followed(person: Person, rng: np.random.Generator, path: Path) -> tuple[np.n
     begins = np.cumsum(np.diff(force > 0, prepend=False) & (force > 0))
     wander = rng.normal(size=begins[-1] + 1)[begins]
     proximal = np.interp(time, table[:, 0], table[:, 2]) >= 0.5
-    return time, np.maximum(force * (1 + 0.015 * tremor / tremor.std()), 0.0), wander, proximal
+    before = np.cumsum(np.diff(table[:, 0], prepend=0.0) > 5.0)
+    donning = np.interp(time, table[:, 0], before)
+    donning = np.where(donning % 1.0, np.nan, donning)
+    return time, np.maximum(force * (1 + 0.015 * tremor / tremor.std()), 0.0), wander, proximal, donning
 
 
 def touches(recording: Recording, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -263,9 +271,9 @@ def blood(person: Person, time: np.ndarray, outside: tuple, inflow: tuple) -> np
     return answer.y[:zones].T + answer.y[zones:-1].T + arterioles * person.vascularity
 
 
-def volts(person: Person, bed_blood: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def volts(person: Person, bed_blood: np.ndarray, rng: np.random.Generator, shift_mm: float = 0.0) -> np.ndarray:
     """Readings (time, column) [V] of blood (time, zone) before the converter."""
-    middle, half = ALONG[:, None] / 2, person.depth_of_light + 0.2 * DISTANCE[:, None]
+    middle, half = (ALONG[:, None] + shift_mm) / 2, person.depth_of_light + 0.2 * DISTANCE[:, None]
     weight = np.exp(-((ZONES - middle) ** 2) / (2 * half**2))
     weight /= weight.sum(1, keepdims=True)
     absorption = person.tissue_per_mm + BLOOD_PER_MM * bed_blood
@@ -278,22 +286,36 @@ def volts(person: Person, bed_blood: np.ndarray, rng: np.random.Generator) -> np
     return person.offsets_v + bright * light * drift[:, None]
 
 
-def record(person: Person, recording: Recording, rate_hz: float, path: Path) -> None:
+def donned(person: Person, bed_blood: np.ndarray, rng: np.random.Generator, donning: np.ndarray) -> np.ndarray:
+    """Readings as of `volts`, of a sensor that was put on anew for the recording, and within it."""
+    worn, out = np.random.default_rng(rng.integers(2**32)), np.full((len(bed_blood), len(COLUMNS)), np.nan)
+    state = rng.bit_generator.state
+    for number in np.unique(donning[np.isfinite(donning)]):
+        rng.bit_generator.state = state  # the same drift
+        gains, shift_mm = np.exp(worn.normal(0, DONNED[0], len(COLUMNS))), worn.normal(0, DONNED[1])
+        now = donning == number
+        out[now] = (volts(person, bed_blood, rng, shift_mm) * gains)[now]
+    return out
+
+
+def record(person: Person, recording: Recording, rate_hz: float, path: Path, donnings: int | None) -> None:
     """Write one recording as a CSV."""
     number = [r.name for r in (*CALIBRATIONS["cycles"], *HELD_OUT, PROTOCOL)].index(recording.name)
     rng = np.random.default_rng([17, PEOPLE.index(person.name), number])
     if recording is PROTOCOL:
-        time, force, wander, proximal = followed(person, rng, path.with_name(f"{person.name}_touches.csv"))
+        own = path.with_name(f"{person.name}_touches.csv")
+        time, force, wander, proximal, donning = followed(person, rng, own, donnings or 1)
     else:
         time, force, wander = touches(recording, rng)
-        proximal = np.full(len(time), recording.site == "proximal")
+        proximal, donning = np.full(len(time), recording.site == "proximal"), np.zeros(len(time))
     inflow = rhythms(person, time, rng)
     sides = [
         pressures(person, site, force * at, wander) for site, at in (("proximal", proximal), ("distal", ~proximal))
     ]
     bed_blood = blood(person, time, tuple(map(sum, zip(*sides, strict=True))), inflow)
     force, proximal = force[-len(bed_blood) :], proximal[-len(bed_blood) :]
-    readings = volts(person, bed_blood, rng)
+    shown = donning[-len(bed_blood) :]
+    readings = donned(person, bed_blood, rng, shown) if donnings else volts(person, bed_blood, rng)
     every = round(1 / rate_hz / STEP)
     readings, force, proximal = readings[::every], force[::every], proximal[::every]
     hum = gaussian_filter1d(rng.normal(size=readings.shape), 2.0 * rate_hz, axis=0) * np.sqrt(2.0 * rate_hz)
@@ -304,7 +326,7 @@ def record(person: Person, recording: Recording, rate_hz: float, path: Path) -> 
     with part.open("w", newline="") as file:
         out = csv.writer(file)
         out.writerow(["time_s", "force_n", "site", *COLUMNS])
-        for i in range(len(force)):
+        for i in np.flatnonzero(np.isfinite(readings[:, 0])):
             site = "proximal" if proximal[i] else "distal"
             out.writerow([f"{i / rate_hz:.3f}", f"{cell[i]:.4f}", site, *(f"{v:.7f}" for v in readings[i])])
     part.rename(path)
@@ -350,19 +372,27 @@ def score(folder: Path, recording: Recording) -> dict[str, float]:
     }
 
 
-def measure(name: str, folder: Path, rate_hz: float, calibration: str) -> dict[str, dict[str, float]]:
+def measure(
+    name: str, folder: Path, rate_hz: float, calibration: str, donnings: int | None
+) -> dict[str, dict[str, float]]:
     """All rows of one person, by recording."""
     folder.mkdir(parents=True, exist_ok=True)
     person, teaching = Person(name), CALIBRATIONS[calibration]
     for recording in (*teaching, *HELD_OUT):
         path = folder / f"{recording.name}.csv"
         if not path.exists():
-            record(person, recording, rate_hz, path)
+            record(person, recording, rate_hz, path, donnings)
     known = [folder / f"{recording.name}.csv" for recording in teaching]
     subject = folder / "subject.toml"
     fit = run(["calibrate", str(SCENE), *map(str, known), "-o", str(subject)], folder / "calibrate.json")
     print(f"{name}: calibration {1000 * fit['rms_n']:.0f} mN", *fit["warnings"], sep="\n  ")
     return {recording.name: score(folder, recording) for recording in HELD_OUT}
+
+
+def folder_of(name: str, options: argparse.Namespace) -> Path:
+    """Where one person's recordings and results lie."""
+    worn = f"_{options.donnings}_donnings" if options.donnings else ""
+    return Path(options.folder / f"{name}_{options.rate:.0f}hz_{options.calibration}{worn}")
 
 
 def print_row(heads: tuple[str, str], row: dict[str, float]) -> None:
@@ -378,6 +408,7 @@ def main() -> None:
     parser.add_argument(
         "--calibration", choices=tuple(CALIBRATIONS), default="protocol", help="touches to calibrate on"
     )
+    parser.add_argument("--donnings", type=int, help="the sensor is put on anew, so often within the protocol")
     parser.add_argument("--json", type=Path, help="file that keeps the rows, for the documentation")
     options = parser.parse_args()
     print(
@@ -386,8 +417,7 @@ def main() -> None:
     print("the part of the samples of touches within the 95 % interval, and the median of half of it in N")
     rows: dict[str, list[dict[str, float]]] = {recording.name: [] for recording in HELD_OUT}
     for name in options.people:
-        folder = options.folder / f"{name}_{options.rate:.0f}hz_{options.calibration}"
-        answers = measure(name, folder, options.rate, options.calibration)
+        answers = measure(name, folder_of(name, options), options.rate, options.calibration, options.donnings)
         print(f"{'':28}" + "".join(f"{key:>13}" for key in next(iter(answers.values()))))
         for recording, row in answers.items():
             print_row((name, recording), row)
@@ -398,7 +428,14 @@ def main() -> None:
             for kind, site in itertools.product(("slow", "steps"), ("proximal", "distal"))
             for name, row in zip(options.people, rows[f"{kind}_{site}_held"], strict=True)
         ]
-        force_page.keep(options.json, "other_people.py", held)
+
+        def series(name: str, touches: str) -> tuple[np.ndarray, ...]:
+            folder = folder_of(name, options)
+            recording = f"{touches.replace(' ', '_')}_held"
+            known = columns(folder / f"{recording}.csv", ["time_s", "force_n"]).T
+            return *known, *columns(folder / recording / "predict.csv", ["force_n", "force_low_n", "force_high_n"]).T
+
+        force_page.keep(options.json, "other_people.py", held, series)
     for recording, result in rows.items():
         print_row(("median", recording), {key: statistics.median(row[key] for row in result) for key in result[0]})
 

@@ -72,19 +72,28 @@ function draw_line(now_s) {
 function draw_whole(now_s) {
   const { width, height, stroke, fill } = pen_on(whole);
   const x = (time_s) => width * time_s / end_s, y = (force_n) => height - 2 - (height - 6) * force_n / MOST_N;
-  const other = x(drawn.time_s[drawn.proximal_share.indexOf(0)]);
-  fill("panel", other, 0, width - other, height);
+  drawn.time_s.forEach((time_s, k) => {
+    if (!drawn.proximal_share[k] && k) fill("panel", x(drawn.time_s[k - 1]), 0, x(time_s) - x(drawn.time_s[k - 1]), height);
+  });
   stroke("accent", 1, drawn.time_s.map((time_s, k) => [x(time_s), y(drawn.force_n[k])]));
   stroke("ink", 1.5, [[x(now_s), 0], [x(now_s), height]]);
 }
 
+// The end of the rest in which the sensor is to be taken off and put on again; undefined outside it. [s]
+function back_on_s(now_s) {
+  const k = drawn.time_s.findIndex((corner_s) => corner_s > now_s);
+  return k > 0 && drawn.is_off[k - 1] ? drawn.time_s[k] : undefined;
+}
+
 function draw() {
-  const now_s = clock_s(), other_s = drawn.time_s.find((time_s) => time_s > now_s && side(time_s) !== side(now_s));
+  const now_s = clock_s(), back_s = back_on_s(now_s);
+  const other_s = drawn.time_s.find((time_s) => time_s > now_s && side(time_s) !== side(now_s));
   draw_line(now_s);
   draw_whole(now_s);
   const change = other_s === undefined ? "" : `; the other side in ${Math.ceil(other_s - now_s)} s`;
   words.textContent = now_s >= end_s ? "Done: the protocol is complete."
     : has_ended ? "No more force is piped in."
+    : back_s !== undefined ? `Take the sensor off and put it on again within ${Math.ceil(back_s - now_s)} s.`
     : `${at(now_s, drawn.force_n) ? "Press" : "Rest. Next is"} the ${side(now_s)} side. `
       + `${Math.ceil(end_s - now_s)} s are left${change}.`;
 }

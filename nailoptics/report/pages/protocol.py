@@ -7,13 +7,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 
 from ...errors import InputError
-from ...scene.protocol import Protocol
+from ...scene.protocol import Protocol, is_off
 from ..html import Html, Script, document, file_text, section, small, texts
 
 
 def page(drawn: Protocol, *, is_served: bool = False) -> str:
     """The page as text; one that is served shows the force at its server's address `force`, too."""
     columns = {name: column.tolist() for name, column in drawn._asdict().items()}
+    columns["is_off"] = is_off(drawn.time_s, drawn.time_s, drawn.force_n).tolist()
     data, words = json.dumps(columns | {"is_served": is_served}), texts("protocol")
     player, script = (file_text(f"pages/protocol.{kind}") for kind in ("html", "js"))
     player += f'<script type="application/json" id="protocol">{data}</script>'

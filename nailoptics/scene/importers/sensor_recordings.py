@@ -95,7 +95,8 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
         raise InputError(f"{at(k)} time_s = {time_s[k]:.15g} does not come after {time_s[k - 1]:.15g}; sort the rows.")
     for title, (low, high, unit) in RANGES.items():
         values = arrays.get(title, np.empty(0))
-        for k in np.flatnonzero((values < low) | (values > high))[:1]:
+        # What is too large says more of a wrong unit than noise about 0 does.
+        for k in [*np.flatnonzero(values > high)[:1], *np.flatnonzero(values < low)[:1]][:1]:
             hint = "divide grams by 102" if title == "force_n" and values[k] > high else "check its sign and unit"
             raise InputError(f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; {hint}.")
 
@@ -110,6 +111,7 @@ class Recording:
     volts : (R, T) float; NaN in a gap. [V]
     force_n : (T,) float or None where no force was measured. [N]
     site : (T,) float or None where it is not stated. 1 proximal, 0 distal, NaN even.
+    donning : how often the sensor was put on anew before, within what was recorded at once.
     """
 
     name: str
@@ -118,6 +120,7 @@ class Recording:
     volts: Array
     force_n: Array | None
     site: Array | None
+    donning: int = 0
 
     def __repr__(self) -> str:
         samples = f"{len(self.time_s)} samples in {np.ptp(self.time_s):.4g} s"
@@ -129,6 +132,11 @@ class Recording:
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
+
+    def at(self, samples: slice | NDArray[Any]) -> "Recording":
+        """The same with some of the samples."""
+        force_n, site = (None if one is None else one[samples] for one in (self.force_n, self.site))
+        return Recording(self.name, self.names, self.time_s[samples], self.volts[:, samples], force_n, site)
 
     def save(self, path: str | Path) -> None:
         """Write the recording as a CSV, which `calibrate` and `predict` read; raises WriteError."""

@@ -23,7 +23,7 @@ from ...sensor import electronics
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import LEAST_TOUCHES_OF_ALL, Fit, Fitted, joined
-from .person import NAMES, SIDES, nominal_finger
+from .person import LONGEST_GAP_S, NAMES, SIDES, nominal_finger
 from .reading_table import ReadingTable, nodes_of, reading_names, reading_table, site_of
 from .scores import TOUCH_N, rms, runs, touches_by_kind
 from .subject import Quality, Readings, Subject, subject_toml
@@ -140,7 +140,7 @@ def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
         quality=Quality(fitted.chi2_per_dof, rms_n=np.nan),
         factors=np.exp(fitted.factors_ln),
         readings=Readings(fitted.gain, fitted.offset_v, residual_rms_v, noise_v),
-        noise=noise,
+        noise=replace(noise, donning=fitted.donning),
         scene=fit.finger,
         light=fitted.table,
         covariance=fitted.covariance,
@@ -216,12 +216,26 @@ QUICK_N, QUICK_S, QUICK_TOUCHES = 0.15, 0.3, 2
 def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
     """The recordings with the scene's readings and their sites; raises InputError unless they can calibrate."""
     names = reading_names(scene)
-    given = [with_site(recording.of(names), scene) for recording in recordings]
+    given = [with_site(part, scene) for recording in recordings for part in worn_at_once(recording.of(names))]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
     if fault := next(_faults_together(given), None):
         raise InputError(f"{', '.join(recording.name for recording in given)}: {fault}")
     return given
+
+
+def worn_at_once(recording: Recording) -> list[Recording]:
+    """The recording in parts, between pauses in which the sensor may have been taken off: the filter begins anew after
+    these, the finger rests before and after them, and each part has touches."""
+    if recording.force_n is None:
+        return [recording]
+    time_s, rests = recording.time_s, recording.force_n < REST_FORCE_N
+    cuts = 1 + np.flatnonzero((np.diff(time_s) > LONGEST_GAP_S) & rests[:-1] & rests[1:])
+    parts = np.split(np.arange(len(time_s)), cuts)
+    if len(parts) == 1 or not all(recording.force_n[part].max() >= TOUCHED_N for part in parts):
+        return [recording]
+    names = [f"{recording.name} from time_s = {time_s[part[0]]:g} on" for part in parts]
+    return [replace(recording.at(part), name=names[k], donning=k) for k, part in enumerate(parts)]
 
 
 def with_site(recording: Recording, scene: Scene) -> Recording:

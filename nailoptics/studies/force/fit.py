@@ -47,8 +47,9 @@ LEAST_EFFECT = 0.01
 # Prior standard deviation of d ln volts / d blood, as a part of the traced slope: absorption of the nail plate alone, a
 # factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
 OPTICS_PART, LEAST_SLOPE = 0.3, 1e-3
-# Prior standard deviations of ln gain, and of an offset and a drift as parts of the reading at rest.
-GAIN_SPREAD, OFFSET_PART = 0.7, 0.1
+# Prior standard deviations of ln gain and of its change from one putting-on of the sensor to the next, and of an offset
+# and a drift as parts of the reading at rest.
+GAIN_SPREAD, DONNING_SPREAD, OFFSET_PART = 0.7, 0.2, 0.1
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class Fitted:
 
     factors_ln : (P,) float. Logarithms of the factors by NAMES.
     covariance : (P + 4 R, P + 4 R) float. Of these, of gains, of offsets, and of steeper slopes by either zone's blood.
-    gain, offset_v : (R,) float. Of every reading.
+    gain, offset_v : (R,) float. Of every reading, the gain as a mean over recordings. donning : standard deviation of
+        the next gain from it, over readings, as the sensor is put on anew for each recording. [1]
     table : readings over blood, with the fitted slopes.
     predicted_v, residual_v : per recording (R, T) float, at its own samples. [V]
     chi2_per_dof : of the whitened residuals.
@@ -68,6 +70,7 @@ class Fitted:
     table: ReadingTable
     gain: Array
     offset_v: Array
+    donning: float
     predicted_v: list[Array]
     residual_v: list[Array]
     chi2_per_dof: float
@@ -99,13 +102,17 @@ class Fit:
         # Residual variance of each reading, weights of samples, and their integrated autocorrelation time in samples.
         self.variance = (FIRST_MISFIT * swing) ** 2 + table.noise_v**2
         self.weight, self.memory = np.ones(self.volts.shape[1]), 1.0
-        # Prior standard deviations of gain, offset, slopes and drifts, (R, 4 + K).
+        # Prior standard deviations of gain, offset, slopes and drifts, and of the gain's change in each of several.
         volts, slopes = table.slopes(np.full(2, finger.rest_blood_fraction))
         slope = np.maximum(np.hypot(table.slope_stderr, OPTICS_PART * slopes / volts[:, None]), LEAST_SLOPE)
         part_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
-        spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * len(self.averaged)]
-        self.prior_spread = np.column_stack(spreads)
-        # A gain of 1; offset, slopes and drifts of 0.
+        count = len(self.averaged)
+        spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * count]
+        # Where the sensor was put on anew, the gain of each recording differs.
+        self.changed = count if any(recording.donning for recording in recordings) else 0
+        changes = [np.full(len(part_v), DONNING_SPREAD)] * self.changed
+        self.prior_spread = np.column_stack([*spreads, *changes])
+        # A gain of 1; all else 0.
         self.prior = np.eye(self.prior_spread.shape[1])[0]
         # A search ends, is weighted anew and goes on at the same factors, of which the columns know no weights.
         self._columns = lru_cache(2)(self._moved_columns)
@@ -169,15 +176,17 @@ class Fit:
         return np.concatenate(self.model(moved, self.averaged), axis=-1)
 
     def _design(self, model: Array) -> Array:
-        """Columns of the linear part, (R, S, T, 4 + K): volts, one, both slopes, time in each recording."""
-        ramps = block_diag(*(_ramp(recording)[:, None] for recording in self.averaged))
-        fixed = np.column_stack([np.ones(len(ramps)), ramps])
+        """Columns of the linear part, (R, S, T, 4 + K): volts, one, both slopes, time in each recording. And volts in
+        each where gains differ, (R, S, T, 4 + 2 K)."""
+        ramps = [_ramp(recording)[:, None] for recording in self.averaged]
+        within = block_diag(*map(np.ones_like, ramps))[:, : self.changed]
+        fixed = np.column_stack([np.ones(len(within)), block_diag(*ramps)])
         fixed = np.broadcast_to(fixed, (*model.shape[1:], fixed.shape[1]))
         volts, *slopes = model[..., None]
-        return np.concatenate([volts, fixed[..., :1], *slopes, fixed[..., 1:]], axis=-1)
+        return np.concatenate([volts, fixed[..., :1], *slopes, fixed[..., 1:], volts * within], axis=-1)
 
     def _linear_fit(self, model: Array) -> tuple[Array, Array]:
-        """Least squares of gains, offsets, slopes and drifts, (R, S, 4 + K), and residuals (R, S, T), 0 in gaps."""
+        """Least squares of `_design`, (R, S, P), and residuals (R, S, T), 0 in gaps."""
         design, spread = self._design(model), self.prior_spread
         weight = self.valid * self.weight / self.variance[:, None] / self.memory
         volts = np.where(self.valid, self.volts, 0.0)
@@ -219,11 +228,17 @@ class Fit:
         solved, white, who = all_solved[:, 0], self._whiten(residual)[:, 0], self.finger.person(factors)
         table = self.table.steeper(solved[:, 2:4] / solved[:, :1], float(who.rest_blood))
         response = [arterial_response(who, table, solved[:, 0], recording) for recording in self.averaged]
-        own = zip(self.recordings, self.model(factors, self.recordings), solved[:, LINEAR:].T, strict=True)
+        count = len(self.recordings)
+        drifts, changes = solved[:, LINEAR : LINEAR + count].T, np.zeros((count, len(solved)))
+        changes[:] = solved[:, LINEAR + count :].T if self.changed else 0.0
+        scales = solved[:, [0, 2, 3]] + changes[..., None] * np.eye(3)[0]
+        own = zip(self.recordings, self.model(factors, self.recordings), drifts, scales, strict=True)
         predicted = [
-            solved[:, 1:2] + drift[:, None] * _ramp(recording) + np.einsum("rc,crt->rt", solved[:, [0, 2, 3]], parts)
-            for recording, parts, drift in own
+            solved[:, 1:2] + drift[:, None] * _ramp(recording) + np.einsum("rc,crt->rt", scale, parts)
+            for recording, parts, drift, scale in own
         ]
+        # Of the next gain from the mean, which has the error of a mean.
+        spread2 = ((changes / solved[:, 0]) ** 2).sum(0).mean() / max(count - 1, 1) * (1.0 + 1.0 / count)
         dof = max(int(self.valid.sum()) - len(self.free) - solved.size, 1)
         return Fitted(
             factors_ln=factors,
@@ -231,6 +246,7 @@ class Fit:
             table=table,
             gain=solved[:, 0],
             offset_v=solved[:, 1],
+            donning=float(np.sqrt(spread2)),
             predicted_v=predicted,
             residual_v=[recording.volts - curve for recording, curve in zip(self.recordings, predicted, strict=True)],
             chi2_per_dof=float(self.memory * (white**2).sum() / dof),
@@ -239,7 +255,7 @@ class Fit:
     def _joint_covariance(self, model: Array, solved: Array, white: Array, response: Array) -> Array:
         """Sandwich covariance of all factors' logarithms, gains, offsets and slopes, (P + 4 R, P + 4 R).
 
-        model : (3, R, 1 + P, T) float, of `_columns`. solved : (R, 4 + K) float. white : (R * T,) float.
+        model : (3, R, 1 + P, T) float, of `_columns`. solved : (R, C) float. white : (R * T,) float.
         response : (R, T) float, of readings to the arterial pressure. [V/Pa]
         """
         readings, count, free = *solved.shape, len(self.free)
@@ -313,6 +329,7 @@ def averaged(recording: Recording, rate_hz: float) -> Recording:
 
 def joined(recordings: Sequence[Recording]) -> Recording:
     """All samples of recordings with force and site, one after the other; times begin anew with each."""
-    force_n, site = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in ("force_n", "site"))
-    parts = [recording.time_s for recording in recordings], [recording.volts for recording in recordings], force_n, site
-    return Recording("all", recordings[0].names, *(np.concatenate(part, axis=-1) for part in parts))
+    names = ("time_s", "volts", "force_n", "site")
+    parts = ([np.asarray(getattr(recording, name)) for recording in recordings] for name in names)
+    time_s, volts, force_n, site = (np.concatenate(part, axis=-1) for part in parts)
+    return Recording("all", recordings[0].names, time_s, volts, force_n, site)

@@ -103,7 +103,10 @@ class StateSpace:
         jacobian[:, factors : factors + count] = np.diag(volts)
         jacobian[:, factors + count : factors + 2 * count] = np.eye(count)
         jacobian /= subject.rest_v[:, None]
-        covariance[self.drift, self.drift] = jacobian @ subject.covariance @ jacobian.T + subject.drift_covariance
+        put_on = subject.noise.donning**2 * np.eye(count)
+        covariance[self.drift, self.drift] = (
+            jacobian @ subject.covariance @ jacobian.T + subject.drift_covariance + put_on
+        )
         return state, covariance
 
     def resolve_harmonics(self, since_s: float) -> None:

@@ -123,7 +123,9 @@ def record(result: xr.Dataset, *, seed: int = 0) -> Recording:
     analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
     volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
     volts, _ = electronics.converted(np.round(volts / lsb) * lsb, scene.electronics)
-    return Recording("simulated", names, time_s, volts, force_n, site_of(scene, time_s))
+    # Nothing is recorded while the sensor is off the finger.
+    worn = ~scene.touch.is_off(time_s)
+    return Recording("simulated", names, time_s[worn], volts[:, worn], force_n[worn], site_of(scene, time_s[worn]))
 
 
 def site_of(scene: Scene, time_s: Array) -> Array:

@@ -128,13 +128,12 @@ def _linear(shape: Literal["cubic", "linear"], projection: Array, over_rest: Arr
 def _sigmoid(over_rest: Array, force_n: Array) -> Baseline:
     """Each reading's sigmoid, of the largest force, weighted by the inverse of its squared error."""
     top_n, scale = float(force_n.max()), over_rest.std(1) + 1e-12
-    fits = []
-    for reading, spread in zip(over_rest, scale, strict=True):
 
-        def error(pair: Array, reading: Array = reading, spread: float = spread) -> Array:
-            return np.asarray(top_n * expit(pair[0] + pair[1] * reading / spread) - force_n)
+    def error(pair: Array, reading: Array) -> Array:
+        return np.asarray(top_n * expit(pair[0] + pair[1] * reading) - force_n)
 
-        fits.append(min((least_squares(error, [0.0, slope]) for slope in (-1.0, 1.0)), key=lambda fit: fit.cost))
+    starts = [[least_squares(error, [0.0, s], args=(one,)) for s in (-1.0, 1.0)] for one in over_rest / scale[:, None]]
+    fits = [min(both, key=lambda fit: fit.cost) for both in starts]
     weights = 1.0 / np.maximum([fit.cost for fit in fits], 1e-12)
     shift, slope = np.array([fit.x for fit in fits]).T
     return Baseline("sigmoid", np.diag(slope / scale), shift, top_n * weights / weights.sum())

@@ -95,6 +95,7 @@ class Noise:
 
     drift_per_min : random walk of each reading in a minute, of its volts. [1]
     led_drift_per_min : that of all readings of an LED together. [1]
+    donning : by how much a reading's gain differs when the sensor is put on anew, as far as recordings show. [1]
     beat : the heart's; None where none was detected. waves : slower ones of the arterial pressure.
     dynamic_error, static_error : of the model, as parts of a reading's recent change and of its distance from rest; not
         in the file. [1]
@@ -105,6 +106,7 @@ class Noise:
     waves: Annotated[tuple[DampedOscillator, ...], Field(validation_alias=AliasChoices("waves", "rhythms"))]
     # Files of version 0.2 have an empty table where none was detected.
     beat: Annotated[CardiacOscillator | None, BeforeValidator(lambda beat: beat or None)] = None
+    donning: Fraction = 0.0
     dynamic_error: Annotated[float, Field(exclude=True)] = DYNAMIC_ERROR
     static_error: Annotated[float, Field(exclude=True)] = STATIC_ERROR
 

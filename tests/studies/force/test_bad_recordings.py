@@ -102,6 +102,8 @@ EITHER = [
         _column("force_n", lambda cell, k: "250" if k == 9 else cell),
         "force_n = 250 must lie in 0 to 100 N; divide grams",
     ),
+    # A load cell in grams, whose noise lies below 0, too.
+    (_column("force_n", lambda cell, k: str(102 * float(cell) - 0.3)), "must lie in 0 to 100 N; divide grams"),
     (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is unknown; choose from"),
 ]
 

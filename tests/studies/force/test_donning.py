@@ -1,0 +1,103 @@
+"""A sensor that is taken off and put on again: the protocol, what is recorded, what a calibration learns of it."""
+
+from dataclasses import replace
+
+import made_sensor
+import numpy as np
+import pytest
+
+from nailoptics import load_scene
+from nailoptics.errors import InputError
+from nailoptics.scene import Touch
+from nailoptics.scene.body import Body, Drift
+from nailoptics.scene.importers.sensor_recordings import Recording
+from nailoptics.scene.protocol import FIRST_REST_S, OFF_S, protocol
+from nailoptics.sensor.volts import drift_and_motion
+from nailoptics.studies.force.calibrate import calibrate_with, checked
+from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.subject import Subject, parse_subject
+
+# Standard deviation of the readings' gains from one time to the next.
+SPREAD = 0.05
+
+
+def put_on(recording: Recording, seed: int) -> Recording:
+    """What the sensor reads of the same when it was put on anew."""
+    gains = np.exp(SPREAD * np.random.default_rng(seed).normal(size=(len(recording.names), 1)))
+    return replace(recording, volts=recording.volts * gains)
+
+
+def twice() -> Recording:
+    """A recording with a pause in which the sensor was put on anew."""
+    first, second = made_sensor.record_touches(seed=4), put_on(made_sensor.record_touches(seed=5), 1)
+    time_s = np.concatenate([first.time_s, first.time_s[-1] + 40.0 + second.time_s])
+    force_n, site = (np.concatenate([getattr(one, name) for one in (first, second)]) for name in ("force_n", "site"))
+    return Recording("made", first.names, time_s, np.hstack([first.volts, second.volts]), force_n, site)
+
+
+def calibrated(recording: Recording) -> Subject:
+    own = made_sensor.scene()
+    result = calibrate_with(own, made_sensor.table(), checked([recording], own))
+    return parse_subject(result.attrs["subject"])
+
+
+@pytest.mark.long
+def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew() -> None:
+    once, subject = calibrated(made_sensor.record_touches(seed=4)), calibrated(twice())
+    # Of eight readings and two times the standard deviation is known to some 35 %.
+    assert once.noise.donning == 0.0 and subject.noise.donning == pytest.approx(SPREAD, rel=0.7)
+    results = [predict(subject, put_on(made_sensor.record_touches(seed=seed), seed)) for seed in range(10, 13)]
+    assert all(result.attrs["consistent"] for result in results)
+    assert max(float(result.touch_rms_n[0]) for result in results) < 0.06
+    assert np.mean([float(result.touch_coverage_95[0]) for result in results]) > 0.8
+    # A calibration that never saw it takes the other gains for a touch, and says that they do not fit.
+    lost = predict(once, put_on(made_sensor.record_touches(seed=10), 10))
+    assert not lost.attrs["consistent"] and float(lost.touch_rms_n[0]) > 0.2
+
+
+def test_a_pause_in_which_the_sensor_may_be_off_parts_a_recording() -> None:
+    own, recording = made_sensor.scene(), twice()
+    parts = checked([recording], own)
+    assert [part.name for part in parts] == ["made from time_s = 0 on", "made from time_s = 71.98 on"]
+    assert np.array_equal(np.hstack([part.volts for part in parts]), recording.volts)
+    # Within a touch the sensor was on.
+    split, touched = len(parts[0].time_s), replace(recording, force_n=np.asarray(recording.force_n).copy())
+    touched.force_n[split - 3 : split + 3] = 0.5  # type: ignore[index]
+    assert len(checked([touched], own)) == 1
+    late = recording.at(np.flatnonzero((recording.time_s < 40) | (recording.time_s > 71.98 + 1.5)))
+    with pytest.raises(
+        InputError, match=r"made from time_s = 73.5 on: .* for 0.5 s before the first touch; begin with"
+    ):
+        checked([late], own)
+
+
+def test_the_protocol_touches_both_sides_each_time_and_rests_before() -> None:
+    drawn, once = protocol(3, donnings=2), protocol(3)
+    touch = Touch(profile="protocol", protocol_seed=3, protocol_donnings=2)
+    time_s = touch.times_s()
+    off = touch.is_off(time_s)
+    (start, stop), before = np.flatnonzero(np.diff(off)), np.diff(drawn.time_s)
+    assert off.sum() == pytest.approx(100 * OFF_S, abs=1) and OFF_S in before.round(9)
+    force_n, share = (np.interp(time_s, drawn.time_s, column) for column in drawn[1:])
+    assert not force_n[off].any() and not force_n[stop : stop + round(99 * FIRST_REST_S)].any()
+    for part in (slice(start), slice(stop, None)):
+        assert {*np.round(share[part][force_n[part] > 0])} == {0.0, 1.0}
+    assert force_n[:start].max() < 1.5 < force_n[stop:].max()
+    assert not Touch(profile="protocol").is_off(once.time_s).any()
+    for wrong in (0, 5, 1.5):
+        with pytest.raises(InputError, match="a whole number from 1 to 4"):
+            protocol(donnings=wrong)  # type: ignore[arg-type]
+
+
+def test_readings_change_when_a_simulated_sensor_is_put_on_anew(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    touch = Touch(profile="protocol", protocol_donnings=2, sample_rate_hz=20.0)
+    still = Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0, donning=SPREAD)
+    scene = load_scene("prototype").model_copy(update={"touch": touch, "body": Body(drift=still)})
+    time_s = touch.times_s()
+    factor = drift_and_motion(scene, time_s).reading_drift.values[0]
+    assert (factor[:, 0] == 1.0).all() and (np.diff(factor, axis=1) != 0).sum() == len(factor)
+    assert np.log(factor[:, -1]).std() == pytest.approx(SPREAD, rel=0.8)
+    # The rows of the file to follow leave the pause out.
+    protocol(donnings=2).save(tmp_path / "protocol.csv", sample_rate_hz=20.0)
+    written_s = np.loadtxt(tmp_path / "protocol.csv", delimiter=",", skiprows=1)[:, 0]
+    assert np.diff(written_s).max() == pytest.approx(OFF_S, abs=0.1)
