@@ -232,6 +232,7 @@ def calibration_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _subject_summary(subject: Subject) -> dict[str, Any]:
+    weights = subject.ensemble.weights if subject.ensemble else {"filter": np.ones(2)}
     return {
         "readings": subject.reading_table(),
         "parameters": subject.factor_table(),
@@ -240,7 +241,7 @@ def _subject_summary(subject: Subject) -> dict[str, Any]:
         "half_width_n": subject.quality.touches["all"]["half_width_n"],
         "is_held_out": subject.quality.is_held_out,
         "quality": subject.quality.touches,
-        "weights": subject.ensemble.weights if subject.ensemble else {"filter": 1.0},
+        "weights": {name: both.tolist() for name, both in weights.items()},
     }
 
 

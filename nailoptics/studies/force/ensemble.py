@@ -1,7 +1,7 @@
 """Force from readings and filter by an ensemble of regressions with memory: features, terms, and what a subject holds.
 
 The filter knows the vessels of its model; what another body does is learnt from its calibration (`training`). Every
-member is linear in its terms, so that their weighted sum is one polynomial and one sum of Gaussians.
+member is linear in its terms, so that their weighted sum is one polynomial and one sum of Gaussians, on either side.
 """
 
 import itertools
@@ -78,7 +78,7 @@ class Features:
 class Terms(NamedTuple):
     """Indices of the features that each monomial multiplies, and which monomials a member has.
 
-    indices : (n, 2) int; past the last feature stands a 1. members : n bool each.
+    indices : (n, 3) int; past the last feature stands a 1. members : n bool each.
     """
 
     indices: NDArray[np.int64]
@@ -93,25 +93,29 @@ class Terms(NamedTuple):
 def terms_of(components: int) -> Terms:
     """The monomials of so many components of readings, with the pressures, each with its departures."""
     every = np.arange((1 + len(LAGS_S)) * (components + PRESSURES)).reshape(1 + len(LAGS_S), -1)
-    readings, one = every[:, :components].ravel(), every.size
-    products = itertools.combinations_with_replacement(readings.tolist(), 2)
-    indices = np.array([*((i, one) for i in range(one)), *products])
-    quadratic = np.asarray(np.isin(indices, [*readings, one]).all(1))
-    return Terms(indices, {"quadratic": quadratic, "kernel": indices[:, 1] == one})
+    readings, one = every[:, :components].ravel().tolist(), every.size
+    products = itertools.combinations_with_replacement(readings, 2)
+    cubes = itertools.combinations_with_replacement(range(components), 3)
+    indices = np.array([*((i, one, one) for i in range(one)), *((*pair, one) for pair in products), *cubes])
+    of_readings, of_now = (np.isin(indices, [*features, one]).all(1) for features in (readings, range(components)))
+    members = {"quadratic": of_readings & (indices[:, 2] == one), "kernel": indices[:, 1] == one, "cubic": of_now}
+    return Terms(indices, members)
 
 
 @dataclass(frozen=True, config=TABLE)
 class Ensemble:
-    """Force = weights[filter] * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres.
+    """Force = weights[filter] * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres,
+    each for proximal touches and for distal ones, and a mean of both by the filter's proximal share.
 
     components : (K, R) float. Of ln volts over those at rest; with standard deviation 1 over the calibration's touches.
     least, most : (D,) float. Range of the features in the calibration; beyond they count as its ends.
     middle, scale : (D,) float. By which features are standardised for the kernel.
-    polynomial_n : by `terms_of`. [N] centres, kernel_n : (M, D) and (M,) float. [N]
+    intercept_n, polynomial_n : (2,) and (2, n) float, by `terms_of`. [N] centres : (M, D) float.
+    kernel_n : (2, M) float. [N]
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
     open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
-    weights : of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
+    weights : (2,) float of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
 
     components: Numbers
@@ -119,14 +123,14 @@ class Ensemble:
     most: Numbers
     middle: Numbers
     scale: Annotated[Numbers, within(1e-12, MOST_GAIN)]
-    intercept_n: float
+    intercept_n: Numbers
     polynomial_n: Numbers
     centres: Numbers
     kernel_n: Numbers
     top_n: Annotated[float, Field(gt=0, le=MOST_GAIN)]
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     open_above_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
-    weights: dict[str, Annotated[float, Field(ge=0, le=MOST_GAIN)]]
+    weights: dict[str, Annotated[Numbers, within(0, MOST_GAIN, np.positive)]]
     errors_n: dict[str, float]
 
     def __post_init__(self) -> None:
@@ -136,30 +140,37 @@ class Ensemble:
             raise ValueError("weights have no filter")
         features, centres = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES), len(self.centres)
         require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), open_above_n=(2,))
-        require_shapes(self, polynomial_n=(len(self.terms.indices),), half_width_n=(2, HALF_WIDTH_TERMS))
-        require_shapes(self, centres=(centres, features), kernel_n=(centres,))
+        require_shapes(self, polynomial_n=(2, len(self.terms.indices)), half_width_n=(2, HALF_WIDTH_TERMS))
+        require_shapes(self, centres=(centres, features), kernel_n=(2, centres), intercept_n=(2,))
 
     @cached_property
     def terms(self) -> Terms:
         """Of its polynomial."""
         return terms_of(len(self.components))
 
-    def force_n(self, features: Array, filter_n: Array) -> Array:
-        """Force (T,) of features (D, T) beside the filter's (T,). [N]"""
+    def force_n(self, features: Array, filter_n: Array, share: Array) -> Array:
+        """Force (T,) of features (D, T) beside the filter's (T,), with its proximal share (T,). [N]"""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
-        force_n = self.weights["filter"] * filter_n + self.intercept_n + self.polynomial_n @ self.terms.of(inside)
+        by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n)
+        by_side_n = by_side_n + self.polynomial_n @ self.terms.of(inside)
         standardised = (inside - self.middle[:, None]) / self.scale[:, None]
-        force_n = np.maximum(force_n + self.kernel_n @ gaussians(standardised, self.centres), 0.0)
+        by_side_n = by_side_n + self.kernel_n @ gaussians(standardised, self.centres)
+        force_n = np.maximum(by_share(by_side_n, share), 0.0)
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
         return np.asarray(force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0))
 
     def interval_n(self, features: Array, force_n: Array, share: Array) -> tuple[Array, Array]:
         """Bounds (T,) of forces (T,) with a proximal share, the upper one infinite where vessels may be closed. [N]"""
-        proximal_n, distal_n = self.half_width_n @ half_width_terms(features, force_n, len(self.components))
-        half_n = share * proximal_n + (1.0 - share) * distal_n
-        is_open = force_n >= share * self.open_above_n[0] + (1.0 - share) * self.open_above_n[1]
+        terms = half_width_terms(features, force_n, len(self.components))
+        half_n = by_share(self.half_width_n @ terms, share)
+        is_open = force_n >= by_share(self.open_above_n[:, None], share)
         return np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n)
+
+
+def by_share(values: Array, share: Array) -> Array:
+    """The mean (T,) of what holds for proximal and for distal touches (2, T), by the proximal share (T,)."""
+    return np.asarray(share * values[0] + (1.0 - share) * values[1])
 
 
 def gaussians(standardised: Array, centres: Array) -> Array:

@@ -212,7 +212,7 @@ class ForceEstimator:
         force = by_filter
         if self._ensemble is not None:
             features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-            force_n = self._ensemble.force_n(features, by_filter.force_n)
+            force_n = self._ensemble.force_n(features, by_filter.force_n, by_filter.proximal_share)
             low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
             force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
         # Where there may be no touch, none of the sides is any more likely.

@@ -1,7 +1,8 @@
 """Train the ensemble of a subject on its calibration: touches below closure, held out one by one.
 
-Weights, errors and intervals are those of touches that the members were not trained on, with the drift of minutes drawn
-onto the readings. The filter itself was fitted to all touches.
+Weights, errors and intervals are of touches that the members were not trained on, with the drift of minutes drawn onto
+the readings; where the sensor was put on several times, of another time than those. The filter itself was fitted to
+all touches.
 
 References: Hoerl, Kennard 1970, Technometrics 12:55 (ridge); Saunders, Gammerman, Vovk 1998, ICML (kernel ridge);
 Wolpert 1992, Neural Netw. 5:241, and Breiman 1996, Mach. Learn. 24:49 (stacking by weights that are not negative);
@@ -19,7 +20,7 @@ from ...scene.importers.sensor_recordings import Recording
 from ...scene.protocol import LEVEL_N
 from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
-from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, terms_of
+from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, by_share, gaussians, half_width_terms, terms_of
 from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import estimate_pressures
@@ -39,7 +40,7 @@ COPIES = 4
 CENTRES = 300
 # Ridge penalties that are tried, as parts of a term's variance, and groups of touches that are held out in turn.
 PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
-# Prior standard deviation of a member's weight, about the filter alone; errors within a touch count as one.
+# Prior standard deviation of a member's weight; errors within a touch count as one.
 WEIGHT_SPREAD = 0.5
 # Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
 COVERED, OPEN_FROM = 0.95, 0.05
@@ -54,7 +55,7 @@ class CalibrationSeries:
 
     by_filter : the force by the filter alone. over_rest : (R, T) float. ln volts less those at rest.
     force_n : (T,) float. Known. [N] since_s : (T,) float. From sample to sample. [s]
-    block : (T,) int. Number of the touch and the rest before it.
+    block : (T,) int. Number of the touch and the rest before it. fold : (T,) int. Group of touches held out at once.
     site : (T,) float. Where the touch is: 1 proximal, 0 distal, NaN even.
     is_still : (T,) bool. Whether its force stays.
     is_varied : (T,) bool. Whether a sample is of the touches below closure that members are trained on.
@@ -65,6 +66,7 @@ class CalibrationSeries:
     force_n: Array
     since_s: Array
     block: NDArray[np.int64]
+    fold: NDArray[np.int64]
     site: Array
     is_still: NDArray[np.bool_]
     is_varied: NDArray[np.bool_]
@@ -78,11 +80,6 @@ class CalibrationSeries:
     def is_proximal(self) -> NDArray[np.bool_]:
         """Whether the touch is of the proximal side alone, (n,) bool."""
         return np.asarray(self.site > 0.5)
-
-    @property
-    def fold(self) -> NDArray[np.int64]:
-        """Which group of touches a sample is of, (n,) int."""
-        return self.block % FOLDS
 
 
 def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> CalibrationSeries:
@@ -99,13 +96,18 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     # rise is the only one of the protocol.
     for start, stop in hard if len(touches) - len(hard) >= LEAST_TOUCHES_OF_ALL else ():
         is_varied[start + np.argmax(force_n[start:stop] > TOP_N) : stop + round(AFTER_S * RATE_HZ)] = False
+    block = np.searchsorted(touches[:, 1], np.arange(len(force_n)), side="right")
+    donning, site = np.repeat(np.arange(len(parts)), [len(part.time_s) for part in parts]), np.asarray(every.site)
+    _, counts = np.unique(np.stack([donning, site])[:, touches[:, 0]], axis=1, return_counts=True)
+    by_donning = len(parts) > 1 and len(counts) == 2 * len(parts) and min(counts) >= LEAST_TOUCHES_OF_ALL // 2
     return CalibrationSeries(
         by_filter=by_filter,
         over_rest=over_rest,
         force_n=force_n,
         since_s=since_s,
-        block=np.searchsorted(touches[:, 1], np.arange(len(force_n)), side="right"),
-        site=np.asarray(every.site),
+        block=block,
+        fold=donning if by_donning else block % FOLDS,
+        site=site,
         is_still=is_still(time_s, force_n),
         is_varied=is_varied,
     )
@@ -135,8 +137,9 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     terms = half_width_terms(trained_on, held_out_n, count)
     half_width_n = _conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool))
     # From these estimates a touch may be harder than any that members were trained on.
-    estimated_n = ensemble.force_n(features[:, 0], series.by_filter.force_n)
-    hard, proximal = series.force_n > TOP_N, series.by_filter.proximal_share > 0.5
+    share = series.by_filter.proximal_share
+    estimated_n = ensemble.force_n(features[:, 0], series.by_filter.force_n, share)
+    hard, proximal = series.force_n > TOP_N, share > 0.5
     sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
     open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
     ensemble = replace(ensemble, half_width_n=half_width_n, open_above_n=open_above_n)
@@ -169,7 +172,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     fold, held_out, solved = samples.fold, {"filter": samples.by_filter.force_n}, {}
     for name, design in designs.items():
         predictions = np.empty((len(PENALTIES), len(force_n)))
-        for k in range(FOLDS):
+        for k in np.unique(fold):
             coefficients, intercepts = _ridge(design[:, fold != k], force_n[fold != k])
             predictions[:, fold == k] = coefficients @ design[:, fold == k] + intercepts[:, None]
         best = int(np.argmin(((predictions - force_n) ** 2).mean(1)))
@@ -177,12 +180,15 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         coefficients, intercepts = _ridge(design, force_n)
         solved[name] = coefficients[best], float(intercepts[best])
     by_member = np.stack(list(held_out.values()))
-    weights = _weights(by_member, samples)
-    share = dict(zip(held_out, weights.tolist(), strict=True))
-    polynomial_n = np.zeros(len(terms.indices))
+    # Those of either side, which few touches of it leave at those of both together, and these at the filter alone.
+    of_both = _weights(by_member, samples, np.eye(len(by_member))[0])
+    sides = (np.flatnonzero(side) for side in (samples.is_proximal, ~samples.is_proximal))
+    weights = [_weights(by_member[:, at], samples.at(at), of_both) if at.size else of_both for at in sides]
+    shares = dict(zip(held_out, np.transpose(weights), strict=True))
+    polynomial_n = np.zeros((2, len(terms.indices)))
     for name, members in terms.members.items():
-        polynomial_n[members] += share[name] * solved[name][0][: members.sum()]
-    weighted_n = np.maximum(weights @ by_member, 0.0)
+        polynomial_n[:, members] += np.outer(shares[name], solved[name][0][: members.sum()])
+    weighted_n = np.maximum(by_share(np.array(weights) @ by_member, samples.by_filter.proximal_share), 0.0)
     errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
@@ -190,14 +196,14 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         most=features.max(1),
         middle=middle,
         scale=scale,
-        intercept_n=sum(share[name] * intercept for name, (_, intercept) in solved.items()),
+        intercept_n=np.sum([shares[name] * intercept for name, (_, intercept) in solved.items()], axis=0),
         polynomial_n=polynomial_n,
         centres=centres,
-        kernel_n=share["kernel"] * solved["kernel"][0][-len(centres) :],
+        kernel_n=np.outer(shares["kernel"], solved["kernel"][0][-len(centres) :]),
         top_n=float(force_n.max()),
         half_width_n=np.zeros((2, HALF_WIDTH_TERMS)),
         open_above_n=np.full(2, TOP_N),
-        weights=share,
+        weights=shares,
         errors_n=errors_n,
     )
     return ensemble, weighted_n
@@ -213,13 +219,12 @@ def _ridge(design: Array, force_n: Array) -> tuple[Array, Array]:
     return coefficients, force_n.mean() - coefficients @ middle
 
 
-def _weights(held_out: Array, samples: CalibrationSeries) -> Array:
-    """Weights (M,) of members (M, n), the filter first, which few touches leave alone; none is negative."""
+def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
+    """Weights (M,) of members (M, n), of which few touches leave `few` (M,); none is negative."""
     force_n, touches = samples.force_n, len(np.unique(samples.block))
     scale = np.sqrt(touches / len(force_n) / ((held_out - force_n) ** 2).mean(1).min())
-    alone = np.eye(len(held_out))
-    design = np.concatenate([scale * held_out.T, alone / WEIGHT_SPREAD])
-    return np.asarray(nnls(design, np.concatenate([scale * force_n, alone[0] / WEIGHT_SPREAD]))[0])
+    design = np.concatenate([scale * held_out.T, np.eye(len(held_out)) / WEIGHT_SPREAD])
+    return np.asarray(nnls(design, np.concatenate([scale * force_n, few / WEIGHT_SPREAD]))[0])
 
 
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
@@ -237,7 +242,7 @@ def _held_out_quality(terms: Array, samples: CalibrationSeries, held_out_n: Arra
     """rms error, coverage and median half width of the 95 % interval over held-out touches, all and by kind. [N, 1, N]
     The interval of a group of touches is that which the others give."""
     half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
-    for k in range(FOLDS):
+    for k in np.unique(samples.fold):
         at = samples.fold == k
         width_n = _conformal_half_width(terms, samples, held_out_n, ~at) @ terms[:, at]
         half_n[at] = width_n[side[at], np.arange(at.sum())]

@@ -50,7 +50,8 @@ def test_errors_are_of_touches_that_were_held_out():
     assert ensemble is not None and quality.is_held_out
     assert set(quality.touches) == {"all", *(f"{s} {m}" for s in ("proximal", "distal") for m in ("still", "moving"))}
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
-    assert min(ensemble.weights.values()) >= 0
+    assert min(both.min() for both in ensemble.weights.values()) >= 0
+    assert [*ensemble.weights] == ["filter", "quadratic", "kernel", "cubic"]
     members_n = [error_n for name, error_n in ensemble.errors_n.items() if name != "ensemble"]
     # Weights that are drawn towards the filter cost little even where the filter is wrong.
     assert ensemble.errors_n["ensemble"] < 1.01 * min(members_n)
