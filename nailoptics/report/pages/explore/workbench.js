@@ -642,8 +642,8 @@ function drawFixed() {
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
   const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i]));
-  ranked.cells = ranked.cells.map(([number]) => [number === "None" ? number : String(+Number(number).toPrecision(2))]);
-  $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading${ranked.cells.some(([number]) => number !== "None") ? `: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N` : ""}. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables, so that most of each stated error is common to them.`;
+  ranked.cells = ranked.cells.map(([number]) => [number === "None" ? "none" : String(+Number(number).toPrecision(2))]);
+  $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading${ranked.cells.some(([number]) => number !== "none") ? `: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N` : ""}. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables: the errors are mostly common to them. On the prototype nine tenths of the photons' part cancel in the ratio of two people's readings, and two thirds in that of their changes.`;
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
 }
 
