@@ -39,6 +39,7 @@ import numpy as np
 from nailoptics import load_scene
 from nailoptics.scene import Scene
 from nailoptics.studies.force.calibrate import open_table
+from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import ReadingTable
 from nailoptics.studies.force.subject import Subject, parse_subject
 
@@ -175,8 +176,15 @@ class Bench:
             row = {"touches": f"{kind} {site}", "person": name} | {column: getattr(one, column) for column in names}
             floor = self.floors_n.get((name, site, kind))
             rows.append(row if floor is None else row | {"floor_n": floor})
-        if path:
-            force_page.keep(path, "scenes/subjects", sorted(rows, key=lambda row: str(row["touches"])))
+
+        def series(name: str, touches: str) -> tuple[Iterable[float], ...]:
+            kind, site = touches.split()
+            estimated = predict(self.subject(name)[0], self.people[name].recording(kind, site, seed=1))
+            columns = ("time", "known_force_n", "force_n", "force_low_n", "force_high_n")
+            return tuple(estimated[column].values.tolist() for column in columns)
+
+        if path and rows:
+            force_page.keep(path, "scenes/subjects", sorted(rows, key=lambda row: str(row["touches"])), series)
 
     def costs(self) -> Iterator[str]:
         """What every calibration found and took."""
