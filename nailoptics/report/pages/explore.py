@@ -12,18 +12,8 @@ from ...scene.base import MOST_PHOTODIODES
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, SOURCES, SUN
 from ...statistics import MIN_EFFECTIVE_TERMS
+from ...studies.exploration import explore
 from ...studies.exploration.drawn_people import DRAWN, QUANTILES, RANKED_N, DrawnPerson
-from ...studies.exploration.explore import (
-    BLOCKS,
-    BLOOD_RANGE,
-    KERNEL_CHANGE_ERROR,
-    KERNEL_ERROR,
-    SAME_NM,
-    ColourTable,
-    Exploration,
-    blood_polynomial,
-    touch_table,
-)
 from ...studies.exploration.pair_table import NEAREST_MM
 from .. import maps
 from ..files import Report, run_summary
@@ -40,7 +30,7 @@ LARGE_OHM = 1e9
 TEXTS = texts("explore")
 
 
-def page(exploration: Exploration) -> str:
+def page(exploration: explore.Exploration) -> str:
     """The page as text."""
     text = json.dumps(_tables(exploration), separators=(",", ":"), allow_nan=False, default=np.ndarray.tolist)
     tables = text.replace("<", "\\u003c")
@@ -56,7 +46,7 @@ def page(exploration: Exploration) -> str:
     return document(**TEXTS["page"], body=body, attributes=exploration.attributes)
 
 
-def _tables(exploration: Exploration) -> dict[str, Any]:
+def _tables(exploration: explore.Exploration) -> dict[str, Any]:
     scene, basis, polynomial = exploration.scene, exploration.basis, exploration.polynomial
     leds, fields = _led_kinds(exploration), [_fields(photodiode) for photodiode in scene.photodiodes]
     # Without those that differ in their places alone.
@@ -73,12 +63,12 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
         "gauss": [[], *(np.stack(np.polynomial.legendre.leggauss(n), -1) for n in range(1, MOST_POINTS + 1))],
         "polynomial": {"exponents": polynomial.exponents, "so2": polynomial.so2}
         | {"bloodFraction": polynomial.blood_fraction},
-        "blocks": BLOCKS,
-        "kernelError": KERNEL_ERROR,
-        "kernelChangeError": KERNEL_CHANGE_ERROR,
+        "blocks": explore.BLOCKS,
+        "kernelError": explore.KERNEL_ERROR,
+        "kernelChangeError": explore.KERNEL_CHANGE_ERROR,
         "fewRelative": MIN_EFFECTIVE_TERMS**-0.5,
-        "sameNm": SAME_NM,
-        "bloodRange": BLOOD_RANGE,
+        "sameNm": explore.SAME_NM,
+        "bloodRange": explore.BLOOD_RANGE,
         "colours": [_colour(colour) for colour in exploration.colours],
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
@@ -102,13 +92,13 @@ def _tables(exploration: Exploration) -> dict[str, Any]:
 
 
 def _person(person: DrawnPerson, quantile: float) -> dict[str, Any]:
-    blood, polynomial = person.scene.blood, blood_polynomial(person.scene, chosen=False)
+    blood, polynomial = person.scene.blood, explore.blood_polynomial(person.scene, chosen=False)
     over = {"bloodFraction": polynomial.blood_fraction, "so2": polynomial.so2, "exponents": polynomial.exponents}
     known = {"quantile": quantile, "resolutionN": person.resolution_n, "rest": blood.rest_blood_fraction}
-    return known | {"so2": blood.so2, "touch": touch_table(person.scene), "polynomial": over}
+    return known | {"so2": blood.so2, "touch": explore.touch_table(person.scene), "polynomial": over}
 
 
-def _colour(table: ColourTable) -> dict[str, Any]:
+def _colour(table: explore.ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
     log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
@@ -123,7 +113,7 @@ def _fields(part: Led | Photodiode) -> dict[str, Any]:
     return part.model_dump(mode="json", exclude_none=True, exclude={*PLACED})
 
 
-def _led_kinds(exploration: Exploration) -> list[dict[str, Any]]:
+def _led_kinds(exploration: explore.Exploration) -> list[dict[str, Any]]:
     """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
     number = {(colour.led.wavelength_nm, colour.led.fwhm_nm): i for i, colour in enumerate(exploration.colours)}
     kinds: list[dict[str, Any]] = []
