@@ -16,6 +16,7 @@ from typing import Any
 import nailoptics
 from nailoptics.light.identity import light_digest
 from nailoptics.options import TraceOptions
+from nailoptics.report import html, style
 from nailoptics.report.pages import validate as validation_page
 from nailoptics.scene import Scene, load_scene
 from nailoptics.scene.base import Table
@@ -483,7 +484,54 @@ def force() -> str:
     return "\n".join(rows) + "\n"
 
 
+@lru_cache
+def force_pictures() -> str:
+    """The touches of the best, the median and the worst virtual person of each simulator."""
+    kept = json.loads((HERE / "force_benchmark.json").read_text(encoding="utf-8"))["series"]
+    out = []
+    for (simulator, rank), group in itertools.groupby(kept, key=lambda one: (one["simulator"], one["rank"])):
+        touches = list(group)
+        title = f"Virtual person {touches[0]['person']} of {simulator}, the {rank}"
+        figure = html.figure(
+            _touch_figure(touches), f"{title}. Black: true force; blue: estimate with its 95 % interval."
+        )
+        out.append(f"**{title}**\n\n" + re.sub(r"\n\s*\n", "\n", figure))
+    return "\n\n".join(out) + "\n"
+
+
+@style.drawing()
+def _touch_figure(touches: list[dict[str, str]]) -> "style.Figure":
+    figure, axes = style.panels(7.2, 3.6, 2, 2, sharey=True)
+    for panel, one in zip(axes.ravel(), touches, strict=True):
+        columns = (one[name].split() for name in ("time_s", "known_n", "force_n", "low_n", "high_n"))
+        time_s, known_n, force_n, low_n, high_n = ([float(text) / 1e3 for text in column] for column in columns)
+        most_n = 1.5
+        panel.fill_between(
+            time_s, low_n, [min(high, most_n) for high in high_n], color=style.ZONES[1], alpha=0.2, linewidth=0
+        )
+        panel.plot(time_s, force_n, color=style.ZONES[1])
+        panel.plot(time_s, known_n, color=style.INK, linewidth=0.9)
+        panel.set(title=one["touches"], ylim=(-0.05, most_n))
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    for panel in axes[:, 0]:
+        panel.set_ylabel("force [N]")
+    return figure
+
+
 MADE: dict[str, Callable[[], str]] = {
     one.__name__: one
-    for one in (fields, sweep_fields, part_fields, commands, library, outputs, parts, priors, validation, force)
+    for one in (
+        fields,
+        sweep_fields,
+        part_fields,
+        commands,
+        library,
+        outputs,
+        parts,
+        priors,
+        validation,
+        force,
+        force_pictures,
+    )
 }
