@@ -249,6 +249,8 @@ CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
     "second check": (partial(command_run, command="check prototype", again=5), [0]),
     "first oximeter": (partial(command_run, command="oximeter pulse_oximeter -o OUT"), [0]),
     "second oximeter": (partial(command_run, command="oximeter pulse_oximeter -o OUT", again=1), [0]),
+    "first place": (partial(command_run, command="place placement -o OUT"), [0]),
+    "second place": (partial(command_run, command="place placement -o OUT", again=2), [0]),
     "first colour": (partial(command_run, command="colour nail_colour -o OUT"), [0]),
     "second colour": (partial(command_run, command="colour nail_colour -o OUT", again=1), [0]),
     "a million photons more": (a_million_photons_more, [0]),
