@@ -24,11 +24,15 @@ from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
 PHOTONS = 20_000
-# Shipped scenes that pages record, and what makes a recording of them cheap.
+# Shipped scenes that pages simulate, and what makes that cheap; one page shows what the priors do.
 SHORT = {
     "calibration": {"touch.sample_rate_hz": 2.5, "priors.spread": False},
     "dynamic_proximal": {"priors.spread": False},
+    "prototype": {"priors.spread": False},
 }
+OF_PRIORS = "tutorials/prototype"
+# What stands before the name of a scene.
+SIMULATED = ("simulate ", 'simulate\\("', 'sweep\\("', 'scene\\("', '^base = "')
 WRAP = TextWrapper(110, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
 TRACING = re.compile(
@@ -41,13 +45,16 @@ LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
     """Before a page is read: what it runs takes few photons and samples, where pages are only tried."""
     if QUICK and source[0].startswith("---\nfile_format: mystnb"):
-        source[0] = CELL.sub(lambda cell: with_short_scenes(app, with_limit(cell[0], PHOTONS)), source[0])
+        source[0] = CELL.sub(lambda cell: with_limit(cell[0], PHOTONS), source[0])
+        if name != OF_PRIORS:
+            source[0] = CELL.sub(lambda cell: with_short_scenes(app, cell[0]), source[0])
 
 
 def with_short_scenes(app: Any, cell: str) -> str:
-    """A cell that records the short scenes, which lie in files beside the pages."""
+    """A cell that simulates the short scenes, which lie in files beside the pages."""
     for name in SHORT:
-        cell = re.sub(rf'(?<=simulate ){name}\b|(?<=simulate\("){name}\b', str(short_scene(app, name)), cell)
+        before = "|".join(SIMULATED)
+        cell = re.sub(rf"({before}){name}\b", rf"\g<1>{short_scene(app, name)}", cell, flags=re.M)
     return cell
 
 
