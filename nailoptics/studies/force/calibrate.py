@@ -7,7 +7,6 @@ from typing import Any, Unpack
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from ...checks import explain
@@ -102,8 +101,12 @@ def calibrate_with(
 
     # A dark slot, which is taken off, saturates readings below the converter's range.
     recordings = [_without_saturated(recording, table.range_v) for recording in recordings]
+    # What the scene states of the pulp is known.
+    known = set() if scene.touch.creep is None else {"creep"}
+    known |= set() if scene.touch.distal_relaxation_s is None else {"distal_recovery"}
+    known |= set() if np.isnan(np.asarray(joined(recordings).site)).any() else {"proximal_share"}
     try:
-        fit = Fit(recordings, table, nominal_finger(scene), free=_free(scene, recordings))
+        fit = Fit(recordings, table, nominal_finger(scene), free=np.array([name not in known for name in NAMES]))
         fitted = fit.solve(lambda done: report(FITTED * done))
         subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
@@ -119,14 +122,6 @@ def calibrate_with(
         recordings=[recording.name for recording in recordings],
         warnings=_warnings(subject, recordings),
     )
-
-
-def _free(scene: Scene, recordings: Sequence[Recording]) -> NDArray[np.bool_]:
-    """Which factors are searched, (P,) bool: what the scene states of the pulp is known."""
-    fixed = set() if scene.touch.creep is None else {"creep"}
-    fixed |= set() if scene.touch.distal_relaxation_s is None else {"distal_recovery"}
-    fixed |= set() if np.isnan(np.asarray(joined(recordings).site)).any() else {"proximal_share"}
-    return np.array([name not in fixed for name in NAMES])
 
 
 def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:

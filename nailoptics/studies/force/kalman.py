@@ -303,7 +303,13 @@ class KalmanFilter:
         self.informed |= bool(valid.any())
         variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
         nis = self._update(volts, valid, variance)
-        self._update_zero(min(since_s or 0.0, LONGEST_GAP_S))
+        # That the touch is 0 is known with the probability that the finger rests.
+        touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
+        odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S)
+        information = odds / (1.0 + odds) * elapsed_s / ZERO_STDERR_N_PER_CM2_RT_S**2
+        gain = self.covariance[:, TOUCH] * information @ np.linalg.inv(np.eye(2) + covariance * information)
+        self.state = self.state - gain @ touch
+        self.covariance = self.covariance - gain @ self.covariance[TOUCH]
         blood_v = self.model.measurement(self.state)[0] - self.subject.rest_v * self.state[self.model.drift]
         self._moved_v, self._blood_v = self._moved_v + blood_v - self._blood_v, blood_v
         return PressureEstimate(
@@ -387,15 +393,6 @@ class KalmanFilter:
         self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
         self.state[PULP] = min(max(self.state[PULP], 0.0), self.model.touch_bounds_n_per_cm2[1][1])
         return nis
-
-    def _update_zero(self, since_s: float) -> None:
-        """Update by the knowledge that the touch is 0, weighted by the probability that the finger rests."""
-        touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
-        odds = rest_odds(touch, covariance)
-        information = odds / (1.0 + odds) * since_s / ZERO_STDERR_N_PER_CM2_RT_S**2
-        gain = self.covariance[:, TOUCH] * information @ np.linalg.inv(np.eye(2) + covariance * information)
-        self.state = self.state - gain @ touch
-        self.covariance = self.covariance - gain @ self.covariance[TOUCH]
 
 
 def estimate_pressures(subject: Subject, time_s: Array, volts: Array) -> PressureEstimate:

@@ -143,7 +143,14 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
     open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
     ensemble = replace(ensemble, half_width_n=half_width_n, open_above_n=open_above_n)
-    return ensemble, _held_out_quality(terms, samples, held_out_n)
+    # The interval of a group of touches is that which the others give.
+    half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
+    for k in np.unique(samples.fold):
+        at = samples.fold == k
+        width_n = _conformal_half_width(terms, samples, held_out_n, ~at) @ terms[:, at]
+        half_n[at] = width_n[side[at], np.arange(at.sum())]
+    bounds_n = np.maximum(held_out_n - half_n, 0.0), held_out_n + half_n
+    return ensemble, touches_by_kind(samples.force_n, held_out_n, bounds_n, samples.is_proximal, samples.is_still)
 
 
 def _features_with_drift(subject: Subject, series: CalibrationSeries, components: Array) -> Array:
@@ -236,15 +243,3 @@ def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: 
         ratio = error_n[of_side] / (usual_n @ terms[:, of_side])
         by_side.append(ANOTHER_RECORDING * usual_n * float(np.quantile(ratio, COVERED)))
     return np.array(by_side)
-
-
-def _held_out_quality(terms: Array, samples: CalibrationSeries, held_out_n: Array) -> dict[str, dict[str, float]]:
-    """rms error, coverage and median half width of the 95 % interval over held-out touches, all and by kind. [N, 1, N]
-    The interval of a group of touches is that which the others give."""
-    half_n, side = np.empty_like(held_out_n), np.where(samples.is_proximal, 0, 1)
-    for k in np.unique(samples.fold):
-        at = samples.fold == k
-        width_n = _conformal_half_width(terms, samples, held_out_n, ~at) @ terms[:, at]
-        half_n[at] = width_n[side[at], np.arange(at.sum())]
-    bounds_n = np.maximum(held_out_n - half_n, 0.0), held_out_n + half_n
-    return touches_by_kind(samples.force_n, held_out_n, bounds_n, samples.is_proximal, samples.is_still)
