@@ -70,14 +70,12 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
     @contextmanager
     def fewer() -> Iterator[None]:
         tracer = import_module("nailoptics.light.board_map").BoardTracer
-        verification, tolerances = (
-            import_module(f"nailoptics.studies.placement.{name}") for name in ("verification", "tolerances")
-        )
+        verification = import_module("nailoptics.studies.placement.verification")
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
             patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
-            patch.setattr(tolerances, "PHOTONS", tolerances.PHOTONS // 4)
+            patch.setattr(verification, "MOST_PHOTONS", verification.MOST_PHOTONS // 4)
             yield
 
     return fewer

@@ -79,11 +79,6 @@ class Mounted(Table):
     courtyard_mm: Box | None = None
     """Box around its courtyard, on which no other part may lie, likewise; filled from kicad. [mm]"""
 
-    @property
-    def has_package(self) -> bool:
-        """Whether more than its die takes room on the board."""
-        return self.body_mm is not None or self.courtyard_mm is not None
-
 
 class Led(Mounted):
     """A light-emitting die, or a beam on a phantom."""

@@ -1,7 +1,7 @@
 """Photon maps of boards on every finger: traced once, extended where more photons are needed, read as any layout."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -85,6 +85,8 @@ class PhotonMapCache:
     batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED; bounds batches, too.
     store : the cache of traced light.
     stop : whether nothing more is to be traced, tested before every batch.
+    ambient_a : by digest of a layout, photocurrents by light from outside to which "auto" fits. [A]
+    part : of the blocks of photons by which fingers are read.
     """
 
     conditions: Sequence[FingerCondition]
@@ -97,9 +99,10 @@ class PhotonMapCache:
     most_photons: int | None = None
     store: LightStore | None = None
     stop: Callable[[], bool] = lambda: False
+    part: slice = field(default_factory=lambda: slice(None))
     photons: int = field(default=0, init=False)
     _traced: dict[str, TracedBoard] = field(default_factory=dict, init=False)
-    _ambient_a: dict[str, np.ndarray] = field(default_factory=dict, init=False)
+    ambient_a: dict[str, np.ndarray] = field(default_factory=dict, init=False)
 
     @property
     def cases(self) -> list[FingerCase]:
@@ -110,6 +113,13 @@ class PhotonMapCache:
     def people(self) -> list[Person]:
         """The people of the conditions, who come last; their light is recorded on areas alone."""
         return [condition.case for condition in self.conditions if isinstance(condition.case, Person)]
+
+    def on_fingers(self, part: slice) -> "PhotonMapCache":
+        """The same light on the fingers alone, read by part of its blocks."""
+        fingers = [condition for condition in self.conditions if not isinstance(condition.case, Person)]
+        same = replace(self, conditions=fingers, part=part, blocks=1)
+        same._traced = self._traced
+        return same
 
     def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
         """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
@@ -196,7 +206,7 @@ class PhotonMapCache:
         part lies off a person's nail."""
         areas, condition, held = layout.layout.photodiode_areas, self.conditions[i], self.of(board)
         if not isinstance(person := condition.case, Person):
-            return [light.over(areas) for light in held.maps[i]]
+            return [light.over(areas)[self.part] for light in held.maps[i]]
         if not boards.fits(boards.worn_on(layout, person)):
             return [np.zeros((self.blocks, len(areas), 4)) for _ in board.leds]
         worn = boards.worn_on(board, person)
@@ -214,6 +224,6 @@ class PhotonMapCache:
             for i, condition in enumerate(self.conditions)
             for led, light in zip(layout.leds, self._light(layout, board, i), strict=True)
         ]
-        if (key := digest(layout)) not in self._ambient_a:
-            self._ambient_a[key] = ambient_bound_a(layout, usual=LAMP)
-        return electronics.with_resistors(layout, np.max(lit_a, axis=0) + self._ambient_a[key])
+        if (key := digest(layout)) not in self.ambient_a:
+            self.ambient_a[key] = ambient_bound_a(layout, usual=LAMP)
+        return electronics.with_resistors(layout, np.max(lit_a, axis=0) + self.ambient_a[key])

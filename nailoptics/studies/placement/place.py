@@ -19,16 +19,13 @@ from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
 from ..force.touch_error import TouchError
-from . import boards, candidates, search
-from .candidates import CandidateLayout
-from .certificate import beside_the_bound, certify
+from . import boards, search, verification
+from .boards import CandidateLayout
 from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
-from .robustness import over_people, resolution_over_priors
 from .search import SearchedSite
-from .tolerances import tolerances
-from .verification import check_mitsuba, verify_by_mitsuba, verify_layout
+from .verification import tolerances, verify_layout
 
 log = logging.getLogger(__name__)
 
@@ -73,7 +70,7 @@ def place(
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
     if verify_with_mitsuba:
-        check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
+        verification.check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
     people = boards.people(scene)
     on_fingers = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     conditions = [*on_fingers, *(finger_condition(base, person, rules) for person in people)]
@@ -86,7 +83,7 @@ def place(
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)
-    ranking.stop = partial(_evaluated_enough, ranking, _least_boards(layouts) if searched else 0, report_progress)
+    ranking.stop = partial(_evaluated_enough, ranking, layouts if searched else [], report_progress)
     target = options.relative_error or accuracy.relative_error or DEFAULT_RELATIVE_ERROR
     how: dict[str, Any] = {"objective": objective, "relative_error": target, "report_progress": report_progress}
     given_count = len(layouts)
@@ -95,7 +92,7 @@ def place(
     report_progress("check", 0.0, scores[0].relative_error)
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
-    checked = checked.merge(beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
+    checked = checked.merge(verification.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
@@ -119,14 +116,15 @@ def _checked(
     if (left_s := report_progress.seconds_left) > CHECK_S:
         known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s)
     if spread and report_progress.seconds_left > CHECK_S:
-        known = known.merge(resolution_over_priors(layouts, of_fingers.rules, cache))
+        known = known.merge(verification.resolution_over_priors(layouts, of_fingers.rules, cache))
     if mitsuba and "checked_fraction" in known and not report_progress.interrupted:
         on = layouts[0].scene, cache.conditions[0]
-        known = known.merge(verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
+        known = known.merge(verification.verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
         report_progress.interrupted = "mitsuba_ratio" not in known
-    known = known.merge(tolerances(layouts[0], cache, of_fingers), combine_attrs="override")
+    for study in (tolerances, verification.pareto_front):
+        known = known.merge(study(layouts[0], cache, of_fingers), combine_attrs="override")
     if cache.people:
-        known = known.merge(over_people(layouts, scores, cache), combine_attrs="override")
+        known = known.merge(verification.over_people(layouts, scores, cache), combine_attrs="override")
     due = [("checked_fraction", True, "verified"), ("resolution_spread", spread, "evaluated on other fingers")]
     due += [("mitsuba_ratio", mitsuba is not None, "read by stock Mitsuba")]
     missing = [words for name, is_due, words in due if is_due and name not in known]
@@ -165,7 +163,7 @@ def _candidates(
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
     layout_search = search.Search(straight, replace(objective, waves_left=WAVES_LEFT), cache)
     searched = layout_search.run(report_progress) if rules.search else []
-    bound = certify(layout_search, report_progress) if searched else None
+    bound = verification.certify(layout_search, report_progress) if searched else None
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
         log.warning(
@@ -184,15 +182,14 @@ def _candidates(
     return layouts, searched, bound
 
 
-def _least_boards(layouts: Sequence[CandidateLayout]) -> int:
-    """Boards that are traced in any case, as a search leaves little time: those of the user's layouts and its best."""
+def _evaluated_enough(
+    cache: PhotonMapCache, layouts: Sequence[CandidateLayout], report_progress: StageProgress
+) -> bool:
+    """Whether the evaluation ends: time is over, or the user has interrupted, and the boards of the user's layouts and
+    of a search's best, which leaves little time, have been traced."""
     listed = sum(layout.origin == "given" for layout in layouts)
-    return len({digest(layout.board) for layout in layouts[: listed + 1]})
-
-
-def _evaluated_enough(cache: PhotonMapCache, least: int, report_progress: StageProgress) -> bool:
-    """Whether the evaluation ends: time is over, or the user has interrupted, and `least` boards have been traced."""
-    return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= (1 if report_progress.interrupted else least)
+    least = 1 if report_progress.interrupted else len({digest(layout.board) for layout in layouts[: listed + 1]})
+    return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= least
 
 
 def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Placement) -> FingerCondition:
@@ -203,13 +200,13 @@ def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Place
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists; if none, that of the scene's own board file as drawn."""
-    scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
+    scenes = [(candidate.name, boards.candidate_scene(base, candidate)) for candidate in rules.candidates]
     if not scenes and base.board.unmapped is not None:
         scenes = [("drawn", base)]
     for name, scene in scenes:
         for line in boards.crowded(scene):
             log.warning('layout "%s": %s', name, line)
-    return [candidates.candidate(name, scene, "given") for name, scene in scenes]
+    return [boards.candidate(name, scene, "given") for name, scene in scenes]
 
 
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
@@ -220,7 +217,7 @@ def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> Candida
     scene = prototype.model_copy(update={name: getattr(base, name) for name in shared} | {"photodiodes": unfitted})
     try:
         for condition in conditions:
-            candidates.check(boards.worn_on(scene, condition.case, light_only=True), "paper")
+            boards.check(boards.worn_on(scene, condition.case, light_only=True), "paper")
     except InputError as error:
         log.warning("the paper's layout is left out: %s", error)
         return None

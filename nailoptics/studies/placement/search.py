@@ -23,8 +23,8 @@ from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.electronics import stage_ohm
 from ...sensor.information import brightest_current_a, response
 from ...statistics import left_out
-from . import candidates
-from .candidates import CandidateLayout
+from . import boards
+from .boards import CandidateLayout
 from .objective import Objective
 from .photon_maps import PhotonMapCache
 from .sites import ROUNDING_MM, LedRow, PhotodiodePlaces, Sites
@@ -411,14 +411,16 @@ class Search:
         for board in boards:
             self.cache.forget(board)
 
-    def columns(self, led: int, board: Scene, places: PhotodiodePlaces) -> np.ndarray:
+    def columns(self, led: int, board: Scene, places: PhotodiodePlaces, lit_led: int = 0) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float; by all
         photons and without each block of them, (fingers, 1 + blocks, m + s, c), where there are several.
+
+        lit_led : which of the LEDs of the traced board it is.
         """
         columns, kinds, one = [], places.photodiodes, self.base.leds[led]
         conditions, replicates = self.cache.conditions, self.cache.blocks > 1
-        lit = [light.over(places.areas) for light, *_ in self.cache.of(board).maps]
-        by_finger = [left_out(values) if replicates else values[0] for values in lit]
+        lit = [of_leds[lit_led].over(places.areas)[self.cache.part] for of_leds in self.cache.of(board).maps]
+        by_finger = [left_out(values) if replicates else values.mean(0) for values in lit]
         # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
             brightest_current_a(values[0] if replicates else values, one, kinds, condition.point)
@@ -482,6 +484,6 @@ def shortlist(base: Scene, rules: Placement, results: Sequence[SearchedSite]) ->
     for result in (*best, *(a for a in regular if a.score < FAR_WORSE * min(b.score for b in regular))):
         side, sites = result.row.side, Sites(base, rules)
         wall = (side, sites.gap_mm(side)) if side else None
-        scene = candidates.searched(base, rules, result.places_mm, result.photodiodes, wall=wall, name=result.name)
-        layouts.append(candidates.candidate(result.name, scene, "searched"))
+        scene = boards.searched(base, rules, result.places_mm, result.photodiodes, wall=wall, name=result.name)
+        layouts.append(boards.candidate(result.name, scene, "searched"))
     return layouts

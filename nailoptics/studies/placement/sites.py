@@ -125,8 +125,9 @@ class Sites:
 
     def obstacles(self, spare_mm: float = 0.0) -> list[Rectangle]:
         """The room of every photodiode that stays, as of `room_of`."""
+        du, dv = self.base.board.center_mm
         staying = (p for p in self.base.photodiodes if self.rules.wire or p.name in self.rules.fixed)
-        return [room_of(p, self._place_of(p), spare_mm) for p in staying]
+        return [room_of(p, (p.position_mm[0] + du, p.position_mm[1] + dv), spare_mm) for p in staying]
 
     def die(self, led: int, place_mm: Point) -> Rectangle:
         """An LED's die at a place."""
@@ -139,16 +140,12 @@ class Sites:
 
     def _room_beside(self, led: int, place_mm: Point) -> Rectangle:
         """The same with what photodiodes leave to a bare die for its bond wire, less half of their clearance."""
-        if self.base.leds[led].has_package:
-            return self.room(led, place_mm)
-        return room_of(self.base.leds[led], place_mm, self.rules.bond_wire_mm - self.rules.clearance_mm / 2)
+        one, half_mm = self.base.leds[led], self.rules.clearance_mm / 2
+        return room_of(one, place_mm, half_mm if one.body_mm or one.courtyard_mm else self.rules.bond_wire_mm - half_mm)
 
     def place_of(self, led: int) -> Point:
         """Where the scene has an LED."""
-        return self._place_of(self.base.leds[led])
-
-    def _place_of(self, part: Led | Photodiode) -> Point:
-        (u, v), (du, dv) = part.position_mm, self.base.board.center_mm
+        (u, v), (du, dv) = self.base.leds[led].position_mm, self.base.board.center_mm
         return u + du, v + dv
 
     def may_lie(self, led: int, place_mm: Point) -> bool:
@@ -164,10 +161,11 @@ class Sites:
             return False
         # Other parts of the board's file keep their clearance, too.
         own = room_of(part, place_mm, rules.clearance_mm if self.base.board.taken_mm else 0.0)
-        if not has_room(own.center_mm, _half_mm(own), own.corners_mm, rules.keep_out_mm):
+        half_mm, own_half_mm = ((one.size_mm[0] / 2, one.size_mm[1] / 2) for one in (r, own))
+        if not has_room(own.center_mm, own_half_mm, own.corners_mm, rules.keep_out_mm):
             return False
         drawn = rules.outline_mm
-        return drawn is None or has_room(r.center_mm, _half_mm(r), drawn, rules.outline_holes_mm)
+        return drawn is None or has_room(r.center_mm, half_mm, drawn, rules.outline_holes_mm)
 
     def go_together(self, places_mm: Sequence[Point]) -> bool:
         """Whether LEDs at these places, in the scene's order, leave their clearance to each other."""
@@ -269,7 +267,7 @@ class Sites:
         gap, at = self.base.board.barrier_gap_mm, (0.0, 0.0)
         gaps = [self.rules.bond_wire_mm if gap is None else gap]
         for i, led in enumerate(self.base.leds):
-            if led.has_package:
+            if led.body_mm or led.courtyard_mm:
                 room = room_of(led, at, self.rules.clearance_mm)
                 gaps.append(span_mm(room, side)[1] - span_mm(self.die(i, at), side)[1])
         return max(gaps)
@@ -338,7 +336,3 @@ class Sites:
     def _like(self) -> Photodiode:
         """What is placed, straight: the scene's first photodiode, of an array one element."""
         return boards.single(boards.straightened(self.base.photodiodes[0]))
-
-
-def _half_mm(area: Rectangle) -> Point:
-    return area.size_mm[0] / 2, area.size_mm[1] / 2

@@ -28,7 +28,6 @@ from nailoptics.sensor import electronics, information
 from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import (
     boards,
-    candidates,
     photon_maps,
     place,
     result,
@@ -37,7 +36,7 @@ from nailoptics.studies.placement import (
     verification,
 )
 from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
-from nailoptics.studies.placement.tolerances import MOVED, _varied, tolerances
+from nailoptics.studies.placement.verification import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
@@ -172,7 +171,7 @@ def test_places_keep_their_distances(scene):
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
         first = Candidate(name="first", leds_mm=((-2.0, -2.0),), photodiodes_mm=(tuple(places[0]),))
-        candidates.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
+        boards.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
 
 
 @pytest.mark.long
@@ -383,8 +382,8 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     layouts = place.given(base, boards.rules(scene))
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
     places = tuple((-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0))
-    middle = candidates.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
-    layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))
+    middle = boards.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
+    layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
@@ -458,9 +457,16 @@ def test_a_further_layout_on_a_traced_board_takes_milliseconds(chosen_jit, scene
 def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
     all_shown(computed)
     text = computed.nail.report()
-    assert text.count("<svg") == 4 and "http:" not in text and "https:" not in text and "paper" in text
+    assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
         assert title in text
+    report = computed.nail.summary()
+    front, words = report["front"]["points"], report["front"]["words"]
+    assert [
+        p["photodiodes"] for p in front[:: computed.sizes["led_power_mw"]]
+    ] == computed.front_photodiodes.values.tolist()
+    assert front[0]["on_front"] and words.count(" with ") == 1 + sum(p["on_front"] for p in front)
+    assert words in text and words.replace("\u00a0", " ") in PLACEMENT.lines(computed, report)
     assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
     write_dataset(computed, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:

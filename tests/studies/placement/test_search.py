@@ -40,7 +40,7 @@ def two_leds(rules: str, *, barrier: bool = True, photodiodes: str = "") -> Scen
 class MadeLight:
     """Maps of light that falls off with the distance from the LED, faster in the red, and sees the zones between."""
 
-    most_photons = None
+    most_photons, part = None, slice(None)
 
     def __init__(self, conditions: list[FingerCondition]) -> None:
         self.conditions, self.traced, self.blocks = conditions, {}, 1
