@@ -300,15 +300,16 @@ function drawSection() {
   context.scale(devicePixelRatio, devicePixelRatio);
   if (!row) return;
   const led = workbench.layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v);
-  const { epoxyMm, plateMm, bedMm } = tables.board, deep = tables.fluence.depthMm.at(-1), top = epoxyMm + 0.6;
+  const { epoxyMm, plateMm, bedMm } = tables.board, deep = tables.fluence.depthMm.at(-1), cell = workbench.dragging ? 2 * CELL_PX : CELL_PX;
   const sizes = [dieOf(led), row.element].map((one) => Math.min(one.width, one.length));
-  const perMm = Math.min(height / (deep + top), width / (separation + Math.max(2, Math.max(...sizes) + 0.4)));
-  const x = (along) => width / 2 + (along - separation / 2) * perMm, y = (depth) => (depth + top) * perMm;
+  const perMm = Math.min(height / (deep + epoxyMm + 0.6), width / (separation + Math.max(2, Math.max(...sizes) + 0.4)));
+  // Names have room above the board.
+  const top = epoxyMm + Math.max(0.6, 26 / perMm), x = (along) => width / 2 + (along - separation / 2) * perMm, y = (depth) => (depth + top) * perMm;
   const colour = colours[tables.ledKinds[led.kind].colour], cells = [];
-  for (let px = 0; px < width; px += CELL_PX) {
-    const along = separation / 2 + (px + CELL_PX / 2 - width / 2) / perMm;
-    for (let py = y(0); py < y(deep); py += CELL_PX) {
-      const depth = (py + CELL_PX / 2) / perMm - top;
+  for (let px = 0; px < width; px += cell) {
+    const along = separation / 2 + (px + cell / 2 - width / 2) / perMm;
+    for (let py = y(0); py < y(deep); py += cell) {
+      const depth = (py + cell / 2) / perMm - top;
       cells.push([px, py, depth, logFluence(colour, Math.abs(along), depth) + logFluence(colour, Math.abs(along - separation), depth)]);
     }
   }
@@ -316,7 +317,7 @@ function drawSection() {
   for (const [px, py, , value] of cells) {
     context.fillStyle = SHADES[Math.round(255 * Math.min(1, Math.max(0, 1 + (value - most) / (DECADES * Math.LN10))))];
     // A pixel more leaves no seams.
-    context.fillRect(px, py, CELL_PX + 1, CELL_PX + 1);
+    context.fillRect(px, py, cell + 1, cell + 1);
   }
   context.font = "14px system-ui, sans-serif";
   const style = getComputedStyle(document.documentElement);
@@ -338,7 +339,7 @@ function drawSection() {
   context.fillStyle = "#fff";
   line(0, y(plateMm), width, "plate");
   line(0, y(plateMm + bedMm), width, "bed");
-  line(width - perMm - 12, y(deep) - 8, perMm, "1 mm");
+  line(width - Math.max(perMm, 44) - 12, y(deep) - 8, perMm, "1 mm");
   $("section-words").textContent = `Section through ${led.name} and ${row.element.name}, ${separation.toFixed(2)} mm apart: sensitivity of this reading to absorption, relative to the highest below the plate. It is the product of the fluence of both, as in the middle of a board without a wall.`;
 }
 
