@@ -369,7 +369,7 @@ def test_the_page_tells_the_bodys_part(computed, tmp_path):
     (tmp_path / "place.html").write_text(page(computed), encoding="utf-8")
     text = (tmp_path / "place.html").read_text(encoding="utf-8")
     assert "Physiological noise" in text and "Electronics alone<br>[mN]" in text and "heartbeat" in text
-    assert text.count("<svg") == 4
+    assert text.count("<svg") == 5
 
 
 @pytest.mark.long
