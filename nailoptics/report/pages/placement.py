@@ -74,7 +74,7 @@ def page(result: xr.Dataset) -> str:
         body=[
             section(
                 "The ranking",
-                figure(ranking_figure(result), TEXTS["ranking"]),
+                figure(ranking_figure(result), TEXTS["ranking"], narrow=True),
                 table(_ranking_rows(ranking[:SHOWN]), kind="dense"),
                 *map(small, _people(ranking)),
                 small(rough_words(ranking)),
@@ -421,7 +421,7 @@ def ranking_figure(result: xr.Dataset) -> "style.Figure":
     force = "force_error" if "force_error_n" in shown else "force_resolution"
     best, low, high = (1e3 * shown[f"{force}_{end}n"].values for end in ("", "low_", "high_"))
     colours = np.where(names == "paper", *style.ZONES)
-    figure, axes = style.panels(7.2, 0.9 + 0.32 * len(rows))
+    figure, axes = style.panels(4.6, 0.9 + 0.32 * len(rows))
     on_finger = shown.finger_force_error_n if "force_error_n" in shown else shown.finger_resolution_n
     axes.plot(1e3 * on_finger.values, rows, "|", color=style.MUTED, ms=9, mew=1.0, zorder=1)
     axes.hlines(rows, low, high, colors=colours, lw=2.2)
