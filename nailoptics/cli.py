@@ -19,10 +19,6 @@ from .terminal import finish, say, show, traced
 from .version import __version__, commit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cyclopts import Token
-
     from .report.files import Report
     from .scene import Scene
 
@@ -43,7 +39,7 @@ Flag = Annotated[bool, Parameter(negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print one JSON object on stdout, nothing else.")]
 
 
-def _whole(_: object, tokens: "Sequence[Token]") -> int:
+def _whole(_: object, tokens: Any) -> int:
     """A whole number, 1e6 as well."""
     number = float(tokens[0].value)
     if not number.is_integer():
@@ -197,8 +193,7 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
         photograph: Render the finger at rest and pressed (some seconds); by default unless --max-seconds is given.
     """
     from .report.pages.colour import COLOUR
-    from .studies.colour.nail_colour import colour as study
-    from .studies.colour.nail_colour import photographs
+    from .studies.colour.nail_colour import colour as study, photographs
 
     loaded = _load(scene, options)
     folder = _results(options.output, scene, COLOUR)
@@ -236,8 +231,7 @@ def compare(
         model: The model that --require tests: Taylor (9) or Beer-Lambert (8).
     """
     from .report.pages.compare import COMPARISON, verdict_line
-    from .studies.compare import compare as study
-    from .studies.compare import verdict
+    from .studies.compare import compare as study, verdict
 
     if require is not None and not 0 < require < math.inf:
         raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
@@ -504,8 +498,7 @@ def figures(
         people: Draw Figs. 15-18 of the eight people of scenes/subjects, too, and check what the paper says of people;
             their light is traced, a minute of processor time.
     """
-    from .report.pages.paper import PAPER
-    from .report.pages.paper import figures as study
+    from .report.pages.paper import PAPER, figures as study
 
     show(PAPER, study(output, sets, colour=colour, people=people), {}, json_)
 
@@ -592,8 +585,7 @@ def predict(
         release: Force below which it opens. [N]
     """
     from .report.pages.force import PREDICTION
-    from .studies.force.predict import live
-    from .studies.force.predict import predict as study
+    from .studies.force.predict import live, predict as study
     from .studies.force.subject import load_subject
 
     if readings.startswith("-") and readings != "-":

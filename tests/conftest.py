@@ -70,12 +70,14 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
     @contextmanager
     def fewer() -> Iterator[None]:
         tracer = import_module("nailoptics.light.board_map").BoardTracer
-        verification = import_module("nailoptics.studies.placement.verification")
+        verification, robustness = (
+            import_module(f"nailoptics.studies.placement.{name}") for name in ("verification", "robustness")
+        )
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("NAILOPTICS_STORE", str(shared_store))
             patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
             patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
-            patch.setattr(verification, "MOST_PHOTONS", verification.MOST_PHOTONS // 4)
+            patch.setattr(robustness, "MOST_PHOTONS", robustness.MOST_PHOTONS // 4)
             yield
 
     return fewer
@@ -109,8 +111,7 @@ def activated(chosen: backend.Backend) -> backend.Backend:
 
 def keep_shapes() -> None:
     """Let this process keep the shapes that it builds: many tests trace the same few fingers."""
-    from nailoptics.light.walk import finger as finger_walk
-    from nailoptics.light.walk import nail_reflectance as nail_reflectance
+    from nailoptics.light.walk import finger as finger_walk, nail_reflectance as nail_reflectance
 
     for module in (nail_reflectance, finger_walk):
         if module._built.cache_parameters()["maxsize"] < SHAPES_KEPT:

@@ -15,7 +15,7 @@ from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.placement import place
-from nailoptics.studies.placement.verification import tolerances
+from nailoptics.studies.placement.robustness import tolerances
 from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate
 

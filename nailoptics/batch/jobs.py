@@ -20,8 +20,7 @@ import numpy as np
 
 from ..errors import InputError, NailopticsError, WriteError
 from ..io import pack, write_bytes
-from ..light import ReweightWarning
-from ..light import backend as backends
+from ..light import ReweightWarning, backend as backends
 from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore

@@ -12,9 +12,8 @@ from ..errors import InputError
 from ..scene import Light, Photodiode, Scene
 from ..scene.finger import ABSORBING, SCATTERING
 from .board import BentBoard
-from .grid import Grid
+from .grid import AIR, AROUND, BED, BONE, CUT, EPIDERMIS, EPOXY, KAPTON, PLATE, PULP, REGIONS, SILICON, Grid
 from .model import Face, Geometry
-from .regions import AIR, AROUND, BED, BONE, CUT, EPIDERMIS, EPOXY, KAPTON, PLATE, PULP, REGIONS, SILICON
 from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle, smooth_step
 
 SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder

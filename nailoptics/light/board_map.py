@@ -17,8 +17,7 @@ from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
 from ..statistics import stderr_of_mean
 from ..variables import Estimate, described
-from . import backend as backends
-from . import optics
+from . import backend as backends, optics
 from .identity import light_scene
 from .tracing.store import LightStore, made_of, stored_or_made
 from .transfer.records import FINGER_BATCH_PHOTONS, attenuation

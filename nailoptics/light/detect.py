@@ -19,8 +19,7 @@ from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
 from ..statistics import upper_limit_95
 from ..variables import described, from_record, to_record
-from . import backend as backends
-from . import optics
+from . import backend as backends, optics
 from .identity import led_digest, light_scene
 from .reference import readings as volpath
 from .reference.readings import StateReadings

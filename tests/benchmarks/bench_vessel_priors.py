@@ -14,8 +14,7 @@ from nailoptics.hemodynamics import parameters
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene.priors import Prior, shipped_priors
-from nailoptics.scene.vessels import FACTORS as FACTORS_OF_SCENE
-from nailoptics.scene.vessels import Tuning
+from nailoptics.scene.vessels import FACTORS as FACTORS_OF_SCENE, Tuning
 from nailoptics.studies.prior_uncertainty import WEIGHTS, at_value, nodes_of, prior_of
 
 SETS = 4000

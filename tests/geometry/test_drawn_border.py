@@ -11,7 +11,7 @@ from nailoptics.geometry import build, underside
 from nailoptics.light import trace
 from nailoptics.scene import parse_scene
 from nailoptics.scene.rectangles import area_mm2
-from nailoptics.studies.placement.verification import _glued
+from nailoptics.studies.placement.robustness import _glued
 
 BOX = [(-3.0, -3.5), (3.0, -3.5), (3.0, 3.5), (-3.0, 3.5)]
 ELLIPSE = [(round(3.0 * math.cos(a), 4), round(3.5 * math.sin(a), 4)) for a in np.linspace(0, math.tau, 61)[:-1]]

@@ -10,8 +10,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import backend, detect, open_light, optics, read_rest
 from nailoptics.light.detect import engine_for
-from nailoptics.light.reference.readings import StateReadings, corner_states
-from nailoptics.light.reference.readings import between as read_between
+from nailoptics.light.reference.readings import StateReadings, between as read_between, corner_states
 from nailoptics.light.transfer import Transfer
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Scene, parse_scene

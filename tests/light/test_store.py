@@ -17,8 +17,7 @@ from small_scenes import phantom
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
-from nailoptics.light.tracing import store as store_module
-from nailoptics.light.tracing import trace_scene, trigger
+from nailoptics.light.tracing import store as store_module, trace_scene, trigger
 from nailoptics.light.tracing.store import LightStore, made_of, user_folder
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene

@@ -13,8 +13,7 @@ from ...errors import NotReachedError
 from ...options import Requested, TraceOptions
 from ...scene import Accuracy, Scene, SceneIn, as_scene
 from ...statistics import seed_of
-from .. import backend as backends
-from .. import optics
+from .. import backend as backends, optics
 from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping

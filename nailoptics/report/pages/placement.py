@@ -19,9 +19,8 @@ from ...scene import Placement, Scene, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
-from ...studies.placement.result import budgets as budgets_of
-from ...studies.placement.result import chosen, gain, kicad_parts, outline, rough_words, rows
-from ...studies.placement.verification import MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
+from ...studies.placement.result import budgets as budgets_of, chosen, gain, kicad_parts, outline, rough_words, rows
+from ...studies.placement.robustness import MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
 from .. import maps, style
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts

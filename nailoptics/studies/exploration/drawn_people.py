@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ...light.board_map import Arrivals, BoardTracer
+from ...light.board_map import BoardTracer
 from ...scene import Electronics, Scene
 from ...sensor.information import force_resolution_n, operating_point, scene_responses, total_information
 from ..placement.photon_maps import recorded
@@ -38,13 +38,10 @@ def ranked_people(scene: Scene, tracers: Sequence[BoardTracer], seed: int) -> li
         worn = scene
         for field in fields:
             worn = at_value(worn, field, drawn[field])
-        people.append(DrawnPerson(worn, _resolution_n(worn, light)))
+        point, areas = operating_point(worn, RANKED_N), worn.layout.photodiode_areas
+        by_led = [recorded([one], worn, led, point, areas, 1)[0] for led, one in enumerate(light)]
+        fitted = worn.model_copy(update={"electronics": Electronics(feedback_ohm="auto")})
+        information = total_information(scene_responses(fitted, by_led, point))
+        people.append(DrawnPerson(worn, float(force_resolution_n(information, point))))
     people.sort(key=lambda person: person.resolution_n)
     return [people[math.ceil(quantile * DRAWN) - 1] for quantile in QUANTILES]
-
-
-def _resolution_n(worn: Scene, light: Sequence[Arrivals]) -> float:
-    point, areas = operating_point(worn, RANKED_N), worn.layout.photodiode_areas
-    by_led = [recorded([one], worn, led, point, areas, 1)[0] for led, one in enumerate(light)]
-    fitted = worn.model_copy(update={"electronics": Electronics(feedback_ohm="auto")})
-    return float(force_resolution_n(total_information(scene_responses(fitted, by_led, point)), point))

@@ -15,8 +15,7 @@ from ...display import Displayed
 from ...errors import InputError, NotReachedError, unless_cut_off
 from ...hemodynamics.for_scene import blood_over_touch
 from ...hemodynamics.touch import largest_force_n
-from ...light import ProgressCallback, optics
-from ...light import backend as backends
+from ...light import ProgressCallback, backend as backends, optics
 from ...light.tracing import unlit
 from ...light.transfer.series import read_by_groups, read_replicates
 from ...options import Requested, TraceOptions

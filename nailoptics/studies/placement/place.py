@@ -11,21 +11,21 @@ from typing import Any, Unpack
 import xarray as xr
 
 from ...errors import InputError, NotReachedError, unless_cut_off
-from ...light import ProgressCallback
-from ...light import backend as backends
+from ...light import ProgressCallback, backend as backends
 from ...light.tracing import StageProgress
 from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
 from ..force.touch_error import TouchError
-from . import boards, search, verification
+from . import boards, certificate, robustness, search, verification
 from .boards import CandidateLayout
 from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
+from .robustness import tolerances
 from .search import SearchedSite
-from .verification import tolerances, verify_layout
+from .verification import verify_layout
 
 log = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ def place(
     report_progress("check", 0.0, scores[0].relative_error)
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
-    checked = checked.merge(verification.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
+    checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
     if store is not None:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
@@ -116,15 +116,15 @@ def _checked(
     if (left_s := report_progress.seconds_left) > CHECK_S:
         known = verify_layout(layouts[0], cache, max_seconds=VERIFY_SHARE * left_s)
     if spread and report_progress.seconds_left > CHECK_S:
-        known = known.merge(verification.resolution_over_priors(layouts, of_fingers.rules, cache))
+        known = known.merge(robustness.resolution_over_priors(layouts, of_fingers.rules, cache))
     if mitsuba and "checked_fraction" in known and not report_progress.interrupted:
         on = layouts[0].scene, cache.conditions[0]
         known = known.merge(verification.verify_by_mitsuba(*on, known, mitsuba, report_progress.callback))
         report_progress.interrupted = "mitsuba_ratio" not in known
-    for study in (tolerances, verification.pareto_front):
+    for study in (tolerances, certificate.pareto_front):
         known = known.merge(study(layouts[0], cache, of_fingers), combine_attrs="override")
     if cache.people:
-        known = known.merge(verification.over_people(layouts, scores, cache), combine_attrs="override")
+        known = known.merge(robustness.over_people(layouts, scores, cache), combine_attrs="override")
     due = [("checked_fraction", True, "verified"), ("resolution_spread", spread, "evaluated on other fingers")]
     due += [("mitsuba_ratio", mitsuba is not None, "read by stock Mitsuba")]
     missing = [words for name, is_due, words in due if is_due and name not in known]
@@ -163,7 +163,7 @@ def _candidates(
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
     layout_search = search.Search(straight, replace(objective, waves_left=WAVES_LEFT), cache)
     searched = layout_search.run(report_progress) if rules.search else []
-    bound = verification.certify(layout_search, report_progress) if searched else None
+    bound = certificate.certify(layout_search, report_progress) if searched else None
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
         room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
         log.warning(

@@ -10,8 +10,7 @@ import made_sensor
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError

@@ -17,8 +17,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages.explain import lines as explanation_lines
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.statistics import Z95, farther_end
-from nailoptics.studies.model_error import explain as effects
-from nailoptics.studies.model_error import paired
+from nailoptics.studies.model_error import explain as effects, paired
 from nailoptics.studies.model_error.explain import (
     ONE_WAVELENGTH,
     PART_WIDTH,

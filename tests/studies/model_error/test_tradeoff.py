@@ -14,9 +14,7 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.report.numbers import duration
 from nailoptics.report.pages import tradeoff as tradeoff_page
-from nailoptics.report.pages.tradeoff import lines as tradeoff_lines
-from nailoptics.report.pages.tradeoff import sentence
-from nailoptics.report.pages.tradeoff import summary as tradeoff_summary
+from nailoptics.report.pages.tradeoff import lines as tradeoff_lines, sentence, summary as tradeoff_summary
 from nailoptics.scene import Scene, parse_scene
 from nailoptics.studies.model_error.explain import lines_of, revised
 from nailoptics.studies.model_error.tradeoff import (

@@ -17,8 +17,7 @@ from nailoptics.hemodynamics.for_scene import BloodBeat, beat_at
 from nailoptics.io import to_json, write_dataset
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.report.pages.oximeter import OXIMETER
-from nailoptics.report.pages.oximeter import oximeter_summary as summary
+from nailoptics.report.pages.oximeter import OXIMETER, oximeter_summary as summary
 from nailoptics.scene import Scene
 from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry import oxygen, ratio

@@ -16,7 +16,7 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.studies.placement import boards, place, verification
-from nailoptics.studies.placement.verification import tolerances
+from nailoptics.studies.placement.robustness import tolerances
 
 SCENE = parse_scene(TWO_LAYOUTS)
 

@@ -11,9 +11,10 @@ from nailoptics.scene import Placement, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
 from nailoptics.studies.placement import place
+from nailoptics.studies.placement.certificate import _tangents, lower_bound
 from nailoptics.studies.placement.objective import Objective
+from nailoptics.studies.placement.robustness import tolerances
 from nailoptics.studies.placement.sites import PhotodiodePlaces
-from nailoptics.studies.placement.verification import _tangents, lower_bound, tolerances
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT

@@ -8,7 +8,7 @@ import pytest
 from small_scenes import PLACEMENT
 
 from nailoptics.scene import FingerCase, parse_scene
-from nailoptics.studies.placement import boards, place, search, verification
+from nailoptics.studies.placement import boards, certificate, place, search
 from nailoptics.studies.placement.objective import Objective, score_layout
 
 from .test_place import photon_map_cache
@@ -44,7 +44,7 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
         return original(*given, **how)
 
     monkeypatch.setattr(boards, "searched", spied)
-    data = verification.pareto_front(layout, cache, objective)
+    data = certificate.pareto_front(layout, cache, objective)
     assert cache.photons == before and data.front_photodiodes.values.tolist() == [2, 4]
     assert data.led_power_mw.values == pytest.approx(np.array([1 / 64, 1 / 8, 1]) * driven.flux_mw)
     areas = search.Search(base, objective, cache).sites.photodiode_places(layout.scene.layout.barriers, {}).areas

@@ -11,7 +11,7 @@ from nailoptics.sensor.information import over_fingers
 from nailoptics.statistics import jackknife
 from nailoptics.studies.placement import boards, photon_maps, place
 from nailoptics.studies.placement.objective import Objective, score_layout
-from nailoptics.studies.placement.verification import over_people, tolerances
+from nailoptics.studies.placement.robustness import over_people, tolerances
 from nailoptics.studies.prior_uncertainty import draw_people, known_priors, value_of
 
 PEOPLE = SCENE.replace("[placement]\n", "[placement]\npeople = 20\n", 1)

@@ -36,7 +36,7 @@ from nailoptics.studies.placement import (
     verification,
 )
 from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
-from nailoptics.studies.placement.verification import MOVED, _varied, tolerances
+from nailoptics.studies.placement.robustness import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(
     blood_fraction=np.array([0.03, 0.03]),
@@ -460,6 +460,7 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
     assert text.count("<svg") == 5 and "http:" not in text and "https:" not in text and "paper" in text
     for title in ("Light [1/mm²]", "Shunted light [1/mm²]", "Proximal blood [%/%]", "Distal blood [%/%]"):
         assert title in text
+    assert "0.5 mm off, the board is turned by 5 degrees, or an LED is" in text and "25 % off its power" in text
     report = computed.nail.summary()
     front, words = report["front"]["points"], report["front"]["words"]
     assert [

@@ -15,7 +15,7 @@ from nailoptics.studies.placement import boards
 from nailoptics.studies.placement.objective import Objective, score_layout
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
-from nailoptics.studies.placement.verification import resolution_over_priors
+from nailoptics.studies.placement.robustness import resolution_over_priors
 from nailoptics.studies.prior_uncertainty import at_value, nodes_of
 
 pytestmark = pytest.mark.slow
