@@ -2,22 +2,32 @@
 
 from typing import Any
 
-from . import hemodynamics as hemodynamics, tissue as tissue
-from .batch import open_results as open_results, sweep as sweep
-from .errors import InputError as InputError, NailopticsError as NailopticsError, NotReachedError as NotReachedError
+from . import hemodynamics as hemodynamics
+from . import tissue as tissue
+from .batch import open_results as open_results
+from .batch import sweep as sweep
+from .errors import InputError as InputError
+from .errors import NailopticsError as NailopticsError
+from .errors import NotReachedError as NotReachedError
 from .exports.formats import export as export
 from .exports.other_program import compare_with as compare_with
-from .light import Transfer as Transfer, trace as trace
+from .light import Transfer as Transfer
+from .light import trace as trace
 from .report.pages.paper import figures as figures
-from .scene import Scene as Scene, load_scene as load_scene, parse_scene as parse_scene, to_toml as to_toml
+from .scene import Scene as Scene
+from .scene import load_scene as load_scene
+from .scene import parse_scene as parse_scene
+from .scene import to_toml as to_toml
 from .scene.protocol import protocol as protocol
 from .studies.colour.nail_colour import colour as colour
 from .studies.compare import compare as compare
 from .studies.exploration.explore import explore as explore
 from .studies.force.calibrate import calibrate as calibrate
-from .studies.force.predict import predict as predict, predict_live as predict_live
+from .studies.force.predict import predict as predict
+from .studies.force.predict import predict_live as predict_live
 from .studies.force.reading_table import record as record
-from .studies.force.subject import Subject as Subject, load_subject as load_subject
+from .studies.force.subject import Subject as Subject
+from .studies.force.subject import load_subject as load_subject
 from .studies.model_error.explain import explain as explain
 from .studies.model_error.tradeoff import tradeoff as tradeoff
 from .studies.oximetry.oxygen import oximeter as oximeter

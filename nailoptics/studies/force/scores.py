@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 from scipy.optimize import least_squares
 from scipy.special import expit
 
-from .person import TABLE, Array, Numbers, require_shapes
+from .person import TABLE, Array, Numbers, require_shapes, within
 
 # Samples of this force or more are of a touch: at rest an interval from 0 covers by itself. [N]
 TOUCH_N = 0.15
@@ -65,6 +65,8 @@ def touches_by_kind(
 # rounding alone, so small a part of the largest.
 COMPONENT_VARIANCE, ROUNDING = 0.999, 1e-13
 BASELINES = ("cubic", "components", "sigmoid")
+# Terms of a fit, whose cubes are far from what numbers can hold.
+Moderate = Annotated[Numbers, within(0, 1e30)]
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -75,15 +77,16 @@ class Baseline:
     """
 
     shape: Literal["cubic", "linear", "sigmoid"]
-    projection: Numbers
-    shift: Numbers
-    coefficients_n: Numbers
+    projection: Moderate
+    shift: Moderate
+    coefficients_n: Moderate
     intercept_n: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
     def __post_init__(self) -> None:
-        count = 2 if self.shape == "cubic" else len(self.projection)
+        size, readings = (*self.projection.shape, 0, 0)[:2]
+        count = 2 if self.shape == "cubic" else size
         terms = len(_terms(self.shape, np.zeros((count, 1))))
-        require_shapes(self, projection=(count, self.projection.shape[-1]), shift=(count,), coefficients_n=(terms,))
+        require_shapes(self, projection=(count, readings), shift=(count,), coefficients_n=(terms,))
 
     def force_n(self, over_rest: Array) -> Array:
         """Force (T,) for readings over those at rest (R, T), NaN where one has a gap; never below 0. [N]"""

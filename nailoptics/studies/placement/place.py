@@ -182,14 +182,12 @@ def _candidates(
     return layouts, searched, bound
 
 
-def _evaluated_enough(
-    cache: PhotonMapCache, layouts: Sequence[CandidateLayout], report_progress: StageProgress
-) -> bool:
+def _evaluated_enough(cache: PhotonMapCache, layouts: Sequence[CandidateLayout], progress: StageProgress) -> bool:
     """Whether the evaluation ends: time is over, or the user has interrupted, and the boards of the user's layouts and
     of a search's best, which leaves little time, have been traced."""
     listed = sum(layout.origin == "given" for layout in layouts)
-    least = 1 if report_progress.interrupted else len({digest(layout.board) for layout in layouts[: listed + 1]})
-    return report_progress.is_over(JUDGE_SHARE) and cache.boards_traced >= least
+    least = 1 if progress.interrupted else len({digest(layout.board) for layout in layouts[: listed + 1]})
+    return progress.is_over(JUDGE_SHARE) and cache.boards_traced >= least
 
 
 def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Placement) -> FingerCondition:

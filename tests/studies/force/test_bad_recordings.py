@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings, strategies as st
+from pydantic import TypeAdapter
 
 from nailoptics.cli import run
 from nailoptics.errors import InputError
@@ -18,6 +19,7 @@ from nailoptics.scene import to_toml
 from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force import calibrate as calibrating
 from nailoptics.studies.force.predict import predict
+from nailoptics.studies.force.scores import Baseline
 from nailoptics.studies.force.subject import parse_subject
 
 FIRST = made_sensor.table().names[0]
@@ -286,6 +288,13 @@ def test_any_subject_is_read_or_refused(folder: Path, choice: int, value: object
         assert len(str(error).splitlines()) == 1
     else:
         assert np.isfinite(estimated.force_n).all()
+
+
+@pytest.mark.parametrize("projection", [0.0, [1.0, 2.0], [[1e300, 0.0], [0.0, 1.0]]])
+def test_a_comparison_of_another_shape_or_beyond_numbers_is_refused(projection: object) -> None:
+    terms = {"shift": [0.0, 0.0], "coefficients_n": [0.0] * 9}
+    with pytest.raises(ValueError, match="has shape|must lie within"):
+        TypeAdapter(Baseline).validate_python({"shape": "cubic", "projection": projection} | terms)
 
 
 @cache
