@@ -225,11 +225,11 @@ def _dataset(
 
 
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
-    """When the switch acts on the estimated force, and how long after it would on the known one."""
+    """When the switch acts on the estimated force, and how long after it would on the known one, below 0 before."""
     switched, true = (events(time_s, series, **thresholds_n) for series in (force_n, np.nan_to_num(known_n)))
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
-    true_s = [max((t for t, kind in true if kind == key and t <= at), default=np.nan) for at, key in switched]
-    return described(__package__, event_time_s=at_s, event_kind=kinds, event_latency_s=at_s - np.array(true_s))
+    late_s = [min((at - t for t, kind in true if kind == key), key=abs, default=np.nan) for at, key in switched]
+    return described(__package__, event_time_s=at_s, event_kind=kinds, event_latency_s=np.array(late_s, float))
 
 
 def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate, force_n: Array) -> str:

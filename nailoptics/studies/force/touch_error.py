@@ -173,11 +173,11 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
     by_state = jacobian @ covariances
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
     _diagonal(innovation)[...] += noise2
-    gain = np.swapaxes(np.linalg.inv(innovation[0]) @ by_state[0], 1, 2)
+    gain = np.swapaxes(np.linalg.solve(innovation[0], by_state[0]), 1, 2)
     # (1 - K H) P (1 - K H)^T + K R K^T in Joseph's form.
     half = gain @ (0.5 * innovation @ np.swapaxes(gain, 1, 2) - by_state)
-    covariances += half
-    covariances += np.swapaxes(half, 2, 3)
+    # All at once, so that they stay symmetric to the last bit. With an inverse for the solution above, some diverge.
+    covariances += half + np.swapaxes(half, 2, 3)
     lag -= (gain @ (jacobian @ lag[..., None]))[..., 0]
 
 
