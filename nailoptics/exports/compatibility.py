@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..assets import data_dir
 from ..geometry import Geometry
 from ..io import write_bytes, write_text
 from ..light import optics
@@ -131,7 +132,7 @@ def write_folder(
         write_bytes(paths[f"led_{k}"], data)
     if program != "mitsuba":
         paths["run"] = folder / f"run_p{program}.py"
-        write_text(paths["run"], Path(__file__).with_name("run_session.py").read_text(encoding="utf-8"))
+        write_text(paths["run"], (data_dir("assets") / "run_session.py").read_text(encoding="utf-8"))
     write_text(paths["scene"], to_toml(as_seen(scene, reflecting=reflecting)))
     page = Template(Path(__file__).with_name(f"{program}.md").read_text(encoding="utf-8"))
     table = "\n".join(f"| {' | '.join(row)} |" for row in _lacking(scene, reflecting=reflecting))

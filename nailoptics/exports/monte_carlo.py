@@ -14,9 +14,10 @@ from ..light import optics
 from ..scene import Scene
 from ..scene.rectangles import turned
 from . import compatibility
-from .run_session import MCX_PHOTONS, MMC_PHOTONS
 
 USUAL_VOXEL_MM = 0.1
+# Photons of a session where its runner is given no number.
+MMC_PHOTONS, MCX_PHOTONS = 1_000_000, 10_000_000
 LABELS = "labels.bin"
 # Light that has propagated for so long has been absorbed; of MCX and of MMC. [s]
 MCX_LONGEST_S, MMC_LONGEST_S = 1e-8, 1e-7

@@ -19,7 +19,7 @@ from ..sensor.electronics import NoiseBudget
 from ..sensor.exposure import SKIN_W_PER_M2, exposures
 from ..sensor.information import noise_by_cause, operating_point, scene_responses
 from ..sensor.volts import with_fitted_resistors
-from .placement import boards
+from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the
 # short trace by 5 %: from this part of the range on, three of both below its end, a reading may be full.
@@ -200,8 +200,8 @@ def _candidates(scene: Scene) -> list[dict[str, Any]]:
     boards.check_search(base, rules)
     for i, candidate in enumerate(rules.candidates):
         try:
-            laid_out = boards.candidate_scene(base, candidate)
-            layout = boards.candidate(candidate.name, laid_out, "given").scene.layout
+            laid_out = candidates.candidate_scene(base, candidate)
+            layout = candidates.candidate(candidate.name, laid_out, "given").scene.layout
         except InputError as error:
             raise InputError(f"placement.candidates[{i}]: {error}") from None
         described.append({"name": candidate.name, "leds": len(layout.leds), "photodiodes": len(layout.photodiodes)})

@@ -16,7 +16,7 @@ import xarray as xr
 import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
-from nailoptics.studies.placement import boards, photon_maps, place, result
+from nailoptics.studies.placement import boards, candidates, photon_maps, place, result
 from nailoptics.studies.placement.objective import Objective, score_layout
 
 CANDIDATES = 20
@@ -58,8 +58,8 @@ def further(scene: nail.Scene, computed: xr.Dataset) -> float:
     for i in range(CANDIDATES):
         begin = time.perf_counter()
         moved, leds = [(u, v + 0.01 * i) for u, v in places], [r.center_mm for r in best.layout.leds]
-        layout = boards.candidate_scene(base, nail.scene.Candidate(name="one", leds_mm=leds, photodiodes_mm=moved))
-        score_layout(boards.CandidateLayout("one", layout, board, "given"), cache, objective)
+        layout = candidates.candidate_scene(base, nail.scene.Candidate(name="one", leds_mm=leds, photodiodes_mm=moved))
+        score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 import pytest
+import run_session
 
 import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.exports import run_session
 from nailoptics.exports.compatibility import as_seen
 from nailoptics.exports.monte_carlo import labels, voxels
 from nailoptics.geometry import build

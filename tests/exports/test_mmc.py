@@ -7,12 +7,12 @@ import sys
 
 import numpy as np
 import pytest
+import run_session
 
 import nailoptics
 from nailoptics import tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.exports import run_session
 from nailoptics.exports.monte_carlo import CONES, cones, tetrahedra
 from nailoptics.geometry import build
 from nailoptics.light import optics

@@ -13,7 +13,7 @@ from nailoptics.light.reference.readings import finger_states
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, load_scene
 from nailoptics.statistics import stderr_of_mean
-from nailoptics.studies.placement import boards
+from nailoptics.studies.placement import boards, candidates
 
 FLAT = ((0.0, 1.0), (60.0, 0.5), (90.0, 0.0))
 
@@ -173,6 +173,6 @@ def test_what_cannot_weigh_angles_says_so():
     with pytest.raises(InputError, match='"proximal" and "distal" differ in angular_response'):
         BoardTracer(scene).arrivals(0, photons=1, seed=0)
     with pytest.raises(InputError, match="differ in angular_response"):
-        boards.check(scene, "mixed")
+        candidates.check(scene, "mixed")
     with pytest.raises(InputError, match="angular_response is not known to volpath"):
         finger_states(scene, None, None, None, led=0, options=TraceOptions())  # type: ignore[arg-type]

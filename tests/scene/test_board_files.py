@@ -12,7 +12,7 @@ from nailoptics.scene import Candidate, Placement, digest, load_scene, parse_sce
 from nailoptics.scene.importers.kicad import read_board, write_board
 from nailoptics.scene.importers.outlines import Outline
 from nailoptics.scene.rectangles import Rectangle, turned
-from nailoptics.studies.placement import boards, result
+from nailoptics.studies.placement import boards, candidates, result
 from nailoptics.studies.placement.sites import Sites
 
 BOARD = """(kicad_pcb (version 20171130)
@@ -352,7 +352,7 @@ def test_a_written_board_keeps_the_references_of_its_file(tmp_path):
     scene = load_scene(path)
     assert [(p.ref, p.value) for p in result.kicad_parts(scene)] == [("D1", "led_660"), ("PD1", "left")]
     base, computed = boards.base_board(scene), [Rectangle("", u - 0.25, u + 0.25, 1.0, 2.0) for u in (0.0, 1.0, 2.0)]
-    best = boards.searched(base, boards.rules(scene), [(-2.0, 1.0)], computed, wall=None, name="search")
+    best = candidates.searched(base, boards.rules(scene), [(-2.0, 1.0)], computed, wall=None, name="search")
     # The file's one photodiode, at u = 1 mm, goes to the nearest place; names and references of the others are new.
     assert [(one.name, one.reference) for one in best.photodiodes] == [("PD2", None), ("left", "PD1"), ("PD3", None)]
     parts = result.kicad_parts(best)

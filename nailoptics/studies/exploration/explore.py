@@ -37,7 +37,7 @@ from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import Array, seed_of
-from ..placement import boards
+from ..placement import boards, candidates
 from .drawn_people import DrawnPerson, ranked_people
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
 
@@ -357,7 +357,7 @@ def explored_board(scene: Scene) -> Scene:
         gap_mm = min(-walls[0].overlap_mm(led) for led in scene.layout.leds)
         scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier_gap_mm": gap_mm})})
     base = boards.base_board(scene)
-    boards.check(base, "explore")
+    candidates.check(base, "explore")
     return base
 
 

@@ -29,11 +29,12 @@ from ...light.tracing import StageProgress
 from ...scene import digest
 from ...statistics import Array, jackknife
 from ...variables import Estimate, described, jackknifed
-from . import boards
-from .boards import CandidateLayout
+from . import boards, candidates
+from .candidates import CandidateLayout
 from .objective import ALIKE, WAVES_LEFT, LayoutScore, Objective, score_layout
 from .photon_maps import PhotonMapCache
-from .search import LAST_STARTS, SEARCH_PHOTONS, SEARCH_SHARE, RowDesign, Search, SearchedSite, coordinate_exchange
+from .row_design import RowDesign, SearchedSite, coordinate_exchange
+from .search import LAST_STARTS, SEARCH_PHOTONS, SEARCH_SHARE, Search
 from .sites import PhotodiodePlaces
 
 # The bound is taken as found at this gap of the logarithm, or after so many programmes and steps for each mixture.
@@ -242,7 +243,7 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         if not np.isfinite(reached):
             continue
         areas = [places.areas[k] for k in chosen]
-        scene = boards.searched(base, rules, leds_mm, areas, wall=wall, name=f"{n} photodiodes")
+        scene = candidates.searched(base, rules, leds_mm, areas, wall=wall, name=f"{n} photodiodes")
         ambient_a = search.ambient_a_per_mm2 * np.array([area.area_mm2 for area in scene.layout.photodiode_areas])
         counts.append(n)
         for power in powers:

@@ -18,7 +18,7 @@ from ...sensor.front_end import AVERAGE_S, oximeter_leds
 from ...statistics import Array, fewer_groups, jackknife, t95
 from ..force.touch_error import TouchError
 from . import boards
-from .boards import CandidateLayout
+from .candidates import CandidateLayout
 from .photon_maps import PhotonMapCache
 
 # Photons per LED and finger of the first round of the evaluation.

@@ -18,13 +18,13 @@ from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
 from ..force.touch_error import TouchError
-from . import boards, certificate, robustness, search, verification
-from .boards import CandidateLayout
+from . import boards, candidates, certificate, robustness, search, verification
+from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import tolerances
-from .search import SearchedSite
+from .row_design import SearchedSite
 from .verification import verify_layout
 
 log = logging.getLogger(__name__)
@@ -198,13 +198,13 @@ def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Place
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     """The layouts that [placement] lists; if none, that of the scene's own board file as drawn."""
-    scenes = [(candidate.name, boards.candidate_scene(base, candidate)) for candidate in rules.candidates]
+    scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
     if not scenes and base.board.unmapped is not None:
         scenes = [("drawn", base)]
     for name, scene in scenes:
         for line in boards.crowded(scene):
             log.warning('layout "%s": %s', name, line)
-    return [boards.candidate(name, scene, "given") for name, scene in scenes]
+    return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 
 
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:
@@ -215,7 +215,7 @@ def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> Candida
     scene = prototype.model_copy(update={name: getattr(base, name) for name in shared} | {"photodiodes": unfitted})
     try:
         for condition in conditions:
-            boards.check(boards.worn_on(scene, condition.case, light_only=True), "paper")
+            candidates.check(boards.worn_on(scene, condition.case, light_only=True), "paper")
     except InputError as error:
         log.warning("the paper's layout is left out: %s", error)
         return None

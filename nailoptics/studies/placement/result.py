@@ -17,10 +17,11 @@ from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
 from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, left_out
 from ...variables import Estimate, Variables, described, jackknifed
-from .boards import UNFITTED, CandidateLayout, rules, straightened
+from .boards import UNFITTED, rules, straightened
+from .candidates import CandidateLayout
 from .objective import ForceResolution, LayoutScore, resolution_stderr_n, ties
 from .photon_maps import FingerCondition, PhotonMapCache
-from .search import SearchedSite
+from .row_design import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2

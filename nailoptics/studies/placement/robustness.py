@@ -20,8 +20,9 @@ from ...sensor import information as sensor_information
 from ...statistics import Z95, Array, jackknife, left_out
 from ...variables import described, jackknifed
 from .. import prior_uncertainty as uncertainty
-from . import boards
-from .boards import CandidateLayout, PartT
+from . import boards, candidates
+from .boards import PartT
+from .candidates import CandidateLayout
 from .objective import LayoutScore, Objective, score_layout
 from .photon_maps import PERSON_DISTANCE_MM, PhotonMapCache, Stopped, batch_seed, recorded
 
@@ -216,11 +217,11 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
     for part, kind, vary in _varied(scene):
         try:
             if part == "board" or (kind in MOVED and part in leds):
-                moved, light = boards.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
+                moved, light = candidates.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
                 light.extend(moved.board, photons)
             else:
                 moved, light = replace(layout, scene=vary()), cache
-                boards.check(moved.scene, layout.name)
+                candidates.check(moved.scene, layout.name)
             if light.of(moved.board).photons:
                 changes[part, kind] = score_layout(moved, light, objective).ranked / ranked - 1
         except InputError:

@@ -19,7 +19,7 @@ from ...sensor.information import OperatingPoint, force_resolution_n, scene_resp
 from ...statistics import Z95, left_out, seed_of
 from ...variables import Estimate, Variables, described, jackknifed, variable
 from . import boards
-from .boards import CandidateLayout
+from .candidates import CandidateLayout
 from .objective import resolution_stderr_n
 from .photon_maps import FingerCondition, PhotonMapCache, Stopped
 

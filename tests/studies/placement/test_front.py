@@ -8,7 +8,7 @@ import pytest
 from small_scenes import PLACEMENT
 
 from nailoptics.scene import FingerCase, parse_scene
-from nailoptics.studies.placement import boards, certificate, place, search
+from nailoptics.studies.placement import boards, candidates, certificate, place, search
 from nailoptics.studies.placement.objective import Objective, score_layout
 
 from .test_place import photon_map_cache
@@ -34,16 +34,16 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
             "photodiodes": tuple(pd.model_copy(update={"name": f"p{v}", "position_mm": (1.0, v)}) for v in (-2.0, 2.0)),
         }
     )
-    layout = boards.candidate("mine", drawn, "given")
+    layout = candidates.candidate("mine", drawn, "given")
     cache.extend(layout.board, 1 << 16)
     before, chosen = cache.photons, []
-    original = boards.searched
+    original = candidates.searched
 
     def spied(*given, **how):
         chosen.append([area.center_mm for area in given[3]])
         return original(*given, **how)
 
-    monkeypatch.setattr(boards, "searched", spied)
+    monkeypatch.setattr(candidates, "searched", spied)
     data = certificate.pareto_front(layout, cache, objective)
     assert cache.photons == before and data.front_photodiodes.values.tolist() == [2, 4]
     assert data.led_power_mw.values == pytest.approx(np.array([1 / 64, 1 / 8, 1]) * driven.flux_mw)

@@ -9,7 +9,7 @@ from small_scenes import TWO_LAYOUTS as SCENE
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.sensor.information import over_fingers
 from nailoptics.statistics import jackknife
-from nailoptics.studies.placement import boards, photon_maps, place
+from nailoptics.studies.placement import boards, candidates, photon_maps, place
 from nailoptics.studies.placement.objective import Objective, score_layout
 from nailoptics.studies.placement.robustness import over_people, tolerances
 from nailoptics.studies.prior_uncertainty import draw_people, known_priors, value_of
@@ -151,7 +151,7 @@ def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
         )
         for kind in ("leds", "photodiodes")
     }
-    there = boards.candidate("there", layout.scene.model_copy(update=moved), "given")
+    there = candidates.candidate("there", layout.scene.model_copy(update=moved), "given")
     other = cache_of(on_finger, seed=7)
     other.extend(there.board, 1 << 18)
     fresh = score_layout(there, other, objective).ranked / ranked

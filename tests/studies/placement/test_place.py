@@ -28,9 +28,11 @@ from nailoptics.sensor import electronics, information
 from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import (
     boards,
+    candidates,
     photon_maps,
     place,
     result,
+    row_design,
     search,
     sites,
     verification,
@@ -145,7 +147,7 @@ def test_a_planted_optimum_is_found():
     areas = np.column_stack([places[:, 0] - 0.25, places[:, 0] + 0.25, places[:, 1] - 0.25, places[:, 1] + 0.25])
     scene = parse_scene(SCENE)
     read = information.response(plane.over(areas)[0], scene, 0, scene.photodiodes[0], AT)
-    chosen, reached = search.coordinate_exchange(
+    chosen, reached = row_design.coordinate_exchange(
         information.fisher_information(read)[None],
         sites.PhotodiodePlaces(tuple(Rectangle("", *area) for area in areas), (), len(areas), (0.5, 0.5)),
         count=2,
@@ -171,7 +173,7 @@ def test_places_keep_their_distances(scene):
         edge = places[:, 0] - 0.5 - wall.u_max if side == "left" else places[:, 1] - 0.125 - wall.v_max
         assert edge.min() >= 0.1 - 1e-9
         first = Candidate(name="first", leds_mm=((-2.0, -2.0),), photodiodes_mm=(tuple(places[0]),))
-        boards.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
+        candidates.candidate_scene(base.model_copy(update={"leds": board.leds}), first)
 
 
 @pytest.mark.long
@@ -382,8 +384,8 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     layouts = place.given(base, boards.rules(scene))
     # One more that is nearly as good as the first, for a pair that is hard to tell apart.
     places = tuple((-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0))
-    middle = boards.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
-    layouts.append(boards.CandidateLayout("middle", middle, layouts[0].board, "given"))
+    middle = candidates.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
+    layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))
     conditions = [photon_maps.FingerCondition(FingerCase(name="one"), information.operating_point(base, 0.5))]
     judged, worst = [], Objective(boards.rules(scene), [condition.point for condition in conditions])
     for seed in range(20):
@@ -428,7 +430,7 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(computed, scene):
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
-    computed = result._sites([search.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
+    computed = result._sites([row_design.SearchedSite(places, sites.LedRow(), (), 1.0, 0.1, 1000)])
     whole = xr.Dataset(computed, coords={"led": ["ir"], "searched_led": ["a", "b", "c"], "axis": ["u", "v"]})
     assert whole.led_site_mm.sel(searched_led="c").values.tolist() == [[2.0, 0.5]]
     assert xr.Dataset(result._sites([])).sizes["led_site"] == 0

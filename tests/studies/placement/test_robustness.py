@@ -11,7 +11,7 @@ from nailoptics.assets import data_dir
 from nailoptics.report.uncertainty_section import conclusions, spread_section
 from nailoptics.scene import Body, Breathing, Candidate, Placement, Priors
 from nailoptics.scene.priors import PriorRange
-from nailoptics.studies.placement import boards
+from nailoptics.studies.placement import boards, candidates
 from nailoptics.studies.placement.objective import Objective, score_layout
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
@@ -35,7 +35,7 @@ def ranked(chosen_jit):
     base = boards.base_board(scene)
     places = {"near": ((0.5, -1.5), (0.5, 1.5)), "far": ((2.5, -3.5), (2.5, 3.5))}
     layouts = [
-        boards.candidate(one.name, boards.candidate_scene(base, one), "given")
+        candidates.candidate(one.name, candidates.candidate_scene(base, one), "given")
         for one in (
             Candidate(name=name, leds_mm=((-2.0, 0.0),), photodiodes_mm=where) for name, where in places.items()
         )
@@ -72,7 +72,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
     base, rules, layouts, judged, result = ranked
     prior = next(one for one in base.priors.of_finger() if one.field == FIELDS[0])
     clear = at_value(base, prior.field, nodes_of(prior)[0])
-    layout = boards.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
+    layout = candidates.candidate("near", at_value(layouts[0].scene, prior.field, nodes_of(prior)[0]), "given")
     cache = PhotonMapCache(
         [finger_condition(clear, judged.cases[0], rules)], seed=9, stream=1, backend="auto", blocks=16
     )

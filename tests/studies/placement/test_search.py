@@ -15,7 +15,7 @@ from nailoptics.sensor import information
 from nailoptics.studies.placement import boards, search
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
-from nailoptics.studies.placement.search import STARTS, RowDesign, SearchedSite
+from nailoptics.studies.placement.row_design import STARTS, RowDesign, SearchedSite
 from nailoptics.studies.placement.sites import LedRow
 from nailoptics.tissue import BloodZones
 

@@ -15,7 +15,7 @@ from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
 from nailoptics.sensor.information import PhysiologicalNoise
-from nailoptics.studies.placement import boards, objective, result, search
+from nailoptics.studies.placement import boards, candidates, objective, result, search
 from nailoptics.studies.placement.photon_maps import FingerCondition
 from nailoptics.studies.placement.sites import PhotodiodePlaces
 
@@ -85,7 +85,7 @@ def test_the_simplest_has_fewest_parts_then_rows_then_a_mirror_image_then_a_grid
 
     def complexity(*photodiodes):
         plan = Candidate(name="one", leds_mm=[[-3.0, 0.0]], photodiodes_mm=photodiodes)
-        return boards.candidate("one", boards.candidate_scene(base, plan), "given").complexity
+        return candidates.candidate("one", candidates.candidate_scene(base, plan), "given").complexity
 
     row = complexity((1.0, -1.0), (1.0, 0.0), (1.0, 1.0))
     off_grid, askew = complexity((1.1, -1.0), (1.1, 0.0), (1.1, 1.0)), complexity((1.0, -1.0), (1.0, 0.0), (1.0, 2.0))

@@ -14,8 +14,6 @@ from typing import Any
 
 import numpy as np
 
-# Photons that are sent where no number is given.
-MMC_PHOTONS, MCX_PHOTONS = 1_000_000, 10_000_000
 # Looked up so far behind the place where a photon left MMC's mesh, to see what it went into. [mm]
 BEHIND_MM = 1e-3
 POINTS_AT_ONCE = 4096
@@ -147,18 +145,19 @@ def main() -> None:
     """Run a session and write FILE.npz, which `nailoptics compare-with` reads."""
     parser = argparse.ArgumentParser(description="Run a session and save what its photodiodes detected.")
     parser.add_argument("session", type=Path, help="session that nailoptics wrote, such as 1_NAME.json")
-    parser.add_argument("--photons", type=int, help="1000000 in pmmc and 10000000 in pmcx if not given")
+    parser.add_argument("--photons", type=int, help="those that the session names if not given")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=0, help="of the processor, for pmmc; all if not given")
     parser.add_argument("--opencl", action="store_true", help="run pmcxcl in place of pmcx")
     parser.add_argument("-o", "--output", type=Path, default=Path("detected.npz"))
     given = parser.parse_args()
     session = json.loads(given.session.read_text(encoding="utf-8"))
+    photons = given.photons or session["Session"]["Photons"]
     if "Mesh" in session:
-        program, photons = "pmmc", given.photons or MMC_PHOTONS
+        program = "pmmc"
         which, paths, photons = run_mmc(session, photons=photons, seed=given.seed, threads=given.threads)
     else:
-        program, photons = "pmcxcl" if given.opencl else "pmcx", given.photons or MCX_PHOTONS
+        program = "pmcxcl" if given.opencl else "pmcx"
         how = mcx_config(session, given.session.parent, photons=photons, seed=given.seed)
         which, paths = detected(session, np.asarray(importlib.import_module(program).run(**how)["detp"], float))
     own = {"photons": photons, "seed": given.seed, "program": program}
