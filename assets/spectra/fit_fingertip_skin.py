@@ -23,7 +23,7 @@ from nailoptics.light.walk.nail_reflectance import NailReflectance
 from nailoptics.scene import Finger, load_scene
 from nailoptics.scene.base import USUAL_MELANIN_FRACTION, USUAL_SO2
 from nailoptics.studies.colour.reflectance import WAVELENGTHS_NM, walk_colour
-from nailoptics.studies.validation.validate import PAD
+from nailoptics.studies.validation.appearance import PAD
 from nailoptics.tissue import PULP_ABSORPTION, PULP_SCATTERING, PULP_SCATTERING_POWER
 
 NM = np.arange(400.0, 701.0, 10)

@@ -12,7 +12,7 @@ from nailoptics.assets import asset_path
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
-from nailoptics.studies.validation import validate
+from nailoptics.studies.validation import appearance, validate
 from nailoptics.studies.validation.people_tables import (
     COLUMNS,
     Comparison,
@@ -123,9 +123,9 @@ def test_one_ring_finger_is_compared_with_its_own_quartiles(tmp_path):
 
 def test_only_the_third_left_out_of_the_fit_is_compared_with_nails(tmp_path):
     about = np.ones(6), np.ones(6)
-    shipped = validate._colours(read_people(PHOTOS), *about)["nail_L"]
+    shipped = appearance._colours(read_people(PHOTOS), *about)["nail_L"]
     assert shipped.texts["basis"] == "held out" and "53 people" in shipped.texts["quantity"]
-    theirs = validate._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
+    theirs = appearance._colours(read_people(PHOTOS, own(tmp_path, PHOTOS, lambda t: t)), *about)["nail_L"]
     assert (
         theirs.texts["basis"] == "prediction"
         and "160 people" in theirs.texts["quantity"]
@@ -149,7 +149,7 @@ def test_slopes_within_days_ignore_exposure_between_days():
 
 def test_nails_carried_over_to_measured_skin_are_pink():
     """Expected: medians of the 160 people as published with the table, by another computation: 62.4, 10.8, 8.8."""
-    lab = validate.nails_lab(read_people("nail_photos"))
+    lab = appearance.nails_lab(read_people("nail_photos"))
     assert np.median(lab, 0) == pytest.approx([62.4, 10.8, 8.8], abs=1.1)
     assert (lab[:, 1] < 3).mean() < 0.05
 
@@ -173,12 +173,12 @@ def test_statistics_agree_and_disagree_where_they_should():
 def test_a_w_that_is_too_deep_disagrees():
     """Expected: from medians of two groups, 1.041 and 1.029, a model of 1.14 is many standard errors off."""
     fingers = read_people(SKIN)[lambda t: t.place == "ring finger"]
-    (deep,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2).values()
+    (deep,) = appearance._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.14, 1.3])] * 2).values()
     assert deep.people[1, 0] == pytest.approx(1.035, abs=1e-3)
     assert deep.value > 10 and not deep.agrees and deep.model[0, 0] < 1.01
-    (flat,) = validate._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2).values()
+    (flat,) = appearance._w_depth("w_of_ring_finger", fingers, [np.array([1.0, 1.036, 1.1])] * 2).values()
     assert flat.agrees
-    assert not validate._w_depth("w_of_ring_finger", fingers[fingers.group == "JP"], [np.ones(3)])
+    assert not appearance._w_depth("w_of_ring_finger", fingers[fingers.group == "JP"], [np.ones(3)])
 
 
 def test_waves_and_pulse_without_light_agree_with_people():
@@ -193,14 +193,16 @@ def test_waves_and_pulse_without_light_agree_with_people():
 def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
     """Expected: a line of one of the wavelengths, 5 nm apart, counts for a third there, and none 10 nm off."""
     spectrum = np.zeros((1, 77))
-    spectrum[0, validate.WAVELENGTHS_NM == 560] = 1.0
-    monkeypatch.setattr(validate.Skin, "__init__", lambda self: None)
-    monkeypatch.setattr(validate.Skin, "read", lambda self, scene, rays, gloss: spectrum)
-    (measured,) = validate.Skin().spectrum(None)
-    assert measured[validate.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and measured.sum() == pytest.approx(100 / 3)
+    spectrum[0, appearance.WAVELENGTHS_NM == 560] = 1.0
+    monkeypatch.setattr(appearance.Skin, "__init__", lambda self: None)
+    monkeypatch.setattr(appearance.Skin, "read", lambda self, scene, rays, gloss: spectrum)
+    (measured,) = appearance.Skin().spectrum(None)
+    assert measured[appearance.SPECTRUM_NM == 560] == pytest.approx(100 / 3) and measured.sum() == pytest.approx(
+        100 / 3
+    )
     # A level part of a spectrum, and its ends, are what they are.
     spectrum[:] = 0.5
-    assert validate.Skin().spectrum(None) == pytest.approx(50.0)
+    assert appearance.Skin().spectrum(None) == pytest.approx(50.0)
 
 
 @pytest.mark.long
