@@ -229,15 +229,19 @@ def test_the_readme_of_the_package_is_there():
     assert (ROOT / PROJECT["project"]["readme"]).read_text(encoding="utf-8").startswith("# nailoptics")
 
 
+# The package, and the runner that it copies into exports.
+SHIPPED = [*(ROOT / "nailoptics").rglob("*.py"), ROOT / "assets/run_session.py"]
+
+
 def test_every_package_that_the_code_imports_is_required():
-    needed = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "nailoptics").rglob("*.py"))}
+    needed = {DISTRIBUTION.get(name, name) for name in third_party(SHIPPED)}
     declared = distributions(PROJECT["project"]["dependencies"])
     optional = distributions(OPTIONAL)
     assert {name.replace("_", "-") for name in needed} <= declared | optional
 
 
 def test_every_package_that_is_required_is_imported():
-    used = {DISTRIBUTION.get(name, name) for name in third_party((ROOT / "nailoptics").rglob("*.py"))}
+    used = {DISTRIBUTION.get(name, name) for name in third_party(SHIPPED)}
     # xarray imports h5netcdf by its name, and that h5py, which it does not require.
     assert 'engine="h5netcdf"' in (ROOT / "nailoptics/io.py").read_text(encoding="utf-8")
     # The runner of exports imports the program that its options name.
