@@ -10,8 +10,9 @@ from ..checks import Array, fraction, positive
 from ..errors import InputError
 from ..scene import Blood
 from ..scene.base import USUAL_BLOOD_FRACTION
-from .parameters import PAPER_ZONES, Parameters, Zones
+from .parameters import Parameters
 from .steady import steady_state
+from .zones import PAPER_ZONES, Zones
 
 # Width of the logistic curve, fitted to the pulse of 136 to 140 people that falls to 0.7-0.8 of its maximum where the
 # contact pressure is 30 mmHg above that of the maximum. [Pa]

@@ -15,12 +15,13 @@ from ..scene import Blood, Body, Scene, Touch
 from ..statistics import covariance_root
 from ..variables import described, precision
 from .blood import Arterioles
-from .parameters import capillary_zones, posture_pa, vessels, with_posture
+from .parameters import posture_pa, vessels, with_posture
 from .respond import Model
 from .steady import linear_response
 from .touch import TouchCourse, touch_course
 from .walls import build_walls
 from .waves import fastest_hz, pressure_lines, waves_pressure
+from .zones import capillary_zones
 
 # A body begins to beat so long before the touch. [s]
 WARM_UP_S = 5.0

@@ -11,10 +11,11 @@ from ..errors import InputError, NotReachedError
 from ..variables import described
 from . import massless
 from .drive import Drive, waveform_of
-from .parameters import PAPER_ZONES, Parameters, Zones
+from .parameters import Parameters
 from .steady import solve_walls
 from .touch import Pressures, named_pressures
 from .walls import Walls, build_walls, inertial_pressures
+from .zones import PAPER_ZONES, Zones
 
 if TYPE_CHECKING:
     import xarray

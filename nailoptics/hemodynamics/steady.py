@@ -12,9 +12,10 @@ import numpy as np
 
 from ..checks import Array, finite
 from ..errors import InputError
-from .parameters import PAPER_ZONES, Parameters, Zones
+from .parameters import Parameters
 from .touch import Pressures, named_pressures
 from .walls import CLOSED_FRACTION, MasslessNetwork, Walls, build_walls
+from .zones import PAPER_ZONES, Zones
 
 Branch = Literal["wide", "narrow"]
 _BRANCHES: tuple[Branch, ...] = ("wide", "narrow")

@@ -13,7 +13,8 @@ from ..scene import Scene, Touch
 from ..scene.base import USUAL_CONTACT_AREA_MM2
 from ..scene.touch import BESIDE_FORCE
 from .drive import Waveform
-from .parameters import Parameters, Zones
+from .parameters import Parameters
+from .zones import Zones
 
 # A relaxation goes through so many knots in its time constant: between them it is off by 5e-4 of what is left.
 KNOTS_PER_RELAXATION = 16

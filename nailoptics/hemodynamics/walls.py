@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from .parameters import Parameters, Zones, beds, each_bed
+from .parameters import Parameters, beds, each_bed
+from .zones import Zones
 
 CLOSED_FRACTION = 1e-3
 """Diameter of a closed vessel over its listed one: its resistance is then 1e12 times as large, yet finite. [1]"""

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..hemodynamics.blood import relative_blood
-from ..hemodynamics.parameters import PAPER_ZONES, Parameters, PerBed, Zones, each_bed, zones_between
+from ..hemodynamics.parameters import Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
 from ..hemodynamics.touch import Contact, relaxing_pressure
+from ..hemodynamics.zones import PAPER_ZONES, Zones, zones_between
 from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
 

@@ -12,8 +12,8 @@ import xarray as xr
 from .. import tissue
 from ..errors import InputError, as_far_as_reached, unless_cut_off
 from ..hemodynamics.for_scene import steady_blood
-from ..hemodynamics.parameters import capillary_zones
 from ..hemodynamics.touch import largest_force_n
+from ..hemodynamics.zones import capillary_zones
 from ..light import ProgressCallback, Transfer, optics, trace
 from ..light.transfer.series import read_replicates
 from ..options import Requested, TraceOptions

@@ -11,10 +11,11 @@ from typing import Any, cast
 import numpy as np
 
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics.parameters import OF_BEDS, Parameters, Zones, beds, bounds, each_bed
+from nailoptics.hemodynamics.parameters import OF_BEDS, Parameters, beds, bounds, each_bed
 from nailoptics.hemodynamics.rosenbrock import step
 from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.walls import Walls, build_walls
+from nailoptics.hemodynamics.zones import Zones
 from nailoptics.paper.claims import RULES, SIMULATION, SUBJECT, Rule
 from nailoptics.paper.responses import Protocol, Responses, responses_of
 

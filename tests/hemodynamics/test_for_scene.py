@@ -9,8 +9,9 @@ import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
-from nailoptics.hemodynamics.parameters import capillary_zones, vessels
+from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.hemodynamics.touch import largest_force_n, touch_course
+from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
 

@@ -7,7 +7,8 @@ from equal_zones import equal_zones
 
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import NAMES, Parameters, bounds, parameters
-from nailoptics.hemodynamics.parameters import Zones, beds, zones_between
+from nailoptics.hemodynamics.parameters import beds
+from nailoptics.hemodynamics.zones import Zones, zones_between
 
 
 def test_listed_set_holds_the_values_of_the_paper():

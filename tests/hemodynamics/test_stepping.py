@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from nailoptics import hemodynamics
-from nailoptics.hemodynamics.parameters import PAPER_ZONES
 from nailoptics.hemodynamics.rosenbrock import step
 from nailoptics.hemodynamics.walls import Walls, build_walls
+from nailoptics.hemodynamics.zones import PAPER_ZONES
 
 TIME_S = np.arange(0.0, 3.0, 0.01)
 

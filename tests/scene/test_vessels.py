@@ -9,7 +9,8 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import Parameters, parameters
 from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
-from nailoptics.hemodynamics.parameters import capillary_zones, vessels
+from nailoptics.hemodynamics.parameters import vessels
+from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.report.scene_description import blood_words, check_lines
 from nailoptics.scene import Tuning, parse_scene
 

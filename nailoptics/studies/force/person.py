@@ -16,10 +16,11 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from ...checks import Array, finite
 from ...errors import InputError
 from ...hemodynamics import Contact, relaxing_pressure, spreading_pressure
-from ...hemodynamics.parameters import PAPER_ZONES, Parameters, beds, each_bed, parameters, vessels
+from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters, vessels
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.walls import Walls, build_walls
+from ...hemodynamics.zones import PAPER_ZONES
 from ...scene import Scene
 from ...scene.base import Fraction
 from ...scene.priors import factor_priors
