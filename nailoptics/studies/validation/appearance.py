@@ -21,7 +21,8 @@ from ..colour.nail_colour import ALONG, patches_of
 from ..colour.reflectance import WAVELENGTHS_NM, ColourRays, Viewer, lab_of, walk_colour
 from ..prior_uncertainty import PriorSensitivity, at_value, over_priors
 from . import people_tables
-from .people_tables import SPECTRUM_NM, Comparison, interval, moments, part_between, people_count, percentile, texts_of
+from .comparison import Comparison, interval, moments, part_between, texts_of
+from .people_tables import NAIL_RGB, SKIN_RGB, SPECTRUM_NM, people_count, percentile, pooled, read_people
 
 # Rays of all wavelengths where no photons are requested; those of the nail are a part of them.
 RAYS, NAIL_SHARE = 400_000, 0.25
@@ -98,12 +99,7 @@ def nails(photos: pd.DataFrame, options: TraceOptions) -> dict[str, Comparison]:
 
     fields = [p.field for p in scene.finger_priors if p.field.startswith("finger.")]
     middle, spread, noise = moments(nail.over_priors(nail.scene, [*fields, *BLOOD_OF_NAIL], quantities))
-    result = _colours(photos, middle, spread)
-    for k, (name, values) in enumerate(_effects(photos[people_tables.NAIL_RGB].to_numpy()).items(), start=3):
-        people, model = people_tables.slope_within_days(photos, values), (float(middle[k]), float(noise[k]))
-        texts = texts_of(f"haemoglobin_{name}", photos, step=people_tables.HAEMOGLOBIN_STEP_G_PER_L)
-        result[f"haemoglobin_{name}"] = Comparison.by_standard_errors(texts, people, model, float(spread[k]))
-    return result
+    return _colours(photos, middle, spread) | _slopes(photos, middle[3:], spread[3:], noise[3:])
 
 
 def _colours(photos: pd.DataFrame, middle: Array, spread: Array) -> dict[str, Comparison]:
@@ -114,6 +110,16 @@ def _colours(photos: pd.DataFrame, middle: Array, spread: Array) -> dict[str, Co
     for k, band in enumerate(("L*", "a*", "b*")):
         texts = texts_of("nail", photos, band=band, people=len(people))
         result[f"nail_{band[0]}"] = Comparison.by_coverage(texts, people[:, k], interval(middle[k], spread[k]))
+    return result
+
+
+def _slopes(photos: pd.DataFrame, middle: Array, spread: Array, noise: Array) -> dict[str, Comparison]:
+    """Changes of colours with haemoglobin, of people and of the model, (3,) float each in the order of `_effects`."""
+    result = {}
+    for k, (name, values) in enumerate(_effects(photos[NAIL_RGB].to_numpy()).items()):
+        people, model = people_tables.slope_within_days(photos, values), (float(middle[k]), float(noise[k]))
+        texts = texts_of(f"haemoglobin_{name}", photos, step=people_tables.HAEMOGLOBIN_STEP_G_PER_L)
+        result[f"haemoglobin_{name}"] = Comparison.by_standard_errors(texts, people, model, float(spread[k]))
     return result
 
 
@@ -136,11 +142,11 @@ def _lab(rgb: Array) -> Array:
 def nails_lab(photos: pd.DataFrame) -> Array:
     """L*, a*, b* of people's nails, (p, 3) float. The level of a nail is that of the skin beside it, times what a
     spectrophotometer measured on the shipped hands."""
-    spectra = people_tables.read_people("skin_spectra")
+    spectra = read_people("skin_spectra")
     hands = spectra[spectra.place == "back of hand"]
     skin = np.mean([percentile(hands[hands.group == group], 50) for group in SCALED_TO], 0) / 100
     skin_rgb = _linear_rgb(np.interp(WAVELENGTHS_NM, SPECTRUM_NM, skin))
-    return _lab(photos[people_tables.NAIL_RGB].to_numpy() / photos[people_tables.SKIN_RGB].to_numpy() * skin_rgb)
+    return _lab(photos[NAIL_RGB].to_numpy() / photos[SKIN_RGB].to_numpy() * skin_rgb)
 
 
 class Skin(_Reflectance):
@@ -170,8 +176,7 @@ class Skin(_Reflectance):
     def fingers(self, table: pd.DataFrame) -> dict[str, Comparison]:
         """Ring fingers beside the shipped skin, and the depth of the W of oxyhaemoglobin."""
         model, w = self.bands(self.scene, (*OF_SKIN, *OF_FITTED_SKIN))
-        people, quartiles = (people_tables.pooled(table, percentiles) for percentiles in ((5, 50, 95), (25, 75)))
-        inside = part_between(model[1], *quartiles)
+        people, inside = pooled(table, (5, 50, 95)), part_between(model[1], *pooled(table, (25, 75)))
         texts = texts_of("ring_finger", table, people=people_count(table))
         result = {"ring_finger": Comparison.of_curve(texts, inside, people, model, SPECTRUM_NM)}
         return result | _w_depth("w_of_ring_finger", table, [w] * table.group.nunique())

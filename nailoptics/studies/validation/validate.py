@@ -25,7 +25,8 @@ from ..oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
 from ..prior_uncertainty import at_value, only_absorbs, over_priors
 from . import people_tables
 from .appearance import Skin, nails
-from .people_tables import COLUMNS, Comparison, interval, moments, part_between, read_people, texts_of
+from .comparison import Comparison, interval, moments, part_between, texts_of
+from .people_tables import COLUMNS, read_people
 
 MMHG_PA = 133.322
 # Photons of each LED where none are requested.

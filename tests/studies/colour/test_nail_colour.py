@@ -13,11 +13,12 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.io import write_dataset
 from nailoptics.light import optics
+from nailoptics.light.photograph import photograph
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
 from nailoptics.report.pages.colour import summary as colour_summary
 from nailoptics.scene import Viewing, load_scene, parse_scene
-from nailoptics.studies.colour.nail_colour import SHARES, colour, photograph
+from nailoptics.studies.colour.nail_colour import SHARES, colour
 from nailoptics.studies.colour.reflectance import GROUPS, WAVELENGTHS_NM, Viewer, delta_e_2000, walk_colour
 
 PATCHES = (Patch((0.0, 0.0), (4.0, 8.0)), Patch((0.0, -7.5), (4.0, 1.5)))

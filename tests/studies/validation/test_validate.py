@@ -13,14 +13,8 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.report.pages import validate as page
 from nailoptics.studies.validation import appearance, validate
-from nailoptics.studies.validation.people_tables import (
-    COLUMNS,
-    Comparison,
-    percentile,
-    pooled,
-    read_people,
-    slope_within_days,
-)
+from nailoptics.studies.validation.comparison import Comparison
+from nailoptics.studies.validation.people_tables import COLUMNS, percentile, pooled, read_people, slope_within_days
 
 DOCUMENTS = "README.md", "docs/trust.md", "docs/validation.md"
 PHOTOS, PULSE, SKIN, WAVES = "nail_photos", "red_infrared_pulse", "skin_spectra", "fingertip_waves"
