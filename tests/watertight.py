@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nailoptics.geometry import Geometry
-from nailoptics.geometry.grid import AIR
-from nailoptics.geometry.model import cast
+from nailoptics.geometry.cast import cast
+from nailoptics.geometry.regions import AIR
 
 ALLOWED_PER_CROSSING = 1e-6
 ALLOWED_VOLUME = 1e-6

@@ -2,5 +2,5 @@
 
 from .build import build, shaping, underside
 from .distance import SPACING_MM, DistanceGrid, distance_grid
-from .grid import AROUND, region_names
 from .model import Face, Geometry
+from .regions import AROUND, region_names

@@ -7,7 +7,7 @@ from ..errors import InputError
 from ..scene import Scene
 from ..scene.importers.outlines import encloses
 from ..scene.rectangles import Rectangle
-from .grid import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, region_names
+from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, region_names
 from .surfaces import Array, FingerSurfaces
 
 RIM_MM = 0.15  # width of the opaque epoxy around the board

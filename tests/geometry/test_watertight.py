@@ -7,7 +7,7 @@ import pytest
 from watertight import check_watertight
 
 from nailoptics.geometry import build
-from nailoptics.geometry.model import cast
+from nailoptics.geometry.cast import cast
 
 
 def test_a_hundred_thousand_crossings_agree(geometry):

@@ -9,7 +9,7 @@ from small_scenes import SMALL_FINGER_BEST
 from nailoptics import tissue
 from nailoptics.errors import InputError
 from nailoptics.geometry import DistanceGrid, Geometry
-from nailoptics.geometry.grid import BARRIER, BED, CUT, PLATE, REGIONS
+from nailoptics.geometry.regions import BARRIER, BED, CUT, PLATE, REGIONS
 from nailoptics.light import backend, optics
 from nailoptics.light.walk.interfaces import Interfaces
 from nailoptics.light.walk.nail_reflectance import NailReflectance, Patch
