@@ -174,10 +174,10 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
     _diagonal(innovation)[...] += noise2
     gain = np.swapaxes(np.linalg.solve(innovation[0], by_state[0]), 1, 2)
-    # (1 - K H) P (1 - K H)^T + K R K^T in Joseph's form.
-    half = gain @ (0.5 * innovation @ np.swapaxes(gain, 1, 2) - by_state)
-    # All at once, so that they stay symmetric to the last bit. With an inverse for the solution above, some diverge.
-    covariances += half + np.swapaxes(half, 2, 3)
+    # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T as it stands: multiplied out, variances fall below 0 by rounding.
+    keep, turned = np.eye(lag.shape[1]) - gain @ jacobian, np.swapaxes(gain, 1, 2)
+    updated = keep @ covariances @ np.swapaxes(keep, 1, 2) + gain * noise2[:, :, None] @ turned
+    covariances[...] = 0.5 * (updated + np.swapaxes(updated, 2, 3))
     lag -= (gain @ (jacobian @ lag[..., None]))[..., 0]
 
 

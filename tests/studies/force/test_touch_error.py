@@ -18,6 +18,7 @@ from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.force.scores import TOUCH_N
 from nailoptics.studies.force.subject import LINEAR, READING_CORRELATION_S, Quality, Readings, Subject
 from nailoptics.studies.force.touch_error import RATE_HZ, TouchError, scene_noise
+from nailoptics.studies.placement import boards
 
 SLOPES, NOISE, LED = np.array([[-1.0, -0.2], [-0.3, -0.8], [-0.5, -0.5]]), np.array([1e-4, 2e-4, 1e-4]), np.ones((3, 1))
 
@@ -84,6 +85,29 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
         error = np.eye(samples * size)[at] - gain @ design
         expected = np.diag(error @ joint_truth @ error.T + gain * true_variance @ gain.T) + (error @ made.ravel()) ** 2
         assert recursion[k] == pytest.approx(expected, rel=1e-6)
+
+
+# Slopes and noise of a layout's readings, over these.
+UNLIKE_SLOPES = -np.array([[1.6, 3.9, 0.6, 2.0, 0.2, 1.2, 0.4, 0.9], [0.1, 1.0, 0.3, 2.8, 0.6, 4.4, 2.5, 7.8]]).T
+UNLIKE_NOISE = np.array([4.0, 5.7, 1.3, 10.7, 1.2, 7.1, 3.5, 14.5]) * 1e-5
+
+
+def test_variances_stay_above_zero_on_a_finger_that_moves_much(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: an update whose products are multiplied out loses to rounding what is left of large waves, so that
+    mean squares came out below 0. Expected: readings taken one by one make the same error as all at once.
+    """
+    many = scene.with_({"placement.people": 20})
+    touches = TouchError(boards.worn_on(boards.base_board(many), boards.people(many)[9]), 1.0)
+    how = UNLIKE_SLOPES[None], UNLIKE_NOISE[None], np.ones((8, 1))
+    assert min(float(error2.min()) for error2 in touches._errors2(*how)) > 0
+    at_once, update = touches.rms_n(*how), touch_error._update
+
+    def one_by_one(covariances: Any, lag: Any, jacobian: Any, noise2: Any) -> None:
+        for k in range(jacobian.shape[1]):
+            update(covariances, lag, jacobian[:, k : k + 1], noise2[..., k : k + 1])
+
+    monkeypatch.setattr(touch_error, "_update", one_by_one)
+    assert touches.rms_n(*how) == pytest.approx(at_once, rel=1e-6)
 
 
 def test_better_readings_err_less_down_to_what_the_body_leaves(touches: TouchError) -> None:
