@@ -217,7 +217,8 @@ def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[st
     """The error of the force estimated from one sample of all readings by its causes, rms, whatever its split. [N]
 
     With w the weights of the readings in that estimate (generalised least squares), a cause of covariance C adds the
-    variance w^T C w. Their sum is the square of `force_resolution_n`, but for what is known before any reading.
+    variance w^T C w, and "split" what readings that hardly tell the two pressures apart leave of their variance before
+    any reading. The sum is the square of `force_resolution_n`.
 
     by_led : of the photodiodes under each LED, with replicates (1 + blocks, photodiodes).
     """
@@ -229,6 +230,7 @@ def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[st
     solved = np.linalg.solve(np.diag(noise_v2) + shared_v @ shared_v.T, slope)
     weights = solved @ np.linalg.solve(slope.T @ solved + np.eye(2) / PRIOR_PA**2, point.force_per_pa)
     parts_n = {name: weights * np.concatenate([cause[name] for cause in causes]) for name in causes[0]}
+    parts_n["split"] = PRIOR_PA * (point.force_per_pa - weights @ slope)
     if body is not None:
         light_n = weights * np.concatenate([np.sqrt(read.unsaturated) * read.light_v for read in by_led])
         by_led_n = light_n.reshape(len(by_led), -1).sum(1)
