@@ -34,7 +34,16 @@ def _falls(rows: Sequence[tuple[float, float]]) -> bool:
 NOT_IN_SCENE = {"kind", "name", "position_mm"}
 
 
-class LedPart(Table):
+class Packaged(Table):
+    """The package of a part, in a part as in a scene."""
+
+    package_height_um: Annotated[float, Field(gt=0, le=20_000)] | None = None
+    """Height of its package above the board. [um]"""
+    lens: bool = False
+    """Whether its angular pattern or response is that of a lens in air, which epoxy of about its index undoes."""
+
+
+class LedPart(Packaged):
     """An LED die: spectrum, power and angular pattern."""
 
     kind: Literal["led"]
@@ -70,7 +79,7 @@ class LedPart(Table):
         return fields | {"pattern": "measured", "pattern_deg": angle_deg, "pattern_relative": relative}
 
 
-class PhotodiodeElements(Table):
+class PhotodiodeElements(Packaged):
     """A row of equal elements along the nail (v), in a part as in a scene."""
 
     elements: Annotated[int, Field(ge=1, le=MOST_PHOTODIODES)] = 1

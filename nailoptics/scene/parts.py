@@ -8,7 +8,16 @@ from pydantic import Field, ValidationError
 
 from ..errors import InputError
 from .base import Box, Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
-from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
+from .catalogue import (
+    Angle,
+    LedPart,
+    ModulePart,
+    Packaged,
+    PhotodiodeElements,
+    PhotodiodePart,
+    check_pattern,
+    load_part,
+)
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
 
@@ -58,7 +67,7 @@ def with_part(data: dict[str, Any], kind: Any, folder: Path | None) -> dict[str,
     return fields | data
 
 
-class Mounted(Table):
+class Mounted(Packaged):
     """What an LED and a photodiode have on a board."""
 
     name: Name

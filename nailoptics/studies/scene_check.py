@@ -76,7 +76,11 @@ def check(scene: SceneIn) -> SceneCheck:
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
     report["warnings"] += (
-        boards.crowded(scene) + _beyond_the_nail(scene) + far_from_list(scene) + _posture(model := blood_model(scene))
+        boards.misfits(scene)
+        + boards.crowded(scene)
+        + _beyond_the_nail(scene)
+        + far_from_list(scene)
+        + _posture(model := blood_model(scene))
     )
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:

@@ -254,6 +254,20 @@ def crowded(scene: Scene) -> list[str]:
     return lines
 
 
+def misfits(scene: Scene) -> list[str]:
+    """Parts that the epoxy between board and nail does not cover, and lenses that it undoes, in words."""
+    room_um, lines = 1e3 * scene.board.height_mm, []
+    for part in (*scene.leds, *scene.photodiodes):
+        if (tall_um := part.package_height_um or 0.0) > room_um:
+            text = f"{tall_um:g} um high, and {room_um:g} um are between board and nail: it cannot lie as drawn"
+            lines.append(f"package of {part.name} is {text}; raise board.clear_epoxy_um")
+        shape = "pattern" if isinstance(part, Led) else "angular_response"
+        if part.lens and getattr(part, shape) not in ("lambertian", None):
+            cure = 'set it to "lambertian"' if isinstance(part, Led) else "copy its part without it"
+            lines.append(f"lens of {part.name} lies in epoxy of about its index: {shape} is that in air; {cure}")
+    return lines
+
+
 def check_search(base: Scene, placement: Placement) -> None:
     """Raise InputError where a search cannot place what the scene has."""
     names = [*(led.name for led in base.leds), *(photodiode.name for photodiode in base.photodiodes)]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import tissue
-from ...errors import NotReachedError
+from ...errors import InputError, NotReachedError
 from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
@@ -31,6 +31,10 @@ ALIKE, TIED = 0.02, 2.0
 # Part of the waves that a filter leaves, rms, where a search is by one sample in place of touches. Of 88 layouts beside
 # LEDs at six places their orders had a rank correlation of 0.87 with all waves, 0.90 with none, 0.91 with this part.
 WAVES_LEFT = 0.05
+UNRESOLVED = (
+    "no layout resolves what rank_by asks for: readings are dark, without a pulse, or at the converter's limit; "
+    'trace more photons, or set electronics.feedback_ohm = "auto"'
+)
 # Noise of a reading, over itself, that says nothing: a dark photodiode, or one whose converter is at its limit.
 UNREADABLE = 1e3
 # Change of the saturation over which its part in the logarithm of R is taken.
@@ -267,10 +271,16 @@ class LayoutScore:
 
 
 def ties(scores: Sequence[LayoutScore]) -> NDArray[np.bool_]:
-    """Which layouts are tied with the best: in the difference the noise of light that they share cancels."""
+    """Which layouts are tied with the best: in the difference the noise of light that they share cancels.
+
+    Raises: InputError where none resolves anything.
+    """
     logs = np.log([score.ranked for score in scores])
-    behind = (logs - logs[logs[:, 0].argmin()]).T
-    return np.asarray(behind[0] <= ALIKE + TIED * jackknife(behind))
+    if not np.isfinite(logs[:, 0]).any():
+        raise InputError(f"placement: {UNRESOLVED}.")
+    with np.errstate(invalid="ignore"):
+        behind = (logs - logs[logs[:, 0].argmin()]).T
+        return np.asarray(behind[0] <= ALIKE + TIED * jackknife(behind))
 
 
 def resolution_stderr_n(resolution_n: Array, noise_floor_n: float | Array = 0.0) -> Array:
@@ -313,6 +323,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     over_touches, ranked_total = objective.force_over_touches(responses), total
     if over_touches is not None:
         ranked_total = np.stack([fewer_groups(of_finger, objective.filter_groups) for of_finger in total])
+    ranked = objective.score(ranked_total, None if over_touches is None else over_touches.all_n)
     return LayoutScore(
         force=ForceResolution(through, floors_n, objective),
         electronics=ForceResolution(alone, np.zeros(len(points)), objective),
@@ -321,7 +332,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         share=objective.value("share", total),
         spo2_percent=None if objective.oxygen is None else objective.value("oxygen", total),
         over_touches=over_touches,
-        ranked=objective.score(ranked_total, None if over_touches is None else over_touches.all_n),
+        ranked=np.nan_to_num(ranked, nan=np.inf, posinf=np.inf),
     )
 
 

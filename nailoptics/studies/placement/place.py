@@ -20,7 +20,7 @@ from ...sensor.information import operating_point
 from ..force.touch_error import TouchError
 from . import boards, candidates, certificate, robustness, search, verification
 from .candidates import CandidateLayout
-from .objective import JUDGE_SHARE, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
+from .objective import JUDGE_SHARE, UNRESOLVED, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import tolerances
@@ -69,6 +69,8 @@ def place(
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
+    for line in boards.misfits(base):
+        log.warning("%s", line)
     if verify_with_mitsuba:
         verification.check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
     people = boards.people(scene)
@@ -164,21 +166,19 @@ def _candidates(
     layout_search = search.Search(straight, replace(objective, waves_left=WAVES_LEFT), cache)
     searched = layout_search.run(report_progress) if rules.search else []
     bound = certificate.certify(layout_search, report_progress) if searched else None
+    parts = f"{len(base.leds)} LEDs and {rules.photodiodes} photodiodes"
+    has_room = any(design.places.free >= design.count for design in layout_search.designs.values())
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
-        room = "make the board larger, placement.led_step_mm smaller, or ask for fewer"
-        log.warning(
-            "the search has no room for %d LEDs and %d photodiodes; %s", len(base.leds), rules.photodiodes, room
-        )
+        room = f"no room for {parts}; make the board larger, placement.led_step_mm smaller, or ask for fewer"
+        log.warning("placement.search: %s", UNRESOLVED if has_room else room)
     # The user's layouts and the search's best are evaluated even where time is over.
     layouts += search.shortlist(straight, rules, [*searched, *layout_search.regular])
     layouts += [paper] if paper else []
     if not layouts and report_progress.is_over(search.SEARCH_SHARE):
         raise NotReachedError(f"{report_progress.why} before one place of the LEDs was tried; allow more time.")
     if not layouts:
-        raise InputError(
-            f"placement: {len(base.leds)} LEDs and {rules.photodiodes} photodiodes of {base.photodiodes[0].size_mm} mm "
-            "have no room beside each other; make the board larger, ask for fewer, or fix and keep out less."
-        )
+        room = f"{parts} of {base.photodiodes[0].size_mm} mm have no room beside each other; make the board larger, ask"
+        raise InputError(f"placement: {UNRESOLVED if has_room else f'{room} for fewer, or fix and keep out less'}.")
     return layouts, searched, bound
 
 

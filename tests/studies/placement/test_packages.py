@@ -10,7 +10,8 @@ from shapely import affinity
 
 from nailoptics.errors import InputError
 from nailoptics.exports import kicad_board
-from nailoptics.scene import load_scene, parse_scene, to_toml
+from nailoptics.light.identity import light_digest
+from nailoptics.scene import Led, Photodiode, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.layout import room_of
 from nailoptics.studies import scene_check
@@ -199,3 +200,28 @@ def test_a_box_may_be_given_from_any_corner(tmp_path):
     with pytest.raises(InputError, match=r"leds\[0\].body_mm.*must have at (least|most) 4 items") as caught:
         parse_scene(re.sub(r"body_mm = \[", "body_mm = [9.0, ", to_toml(written(tmp_path)), count=1))
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(tmp_path):
+    """Expected: of shipped parts with their own figures; none once epoxy is deep enough and the pattern the die's."""
+    scene = written(tmp_path, barrier="false")
+    lens, high = ({"part": name} for name in ("sfh4550", "bpw34"))
+    table = scene.leds[0].model_dump(include={"name", "position_mm"})
+    leds = (Led.model_validate(table | lens), scene.leds[1])
+    photodiodes = (
+        Photodiode.model_validate({"name": "high", "position_mm": (0.0, 0.0)} | high),
+        *scene.photodiodes[1:],
+    )
+    both = scene.model_copy(update={"leds": leds, "photodiodes": photodiodes})
+    lines = boards.misfits(both)
+    assert [line.split(":")[0] for line in lines] == [
+        f"lens of {leds[0].name} lies in epoxy of about its index",
+        "package of high is 3200 um high, and 450 um are between board and nail",
+    ]
+    assert {*lines} <= {*scene_check.check(both)["warnings"]} and not boards.misfits(scene)
+    deep = both.board.model_copy(update={"clear_epoxy_um": 3000.0, "adhesive_um": 200.0})
+    bare = Led.model_validate(table | lens | {"pattern": "lambertian"})
+    assert not boards.misfits(both.model_copy(update={"board": deep, "leds": (bare, leds[1])}))
+    assert light_digest(both.model_copy(update={"leds": (bare, leds[1])})) == light_digest(
+        both.model_copy(update={"leds": (bare.model_copy(update={"lens": False}), leds[1])})
+    )

@@ -8,7 +8,7 @@ from small_scenes import PLACEMENT, TWO_LAYOUTS
 
 from nailoptics import place
 from nailoptics.assets import data_dir
-from nailoptics.errors import as_far_as_reached
+from nailoptics.errors import InputError, as_far_as_reached
 from nailoptics.light.tracing import StageProgress
 from nailoptics.report.pages.placement import _tied
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene
@@ -108,6 +108,18 @@ def test_ties_are_by_the_difference_in_which_shared_noise_cancels():
     assert objective.ties([score(1.0, 0 * own), score(1.01, 0 * own)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.03, 0.1 * own)]).tolist() == [True, True]
     assert objective.ties([score(1.0, 0 * own), score(1.03, 0 * own)]).tolist() == [True, False]
+
+
+def test_layouts_of_which_none_resolves_anything_are_refused_in_a_line():
+    """Expected: a layout that says nothing never ties with one that does; if all say nothing, what to do."""
+
+    def score(value):
+        return objective.LayoutScore(*[None] * 6, None, np.full(9, value))
+
+    assert objective.ties([score(np.inf), score(1.0), score(np.inf)]).tolist() == [False, True, False]
+    with pytest.raises(InputError, match=r"placement: no layout resolves .*; trace more photons, or set") as error:
+        objective.ties([score(np.inf), score(np.inf)])
+    assert len(str(error.value).splitlines()) == 1
 
 
 def test_a_search_by_the_filters_error_counts_a_part_of_the_waves():
