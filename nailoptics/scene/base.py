@@ -128,6 +128,15 @@ Size = tuple[Positive, Positive]
 Box = tuple[float, float, float, float]
 
 
+class Packaged(Table):
+    """The package of a part, in a part as in a scene."""
+
+    package_height_um: Annotated[float, Field(gt=0, le=20_000)] | None = None
+    """Height of its package above the board. [um]"""
+    lens: bool = False
+    """Whether its angular pattern or response is that of a lens in air, which epoxy of about its index undoes."""
+
+
 def shifted(lines: Iterable[Polygon], by: Point) -> tuple[Polygon, ...]:
     """Lines on a board elsewhere. [mm]"""
     return tuple(tuple((x + by[0], y + by[1]) for x, y in line) for line in lines)

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
 from ..checks import explain
 from ..errors import InputError
-from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Point, Positive, Size, Table
+from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Packaged, Point, Positive, Size, Table
 from .text_files import is_there, parse_toml, read_text, short
 
 Angle = Annotated[float, Field(ge=0, le=90)]
@@ -32,15 +32,6 @@ def _falls(rows: Sequence[tuple[float, float]]) -> bool:
 
 # What of a part, or of one in a module, a scene has under no name, or another.
 NOT_IN_SCENE = {"kind", "name", "position_mm"}
-
-
-class Packaged(Table):
-    """The package of a part, in a part as in a scene."""
-
-    package_height_um: Annotated[float, Field(gt=0, le=20_000)] | None = None
-    """Height of its package above the board. [um]"""
-    lens: bool = False
-    """Whether its angular pattern or response is that of a lens in air, which epoxy of about its index undoes."""
 
 
 class LedPart(Packaged):

@@ -7,17 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ..errors import InputError
-from .base import Box, Fraction, Name, NonNegative, Point, Polygon, Positive, Size, Table
-from .catalogue import (
-    Angle,
-    LedPart,
-    ModulePart,
-    Packaged,
-    PhotodiodeElements,
-    PhotodiodePart,
-    check_pattern,
-    load_part,
-)
+from .base import Box, Fraction, Name, NonNegative, Packaged, Point, Polygon, Positive, Size, Table
+from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
 from .importers.board_files import FILM_UM
 from .importers.positions import BottomRotation, FileUnit
 

@@ -75,13 +75,8 @@ def check(scene: SceneIn) -> SceneCheck:
         report["assumed"] = {
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
-    report["warnings"] += (
-        boards.misfits(scene)
-        + boards.crowded(scene)
-        + _beyond_the_nail(scene)
-        + far_from_list(scene)
-        + _posture(model := blood_model(scene))
-    )
+    report["warnings"] += boards.misfits(scene) + boards.crowded(scene) + _beyond_the_nail(scene) + far_from_list(scene)
+    report["warnings"] += _posture(model := blood_model(scene))
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)

@@ -17,7 +17,7 @@ from ...scene import Scene
 from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
 from ...sensor.information import OperatingPoint, force_resolution_n, scene_responses, total_information
 from ...statistics import Z95, left_out, seed_of
-from ...variables import Estimate, Variables, described, jackknifed, variable
+from ...variables import Estimate, Variables, described, jackknifed
 from . import boards
 from .candidates import CandidateLayout
 from .objective import resolution_stderr_n
@@ -48,15 +48,11 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
         how: dict[str, Any] = {"photons": photons, "seed": cache.seed, "check_time": cache.check_time}
         traced.append(trace_ambient(on, sources, options, **how))
     current, error, _ = np.stack(traced, 1)
-    dims, names = ("cover", "ambient", "best_photodiode"), [source.kind for source in sources]
-    data: Variables = {"cover": (("cover",), np.array(COVERS), {}), "ambient": (("ambient",), np.array(names), {})}
     high = current + Z95 * error
     read = scene_responses(scene, values, point, ambient_a=high)
-    most, limit_v = np.max([r.volts for r in read], axis=0), scene.electronics.adc_range_v
-    text = f"largest output with light from outside at its bound; the converter ends at {limit_v:g} V"
-    data |= variable("ambient_volts", dims, most, text, units="V")
-    return data | described(
+    return described(
         __package__,
+        ambient_volts=np.max([r.volts for r in read], axis=0),
         ambient_a=Estimate(current, error),
         ambient_high_a=high,
         ambient_noise_v=np.max([r.noise_v for r in read], axis=0),
@@ -99,6 +95,7 @@ def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds
     error = resolution_stderr_n(resolution)
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
     coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
+    coordinates |= {"cover": list(COVERS), "ambient": [source.kind for source in sources_of(scene)]}
     return xr.Dataset(data, coords=coordinates, attrs=attributes)
 
 
