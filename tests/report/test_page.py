@@ -299,3 +299,18 @@ def test_a_page_that_cannot_be_written_leaves_the_old_one(undrawn, make, tmp_pat
     with pytest.raises(InputError, match="No space left"):
         SIMULATION.write(result, tmp_path)
     assert path.read_text(encoding="utf-8") == "old" and sorted(os.listdir(tmp_path)) == ["report.html", "result.nc"]
+
+
+def test_on_a_telephone_what_is_wider_scrolls_within_its_box_and_shows_that(browser, make):
+    """Expected: the page is as wide as the screen; what is wider lies in a box of its own, with a shade at its edge."""
+    view = browser.new_context(viewport={"width": 390, "height": 800}, is_mobile=True).new_page()
+    view.set_content(page(make()))
+    assert view.evaluate("document.documentElement.scrollWidth") == 390
+    boxes = view.evaluate("""[...document.querySelectorAll('.scroll')].map(box => [
+        box.scrollWidth > box.clientWidth, getComputedStyle(box).backgroundAttachment,
+        box.getBoundingClientRect().right])""")
+    assert any(wider for wider, *_ in boxes) and all(right <= 390 for *_, right in boxes)
+    assert all("local" in shades and "scroll" in shades for wider, shades, _ in boxes if wider)
+    outside = "[...document.querySelectorAll('main *')].filter(one => one.getBoundingClientRect().right > 390.5"
+    assert view.evaluate(f"{outside} && !one.closest('.scroll, pre')).length") == 0
+    view.context.close()

@@ -171,6 +171,15 @@ def test_emitters_with_a_lens_have_their_intensity_on_the_axis_and_half_of_it_as
     assert np.interp(half_deg, led.pattern_deg, led.pattern_relative) == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.parametrize(("value", "use"), [("660nm", "led_660"), ("LED red", "?"), ("1N4148", None)])
+def test_a_diode_is_proposed_as_an_led_by_its_value(value, use):
+    """Expected: D1 of a wavelength, or called an LED, is one; any other diode is not."""
+    line = proposal(
+        [PlacedPart("D1", value, "", (0.0, 0.0), 0.0, "top"), PlacedPart("PD1", "", "", (0, 0), 0.0, "top")]
+    )
+    assert ("D1 = { led" in line) == (use is not None) and (use is None or f'D1 = {{ led = "{use}" }}' in line)
+
+
 def test_of_parts_whose_names_begin_alike_the_longer_is_proposed():
     values = enumerate(("SFH 2400 FA", "SFH2400"))
     placed = [PlacedPart(f"PD{i}", value, "", (0.0, 0.0), 0.0, "top") for i, value in values]

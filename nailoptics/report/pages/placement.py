@@ -103,9 +103,11 @@ def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
 
 
 def _warnings(result: xr.Dataset) -> list[str]:
-    """Whether readings of the best layout rest on too few photons for its figures to be relied on."""
+    """Readings of the best layout with too few photons to rely on, and layouts of which one may be saturated."""
     unknown = int(np.isnan(result.predicted_volts_stderr).sum())
-    return [TEXTS["few_photons"].format(unknown, result.predicted_volts.size)] if unknown else []
+    lines = [TEXTS["few_photons"].format(unknown, result.predicted_volts.size)] if unknown else []
+    names = result.layout.values[result.may_saturate.values]
+    return lines + ([TEXTS["saturated"].format(", ".join(map(str, names)))] if names.size else [])
 
 
 def _tied(ranking: list[dict[str, Any]]) -> str:
@@ -233,8 +235,7 @@ def _over_touches(result: xr.Dataset) -> str:
         total_n, floor_n = float(layout.finger_force_error_n), float(layout.force_error_floor_n)
         above_n, share = math.sqrt(max(total_n**2 - floor_n**2, 0.0)), 100 * (1 - (floor_n / total_n) ** 2)
         lines.append(
-            f"Over touches, of the {quantity(total_n, 'N')} of {layout.layout.item()} {quantity(above_n, 'N')} "
-            f"({share:.2g} % of the variance) depend on the layout."
+            TEXTS["of_touches"].format(quantity(total_n, "N"), layout.layout.item(), quantity(above_n, "N"), share)
         )
     return " ".join([*lines, TEXTS["over_touches"].format(quantity(floor_n, "N"))])
 
@@ -268,14 +269,9 @@ def _change(change: dict[str, float] | None) -> str:
 def why(row: dict[str, Any]) -> str:
     """What of a layout's force resolution another layout could change, in a sentence."""
     total, floor, most = row["total"], row["floor"], max(list(row)[3:], key=row.__getitem__)
-    rest = f"most of it by {CAUSES.get(most, most)} ({quantity(row[most], 'N')})"
-    if not floor:
-        return f"Of {row['layout']}, {quantity(total, 'N')} depend on the layout, {rest}."
     above, share = math.sqrt(total**2 - floor**2), 100 * (1 - (floor / total) ** 2)
-    return (
-        f"Of the {quantity(total, 'N')} of {row['layout']}, {quantity(floor, 'N')} are waves of the body that no "
-        f"layout changes; another layout could change {quantity(above, 'N')} ({share:.2g} % of the variance), {rest}."
-    )
+    forces = (quantity(force_n, "N") for force_n in (total, floor, above, row[most]))
+    return TEXTS["why" if floor else "why_all"].format(row["layout"], *forces, share, CAUSES.get(most, most))
 
 
 def _mitsuba_words(result: xr.Dataset) -> str:
@@ -396,7 +392,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}")
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
-    words = [summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
+    words = [*summary["warnings"], summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
     words += [summary["best_possible"]["words"], summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 

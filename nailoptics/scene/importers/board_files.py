@@ -329,8 +329,9 @@ def _looks_like(part: PlacedPart, shipped: Sequence[str]) -> str:
     ref = part.ref.upper()
     if re.match(r"PD\d|PH\d", ref) or re.search(r"photo-?diode|vemd|temd|bpw|sfh2", text):
         return 'photodiode = "?"' if not re.match(r"LED?\d", ref) else ""
-    if re.match(r"(LED|LD)\d", ref) or (re.match(r"D\d", ref) and "led" in text):
-        if nm := re.search(r"(\d{3,4})\s*nm", text):
+    nm = re.search(r"(\d{3,4})\s*nm", text)
+    if re.match(r"(LED|LD)\d", ref) or (re.match(r"D\d", ref) and (nm or "led" in text)):
+        if nm:
             dies = {name: int(name[4:]) for name in shipped if re.fullmatch(r"led_\d+", name)}
             near = next((name for name, peak_nm in dies.items() if abs(peak_nm - int(nm[1])) < NEAR_NM), None)
             return f'led = "{near}"' if near else f"led = true, wavelength_nm = {nm[1]}.0"

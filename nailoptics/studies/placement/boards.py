@@ -259,13 +259,14 @@ def misfits(scene: Scene) -> list[str]:
     room_um, lines = 1e3 * scene.board.height_mm, []
     for part in (*scene.leds, *scene.photodiodes):
         if (tall_um := part.package_height_um or 0.0) > room_um:
+            name = (part.reference or part.name).split(".")[0]
             text = f"{tall_um:g} um high, and {room_um:g} um are between board and nail: it cannot lie as drawn"
-            lines.append(f"package of {part.name} is {text}; raise board.clear_epoxy_um")
+            lines.append(f"package of {name} is {text}; raise board.clear_epoxy_um")
         shape = "pattern" if isinstance(part, Led) else "angular_response"
         if part.lens and getattr(part, shape) not in ("lambertian", None):
             cure = 'set it to "lambertian"' if isinstance(part, Led) else "copy its part without it"
             lines.append(f"lens of {part.name} lies in epoxy of about its index: {shape} is that in air; {cure}")
-    return lines
+    return [*dict.fromkeys(lines)]
 
 
 def check_search(base: Scene, placement: Placement) -> None:

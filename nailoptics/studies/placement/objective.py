@@ -206,10 +206,6 @@ class Objective:
             fingers_n.append(touches.rms_n(slopes, noise, led))
         return ForceResolution(np.stack(fingers_n, 1), np.array([one.floor_n for one in self.filters]), self)
 
-    def force_n(self, total: Array) -> Array:
-        """Force resolution over the fingers, likewise. [N]"""
-        return self.value(self.rules.over_fingers, total)
-
 
 @dataclass(frozen=True)
 class ForceResolution:

@@ -28,6 +28,8 @@ PLACES_MM = 0.2
 # An error that is less than this part of its value is none.
 ROUNDING = 1e-9
 PRESSURES = ("proximal", "distal")
+# A reading that is below the converter's limit with less than this probability may be at it.
+BELOW_LIMIT = 0.999
 # The photons' noise adds to the information, so that a resolution comes out too fine: on the shipped oximeter by 2 %
 # where its relative error is 0.22, by a fifth where it is 0.47. Beyond this that is said.
 ROUGH = 0.25
@@ -130,8 +132,10 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
         for name in ("volts", "noise_v", "shunted_fraction")
     )
     most = np.array([values.max() for values in volts])
+    below = [min(np.min(read.unsaturated) for by_led in score.responses for read in by_led) for score in scores]
     return described(
         __package__,
+        may_saturate=np.array(below) < BELOW_LIMIT,
         least_volts=[values.min() for values in volts],
         most_volts=most,
         adc_headroom=np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most,
@@ -227,7 +231,7 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     table = {"rank": np.where(tied, 1, 1 + np.arange(len(tied))), "layout": result.layout.values}
     table |= {"origin": result.origin.values}
     table |= of(*(f"{force}_{end}" for force in ("force_error", "force_resolution") for end in ends))
-    table |= of("least_volts", "most_volts", "adc_headroom", "least_snr", "shunted_fraction")
+    table |= of("least_volts", "most_volts", "adc_headroom", "may_saturate", "least_snr", "shunted_fraction")
     # The body's own part is known and would hide the error of the photons.
     by_light = next(name for name in ("electronics_resolution_n", "force_resolution_n") if name in result)
     if by_light != "force_resolution_n":

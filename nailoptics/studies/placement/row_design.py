@@ -196,8 +196,10 @@ class RowDesign:
 
     def _site(self, leds: LedPlaces, chosen: list[int], total: np.ndarray) -> SearchedSite:
         """LEDs with chosen photodiodes, which together have this information."""
-        score, force_n = float(self.objective.score(total)), float(self.objective.force_n(total))
-        return SearchedSite(leds, self.row, tuple(self.places.areas[k] for k in chosen), score, force_n, self.photons)
+        values = self.objective.score(total), self.objective.value(self.objective.rules.over_fingers, total)
+        score, force_n = map(float, values)
+        areas = tuple(self.places.areas[k] for k in chosen)
+        return SearchedSite(leds, self.row, areas, score, force_n, self.photons)
 
     def _best_leds(self, site: SearchedSite) -> LedPlaces:
         """The LEDs' places, one after the other moved to where it is best, for photodiodes that stay where they are."""

@@ -1,16 +1,18 @@
 """Of layouts that tie, the simplest is proposed: in rows, symmetric, on a grid; and seeds agree on it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 from small_scenes import PLACEMENT, TWO_LAYOUTS
 
 from nailoptics import place
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, as_far_as_reached
 from nailoptics.light.tracing import StageProgress
-from nailoptics.report.pages.placement import _tied
+from nailoptics.report.pages.placement import _tied, _warnings
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
@@ -147,6 +149,23 @@ def test_the_page_names_what_ties():
         "Tied with the first, which is the simplest of them: b, c."
     ) and "another seed" in _tied(rows)
     assert _tied([rows[0], rows[3]]) == "No other ties with the first."
+
+
+def test_a_layout_of_which_a_reading_may_be_saturated_is_named():
+    """Expected: by the least probability of all readings to be below the limit, on page and terminal; else no word."""
+
+    def score(*unsaturated):
+        one, none = np.ones((9, 2)), np.zeros((9, 2))
+        read = information.Response(one, one, none, none, none, unsaturated=np.array(unsaturated))
+        return objective.LayoutScore(*[None] * 4, [[read]], None, None, None)
+
+    layouts = [SimpleNamespace(scene=parse_scene(TWO_LAYOUTS))] * 3
+    known = result._extremes(layouts, [score(1.0, 1.0), score(1.0, 0.9), score(0.0, 1.0)])
+    assert known["may_saturate"][1].tolist() == [False, True, True]
+    data = xr.Dataset(known | {"predicted_volts": ("x", [1.0]), "predicted_volts_stderr": ("x", [0.1])})
+    (line,) = _warnings(data.assign_coords(layout=["a", "b", "c"]))
+    assert line.startswith("A reading may lie at the converter's limit") and ": b, c. The stated errors" in line
+    assert not _warnings(data.assign_coords(layout=["a", "b", "c"]).isel(layout=[0]))
 
 
 def test_seeds_agree_on_the_simplest_of_what_ties():
