@@ -12,7 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import fewer_photons
 import pytest
+from fewer_photons import COARSE_MM
 
 # Before NumPy is loaded, here or in a worker: threads of BLAS that wait for small matrices take a fifth of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -32,10 +34,11 @@ os.environ["NAILOPTICS_STORE"] = "off"
 # Names of browsers that can show pages; NAILOPTICS_BROWSER may give the path of another.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge")
 # Folders whose files take less than a few seconds each.
-TESTS, QUICK = Path(__file__).parent, ("hemodynamics", "scene", "tissue")
+QUICK = tuple(f"{Path(__file__).parent / one}{os.sep}" for one in ("hemodynamics", "scene", "tissue"))
 # Of 10 MB or so each.
 SHAPES_KEPT = 24
-COARSE_MM = 0.4
+# First on the path of processes that trace few photons in coarse cells.
+FEWER = Path(fewer_photons.__file__).parent
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 
@@ -118,13 +121,20 @@ def keep_shapes() -> None:
             module._built = lru_cache(SHAPES_KEPT)(module._built.__wrapped__)
 
 
+@lru_cache
+def _coarsely_built(name: str) -> Callable[..., Any]:
+    """What builds the shapes of a module, with coarse cells; it keeps them for all tests of this process."""
+    built = import_module(f"nailoptics.light.walk.{name}")._built.__wrapped__
+    return lru_cache(SHAPES_KEPT)(lambda scene, spacing_mm: built(scene, max(spacing_mm, COARSE_MM)))
+
+
 @pytest.fixture
 def coarse_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cells of the distances to interfaces that are soon made: for few photons in many shapes. Light does not depend on
-    them but by chance."""
-    finger, nail = (import_module(f"nailoptics.light.walk.{name}") for name in ("finger", "nail_reflectance"))
-    monkeypatch.setitem(finger.FingerTracer.__init__.__kwdefaults__, "spacing_mm", COARSE_MM)
-    monkeypatch.setattr(nail, "SPACING_MM", COARSE_MM)
+    """Cells of the distances to interfaces that are soon made, here and in processes that are started: for few photons
+    in many shapes. Light does not depend on them but by chance."""
+    for name in ("finger", "nail_reflectance"):
+        monkeypatch.setattr(f"nailoptics.light.walk.{name}._built", _coarsely_built(name))
+    monkeypatch.setenv("PYTHONPATH", str(FEWER), prepend=os.pathsep)
 
 
 @pytest.fixture
@@ -156,7 +166,7 @@ def browser() -> Iterator[Any]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # Workers take file after file; quick ones at the end leave none of them waiting for another.
-    items.sort(key=lambda item: any(TESTS / one in item.path.parents for one in QUICK))
+    items.sort(key=lambda item: str(item.path).startswith(QUICK))
 
 
 def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:

@@ -60,7 +60,7 @@ def test_a_shipped_scene_runs_to_its_end(chosen_jit, shared_light, name):
         for n in names(SWEEPS)
     ],
 )
-def test_a_shipped_sweep_runs_to_its_end(jit_backend, tmp_path, name):
+def test_a_shipped_sweep_runs_to_its_end(jit_backend, coarse_cells, tmp_path, name):
     sweep = load_sweep(SWEEPS / f"{name}.toml")
     count = min(MOST_SCENES.get(name, 24), len(sweep.scenes))
     few = np.linspace(0, len(sweep.scenes) - 1, count).astype(int)

@@ -14,7 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, shared_light):
+def test_all_pages_build_and_their_notebooks_run(tmp_path, chosen_jit, coarse_cells, store):
     """With warnings as errors, of which an exception in a cell is one; each page of the gallery that is run draws."""
     command = [
         sys.executable,

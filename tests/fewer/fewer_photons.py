@@ -1,0 +1,65 @@
+"""Cells that are soon made, and few photons where nobody can ask for fewer, in processes that run tests' commands and
+pages; sitecustomize.py beside this calls for it in those whose path begins with this folder. Modules are changed when
+they are loaded, as a process that has no use for them is to start as soon as ever."""
+
+import sys
+from collections.abc import Callable
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from types import ModuleType
+from typing import Any
+
+COARSE_MM = 0.4
+
+
+def in_coarse_cells(distance: ModuleType) -> None:
+    make = distance.distance_grid
+
+    def distance_grid(*given: Any, spacing_mm: float = COARSE_MM, **more: Any) -> Any:
+        return make(*given, spacing_mm=max(spacing_mm, COARSE_MM), **more)
+
+    distance.distance_grid = distance_grid
+
+
+def on_one_core(backend: ModuleType) -> None:
+    """Processes run side by side: threads of each on all cores wait for one another."""
+    activate = backend.activate
+
+    def activated(*given: Any, **more: Any) -> Any:
+        result = activate(*given, **more)
+        backend.set_threads(1)
+        return result
+
+    backend.activate = activated
+
+
+def with_values(**values: int) -> Callable[[ModuleType], None]:
+    return lambda module: vars(module).update(values)
+
+
+CHANGES = {
+    "nailoptics.geometry.distance": in_coarse_cells,
+    "nailoptics.light.backend": on_one_core,
+    "nailoptics.light.detect": with_values(ROUGH_PHOTONS=1 << 14, SECTION_PHOTONS=1 << 13),
+    "nailoptics.studies.exploration.drawn_people": with_values(RANK_PHOTONS=1 << 13),
+    "nailoptics.studies.exploration.explore": with_values(LEAST_BATCH=1 << 10, FLUENCE_PHOTONS=1 << 13),
+    "nailoptics.studies.placement.place": with_values(BLOCKS=8),
+    "nailoptics.studies.placement.robustness": with_values(MOST_PHOTONS=1 << 13),
+    "nailoptics.studies.placement.search": with_values(FINEST=1, SHORTLIST=1, REGULAR=1),
+    "nailoptics.studies.placement.verification": with_values(PHOTONS=1 << 14),
+}
+
+
+class Changing(MetaPathFinder):
+    """Finds the modules that are changed."""
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(name, path, target) if name in CHANGES else None
+        if spec and spec.loader:
+            run = spec.loader.exec_module
+            spec.loader.exec_module = lambda module: (run(module), CHANGES[name](module))  # type: ignore[method-assign]
+        return spec
+
+
+def install() -> None:
+    sys.meta_path.insert(0, Changing())
