@@ -31,6 +31,7 @@ SHORT = {
     "prototype": {"priors.spread": False},
 }
 OF_PRIORS = "tutorials/prototype"
+FINGER_WRITTEN = re.compile(r"^%%writefile \S+\n[^`]*^\[finger\]$[^`]*", re.M)
 # What stands before the name of a scene.
 SIMULATED = ("simulate ", 'simulate\\("', 'sweep\\("', 'scene\\("', '^base = "')
 WRAP = TextWrapper(110, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
@@ -51,11 +52,11 @@ def with_few_photons(app: Any, name: str, source: list[str]) -> None:
 
 
 def with_short_scenes(app: Any, cell: str) -> str:
-    """A cell that simulates the short scenes, which lie in files beside the pages."""
+    """A cell that simulates the short scenes, which lie in files beside the pages, or writes one as short."""
     for name in SHORT:
         before = "|".join(SIMULATED)
         cell = re.sub(rf"({before}){name}\b", rf"\g<1>{short_scene(app, name)}", cell, flags=re.M)
-    return cell
+    return FINGER_WRITTEN.sub(r"\g<0>\n[priors]\nspread = false\n", cell)
 
 
 def short_scene(app: Any, name: str) -> Path:

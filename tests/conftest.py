@@ -77,13 +77,26 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
             import_module(f"nailoptics.studies.placement.{name}") for name in ("verification", "robustness")
         )
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("NAILOPTICS_STORE", str(shared_store))
+            # Apart, as a test may trace in coarse cells.
+            patch.setenv("NAILOPTICS_STORE", str(shared_store.with_name("fewer")))
             patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
             patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
             patch.setattr(robustness, "MOST_PHOTONS", robustness.MOST_PHOTONS // 4)
             yield
 
     return fewer
+
+
+@pytest.fixture
+def untraced_tolerances(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A placement has those of its tolerances alone that take no light of their own."""
+    of_layout = import_module("nailoptics.studies.placement.robustness").tolerances
+
+    def untraced(layout: Any, cache: Any, objective: Any) -> Any:
+        cache.stop = lambda: True
+        return of_layout(layout, cache, objective)
+
+    monkeypatch.setattr(import_module("nailoptics.studies.placement.place"), "tolerances", untraced)
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,6 @@ from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.studies.placement import place
-from nailoptics.studies.placement.robustness import tolerances
 from nailoptics.studies.scene_check import check
 from nailoptics.studies.simulate import simulate
 
@@ -33,12 +32,6 @@ def is_read(scene: Scene) -> None:
     assert simulate(scene, photons=2000, seed=1).detected_fraction.notnull().all()
 
 
-def untraced_tolerances(layout, cache, objective):
-    """Those that take no light of their own."""
-    cache.stop = lambda: True
-    return tolerances(layout, cache, objective)
-
-
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("name", "search"),
@@ -48,11 +41,18 @@ def untraced_tolerances(layout, cache, objective):
     ],
 )
 def test_every_file_of_place_is_read(
-    jit_backend, shared_light, fewer_photons, monkeypatch, tmp_path: Path, name: str, search: bool
+    jit_backend,
+    coarse_cells,
+    store,
+    fewer_photons,
+    untraced_tolerances,
+    monkeypatch,
+    tmp_path: Path,
+    name: str,
+    search: bool,
 ):
     """Few photons rank layouts badly, and are enough to write them."""
     monkeypatch.setattr(place, "BLOCKS", 8)
-    monkeypatch.setattr(place, "tolerances", untraced_tolerances)
     scene = SCENES[name].with_(**{"priors.own_traces": False})
     if not search:
         given = {"search": False, "candidates": (IN_A_ROW,), "fingers": ()}

@@ -38,7 +38,7 @@ def test_the_ten_most_common_edits_are_there():
 @pytest.mark.long
 @pytest.mark.jit
 @pytest.mark.filterwarnings("ignore")
-def test_the_designers_notebook_runs(jit_backend, fewer_photons, tmp_path, monkeypatch):
+def test_the_designers_notebook_runs(jit_backend, fewer_photons, untraced_tolerances, tmp_path, monkeypatch):
     """Rationale: what a newcomer copies first. Expected: it runs as it stands, here with a few photons in place of a
     minute of them and, in place of a search, which the page on KiCad makes, the board as moved; and leaves the board of
     the best layout, which is read again."""

@@ -1,6 +1,6 @@
-"""Cells that are soon made, and few photons where nobody can ask for fewer, in processes that run tests' commands and
-pages; sitecustomize.py beside this calls for it in those whose path begins with this folder. Modules are changed when
-they are loaded, as a process that has no use for them is to start as soon as ever."""
+"""Cells that are soon made, and few photons and searches where nobody can ask for fewer, in processes that run tests'
+commands and pages; sitecustomize.py beside this calls for it in those whose path begins with this folder. Modules are
+changed when they are loaded, as a process that has no use for them is to start as soon as ever."""
 
 import sys
 from collections.abc import Callable
@@ -33,7 +33,7 @@ def on_one_core(backend: ModuleType) -> None:
     backend.activate = activated
 
 
-def with_values(**values: int) -> Callable[[ModuleType], None]:
+def with_values(**values: Any) -> Callable[[ModuleType], None]:
     return lambda module: vars(module).update(values)
 
 
@@ -43,10 +43,12 @@ CHANGES = {
     "nailoptics.light.detect": with_values(ROUGH_PHOTONS=1 << 14, SECTION_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.drawn_people": with_values(RANK_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.explore": with_values(LEAST_BATCH=1 << 10, FLUENCE_PHOTONS=1 << 13),
+    "nailoptics.studies.force.fit": with_values(STARTS=({},), ROUNDS=1),
     "nailoptics.studies.placement.place": with_values(BLOCKS=8),
     "nailoptics.studies.placement.robustness": with_values(MOST_PHOTONS=1 << 13),
     "nailoptics.studies.placement.search": with_values(FINEST=1, SHORTLIST=1, REGULAR=1),
     "nailoptics.studies.placement.verification": with_values(PHOTONS=1 << 14),
+    "nailoptics.studies.prior_uncertainty": with_values(LEAST_OWN_PHOTONS=1 << 12),
 }
 
 

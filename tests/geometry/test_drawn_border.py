@@ -80,6 +80,8 @@ def test_a_board_that_is_glued_at_an_angle_takes_its_border_along():
     assert angle == pytest.approx(np.full(angle.shape, 5.0))
 
 
+@pytest.mark.long
+@pytest.mark.jit
 def test_light_below_a_drawn_border_is_that_of_the_same_board_by_size(jit_backend):
     """Expected: a nick of 2 um turns a rectangle into a drawing, whose reading is the rectangle's; a notch that ends
     beside the photodiode changes it."""

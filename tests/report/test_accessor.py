@@ -192,7 +192,7 @@ def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_check_is_that_of_the_command(jit_backend, tmp_path, capsys):
+def test_a_check_is_that_of_the_command(jit_backend, shared_light, capsys):
     check = nail.check(nail.load_scene("prototype"))
     assert list(all_shown(check)) == ["board"]
     assert run(["check", "prototype", "--json"]) == 0

@@ -16,7 +16,6 @@ from nailoptics.options import TraceOptions
 from nailoptics.report.pages.placement import PLACEMENT
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.studies.placement import boards, place, verification
-from nailoptics.studies.placement.robustness import tolerances
 
 SCENE = parse_scene(TWO_LAYOUTS)
 
@@ -86,15 +85,10 @@ def test_ratios_and_their_z_are_those_of_the_readings(monkeypatch, factor, z):
     assert np.allclose(computed.mitsuba_led_ratio, factor) and np.allclose(computed.mitsuba_led_z, 2 * z)
 
 
-def untraced_tolerances(layout, cache, objective):
-    """Those that take no light of their own."""
-    cache.stop = lambda: True
-    return tolerances(layout, cache, objective)
-
-
 @pytest.mark.long
-def test_page_and_terminal_state_the_ratio_and_an_interrupt(chosen_jit, fewer_photons, monkeypatch, tmp_path):
-    monkeypatch.setattr(place, "tolerances", untraced_tolerances)
+def test_page_and_terminal_state_the_ratio_and_an_interrupt(
+    chosen_jit, fewer_photons, untraced_tolerances, monkeypatch, tmp_path
+):
     quiet = SCENE.with_(**{"priors.spread": False})
 
     def placed(**how):

@@ -13,7 +13,6 @@ from nailoptics.sensor import information
 from nailoptics.studies.placement import place
 from nailoptics.studies.placement.certificate import _tangents, lower_bound
 from nailoptics.studies.placement.objective import Objective
-from nailoptics.studies.placement.robustness import tolerances
 from nailoptics.studies.placement.sites import PhotodiodePlaces
 from nailoptics.tissue import BloodZones
 
@@ -79,17 +78,10 @@ def test_a_tangent_lies_below_the_score_of_every_design(rank_by):
         assert (scores - below).min() > -1e-6
 
 
-def untraced_tolerances(layout, cache, objective):
-    """Those that take no light of their own."""
-    cache.stop = lambda: True
-    return tolerances(layout, cache, objective)
-
-
 @pytest.mark.long
-def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, monkeypatch, tmp_path):
+def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, untraced_tolerances, tmp_path):
     """Expected: by other photons the search's best lies above the bound within the error of both, and page, terminal
     and summary say by how much."""
-    monkeypatch.setattr(place, "tolerances", untraced_tolerances)
     rules = 'photodiodes = 4\nphotodiode_step_mm = 0.5\nfixed = ["ir"]\n'
     requested = parse_scene(PLACEMENT[: PLACEMENT.index("[placement]")] + f"[placement]\n{rules}")
     with fewer_photons():
