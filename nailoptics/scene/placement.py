@@ -52,8 +52,8 @@ class Candidate(BoardFile, Table):
                 board = read_board_file(data, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
-            filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes}
-            return data | filled | {"parts": None, "unmapped": board.board["unmapped"]}
+            filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes, "parts": None}
+            return data | filled | {"unmapped": board.board["unmapped"]}
         path = Path(folder or Path()) / str(data["positions"])
         parts = read_positions(path, **{name: data[name] for name in READING & data.keys()})
         groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}
@@ -176,13 +176,6 @@ class Placement(Table):
             raise ValueError("rank_by has both worst and mean, which are of the same force; give one of them")
 
     @property
-    def rank_words(self) -> str:
-        """What layouts are ranked by, in words."""
-        if isinstance(self.rank_by, str):
-            return self.rank_by
-        return ", ".join(f"{name} {weight:g}" for name, weight in self.rank_by.items())
-
-    @property
     def over_fingers(self) -> Literal["worst", "mean"]:
         """Whether the force over the fingers is that on the worst of them, or their mean."""
         return "mean" if "mean" in self.weights else "worst"
@@ -190,9 +183,6 @@ class Placement(Table):
     @property
     def weights(self) -> dict[str, float]:
         """The part that each has in what layouts are ranked by; together 1."""
-        if isinstance(self.rank_by, dict):
-            whole = sum(self.rank_by.values())
-            return {name: weight / whole for name, weight in self.rank_by.items()}
-        if self.rank_by == "oxygen_and_force":
-            return {"oxygen": 0.5, "worst": 0.5}
-        return {self.rank_by: 1.0}
+        both = {"oxygen": 1.0, "worst": 1.0} if self.rank_by == "oxygen_and_force" else {str(self.rank_by): 1.0}
+        given = self.rank_by if isinstance(self.rank_by, dict) else both
+        return {name: weight / sum(given.values()) for name, weight in given.items()}

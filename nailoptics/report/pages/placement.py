@@ -19,7 +19,7 @@ from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
 from ...studies.placement.result import budgets as budgets_of, chosen, gain, kicad_parts, outline, rough_words, rows
-from ...studies.placement.robustness import MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
+from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
@@ -254,8 +254,7 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
 
 def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
     """The same in words."""
-    kinds = (*MOVED, *TURNED, *POWERED)
-    return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in kinds} for p in parts]
+    return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in KINDS} for p in parts]
 
 
 def _change(change: dict[str, float] | None) -> str:
@@ -392,7 +391,7 @@ def lines(summary: dict[str, Any]) -> list[str]:
         times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
         out.append(f"force resolution better than the paper's layout: {times}")
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
-    words = [*summary["warnings"], summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
+    words = [summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
     words += [summary["best_possible"]["words"], summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 

@@ -97,7 +97,9 @@ def place(
     checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
     if store is not None:
         store.close()
-    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": rules.rank_words}
+    ranked_by = rules.rank_by if isinstance(rules.rank_by, dict) else {}
+    words = ", ".join(f"{name} {weight:g}" for name, weight in ranked_by.items()) or rules.rank_by
+    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": words}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
     return unless_cut_off(result, unmet or unchecked)
