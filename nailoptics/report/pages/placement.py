@@ -55,7 +55,7 @@ def page(result: xr.Dataset) -> str:
         checked += f" {_mitsuba_words(result)}"
     return document(
         kicker="layout optimisation",
-        title=f"{result.sizes['best_photodiode']} photodiodes on the nail",
+        title=f"{(count := result.sizes['best_photodiode'])} photodiode{'s' * (count > 1)} on the nail",
         lead=_lead(result, ranking),
         warnings=_warnings(result),
         cards=_cards(result, ranking),
@@ -214,7 +214,7 @@ def _limits(result: xr.Dataset) -> str:
         "What limits it",
         _over_touches(result),
         " ".join(map(why, budgets)),
-        figure(budget_figure(budgets), TEXTS["budget"]),
+        figure(budget_figure(budgets), TEXTS["budget"], narrow=True),
         table([{"Layout": row["layout"]} | cells(row, causes) for row in budgets], kind="dense"),
         small(body),
         subheading("Tolerances"),

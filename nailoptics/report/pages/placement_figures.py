@@ -62,14 +62,14 @@ def budget_figure(budgets: list[dict[str, Any]]) -> "style.Figure":
     variance = np.array([[1e6 * budget[cause] ** 2 for budget in budgets] for cause in causes])
     ends = variance.cumsum(0)
     shown = np.flatnonzero((variance > LEAST_PART * ends[-1]).any(1))
-    figure, axes = style.panels(7.2, 1.3 + 0.36 * len(budgets))
+    figure, axes = style.panels(4.6, 1.3 + 0.36 * len(budgets))
     for k, colour in zip(shown, style.place_colours(len(shown)), strict=True):
         look: dict[str, Any] = {"height": 0.6, "color": colour, "label": CAUSES.get(causes[k], causes[k])}
         bars = axes.barh(range(len(budgets)), variance[k], left=ends[k] - variance[k], **look)
     axes.bar_label(bars, [f"{rms_mn:.3g} mN" for rms_mn in np.sqrt(ends[-1])], padding=4, fontsize=8)
     style.named_rows(axes, [budget["layout"] for budget in budgets])
-    axes.set(xlim=(0, 1.2 * ends.max()), xlabel="variance of the force [mN²]")
-    style.legend_above(figure, axes, ncols=4)
+    axes.set(xlim=(0, 1.35 * ends.max()), xlabel="variance of the force [mN²]")
+    style.legend_above(figure, axes, ncols=3)
     return figure
 
 
