@@ -66,7 +66,7 @@ def budget_figure(budgets: list[dict[str, Any]]) -> "style.Figure":
     for k, colour in zip(shown, style.place_colours(len(shown)), strict=True):
         look: dict[str, Any] = {"height": 0.6, "color": colour, "label": CAUSES.get(causes[k], causes[k])}
         bars = axes.barh(range(len(budgets)), variance[k], left=ends[k] - variance[k], **look)
-    axes.bar_label(bars, [f"{rms_mn:.3g} mN" for rms_mn in np.sqrt(ends[-1])], padding=4, fontsize=8)
+    axes.bar_label(bars, [quantity(1e-3 * rms_mn, "N") for rms_mn in np.sqrt(ends[-1])], padding=4, fontsize=8)
     style.named_rows(axes, [budget["layout"] for budget in budgets])
     axes.set(xlim=(0, 1.35 * ends.max()), xlabel="variance of the force [mN²]")
     style.legend_above(figure, axes, ncols=3)
