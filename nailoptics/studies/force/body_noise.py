@@ -116,8 +116,9 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     weighted = design / noise_v2[:, None]
     normal = np.einsum("trp,trq->tpq", weighted, design)
     strength = normal[:, 0, 0]
-    # Where a touch has all but shut the vessels readings do not depend on the arterial pressure: it is taken for none.
-    normal[:, 0, 0] += np.where(strength > 0.01 * strength.max(), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
+    # Where a touch has all but shut the vessels readings depend far less than usual on the arterial pressure: it is
+    # taken for none.
+    normal[:, 0, 0] += np.where(strength > 0.01 * np.median(strength), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
     parts = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]

@@ -42,7 +42,7 @@ HUBER = 1.345
 LEAST_TOUCHES_OF_ALL = 8
 # Blocks of time of the sandwich covariance's scores.
 BLOCKS = 24
-# The arterial pressure is estimated where its effect on readings, squared, is at least this part of the largest.
+# The arterial pressure is estimated where its effect on readings, squared, is at least this part of its median.
 LEAST_EFFECT = 0.01
 # Prior standard deviation of d ln volts / d blood, as a part of the traced slope: absorption of the nail plate alone, a
 # factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
@@ -289,7 +289,7 @@ class Fit:
         """
         per_pa: Array = response / np.sqrt(self.variance)[:, None] * np.sqrt(self.weight)
         effect = (per_pa**2).sum(0)
-        visible = effect > LEAST_EFFECT * effect.max()
+        visible = effect > LEAST_EFFECT * np.median(effect)
         if not visible.any():
             return per_pa
         pressure_pa = (per_pa * white).sum(0)[visible] / effect[visible] * np.sqrt(self.memory)

@@ -36,6 +36,17 @@ def test_what_readings_do_not_part_is_not_taken_for_much_of_both() -> None:
     assert np.std(pressure) < 3000.0 and np.std(light) < 0.03
 
 
+def test_a_moment_of_far_more_effect_leaves_the_pressure_at_other_times():
+    """Rationale: vessels that snap shut follow the arterial pressure for an instant two hundred times as much."""
+    rng, count = np.random.default_rng(3), 2000
+    response = np.array([3.0, 2.0, 1.0, 0.5, 0.5, 1.0, 2.0, 3.0])[:, None] * 1e-6 * np.ones(count)
+    pressure = 600.0 * np.sin(2 * np.pi * 1.1 * STEP_S * np.arange(count))
+    residual = response * pressure + 1e-4 * rng.normal(size=response.shape)
+    response[:, 700] *= 200.0
+    result, _, _ = _decompose(response, np.ones((8, 1)), residual, np.full(8, 1e-8))
+    assert np.std(np.delete(result - pressure, 700)) < 100.0
+
+
 @pytest.mark.parametrize("rate_per_min", [55.0, 72.0, 110.0])
 def test_the_heartbeats_rate_and_height_are_found_beside_slow_waves(rate_per_min: float) -> None:
     time_s = np.arange(0.0, 60.0, STEP_S)
