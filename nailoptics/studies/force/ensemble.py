@@ -23,8 +23,9 @@ FIRST_REST_S, ZERO_S = 6.0, 30.0
 COMPONENTS, PRESSURES = 2, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
 NARROWNESS = 0.2
-# An interval depends on a constant, the estimate, and the components' departures over this lag, on either side.
-HALF_WIDTH_TERMS, MOTION_LAG = 3, 1
+# An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved over
+# this lag, on either side.
+HALF_WIDTH_TERMS, MOTION_LAG = 4, 1
 # The estimate follows the filter from this part of the largest force that members are trained on. [1]
 HANDED_OVER = 0.9
 
@@ -113,7 +114,7 @@ class Ensemble:
     intercept_n, polynomial_n : (2,) and (2, n) float, by `terms_of`. [N] centres : (M, D) float.
     kernel_n : (2, M) float. [N]
     top_n : the largest force that members are trained on. [N]
-    half_width_n : (2, 3) float. 95 % interval either way, proximal and distal: constant, by force, by motion. [N, 1, N]
+    half_width_n : (2, 4) float. 95 % interval either way, proximal and distal: constant [N], and by `half_width_terms`.
     open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
     weights : (2,) float of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
@@ -180,6 +181,6 @@ def gaussians(standardised: Array, centres: Array) -> Array:
 
 
 def half_width_terms(features: Array, force_n: Array, components: int) -> Array:
-    """What the width of intervals (T,) depends on, (3, T): a constant, force, and motion."""
-    departures = features.reshape(1 + len(LAGS_S), -1, features.shape[-1])[1 + MOTION_LAG, :components]
-    return np.stack([np.ones_like(force_n), force_n, np.sqrt((departures**2).mean(0))])
+    """What the width of intervals (T,) depends on, (4, T): a constant; force, disagreement and motion. [N]"""
+    filter_n = features.reshape(1 + len(LAGS_S), -1, features.shape[-1])[:, components:].sum(1)
+    return np.stack([np.ones_like(force_n), force_n, np.abs(filter_n[0] - force_n), np.abs(filter_n[1 + MOTION_LAG])])

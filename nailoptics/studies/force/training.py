@@ -44,9 +44,9 @@ PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
 WEIGHT_SPREAD = 0.5
 # Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
 COVERED, OPEN_FROM = 0.95, 0.05
-# How much wider they are for another recording than for another touch of the same; chosen on people of an independent
-# simulator.
-ANOTHER_RECORDING = 1.2
+# How much wider they are for another recording than for another touch of the same, proximal and distal; chosen on people
+# of an independent simulator.
+ANOTHER_RECORDING = (1.2, 1.0)
 
 
 @dataclass(frozen=True)
@@ -237,9 +237,9 @@ def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
     """Coefficients (2, k) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
     error_n, by_side = np.abs(held_out_n - samples.force_n), []
-    for side in (samples.is_proximal, ~samples.is_proximal):
+    for wider, side in zip(ANOTHER_RECORDING, (samples.is_proximal, ~samples.is_proximal), strict=True):
         of_side = at & side & (samples.force_n >= TOUCH_N)
         usual_n = np.maximum(nnls(terms[:, of_side].T, error_n[of_side])[0], 1e-6)
         ratio = error_n[of_side] / (usual_n @ terms[:, of_side])
-        by_side.append(ANOTHER_RECORDING * usual_n * float(np.quantile(ratio, COVERED)))
+        by_side.append(wider * usual_n * float(np.quantile(ratio, COVERED)))
     return np.array(by_side)
