@@ -23,8 +23,8 @@ FIRST_REST_S, ZERO_S = 6.0, 30.0
 COMPONENTS, PRESSURES = 2, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
 NARROWNESS = 0.2
-# An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved over
-# this lag, on either side.
+# An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved
+# over this lag, on either side.
 HALF_WIDTH_TERMS, MOTION_LAG = 4, 1
 # The estimate follows the filter from this part of the largest force that members are trained on. [1]
 HANDED_OVER = 0.9

@@ -44,8 +44,8 @@ PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
 WEIGHT_SPREAD = 0.5
 # Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
 COVERED, OPEN_FROM = 0.95, 0.05
-# How much wider they are for another recording than for another touch of the same, proximal and distal; chosen on people
-# of an independent simulator.
+# How much wider they are for another recording than for another touch of the same, proximal and distal; chosen on
+# people of an independent simulator.
 ANOTHER_RECORDING = (1.2, 1.0)
 
 

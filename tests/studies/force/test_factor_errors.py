@@ -30,6 +30,7 @@ def scene_of(true: dict[str, float], usual: Scene) -> Scene:
     like = load_person("person_1")
     assert like.body is not None and like.body.heartbeat is not None
     heart = like.body.heartbeat.model_copy(update={"arteriolar_blood_fraction": 0.0})
+    body = like.body.model_copy(update={"heartbeat": heart})
     factors = {field: true[name] for name in SEARCHED for field in PRIORS[name].fields}
     blood = usual.blood.model_copy(
         update={
@@ -40,7 +41,7 @@ def scene_of(true: dict[str, float], usual: Scene) -> Scene:
     touch = usual.touch.model_copy(
         update={"contact_area_mm2": usual.touch.contact_area_mm2 * true["contact_area"], "creep": None}
     )
-    return usual.model_copy(update={"blood": blood, "touch": touch, "body": like.body.model_copy(update={"heartbeat": heart})})
+    return usual.model_copy(update={"blood": blood, "touch": touch, "body": body})
 
 
 @pytest.mark.slow
