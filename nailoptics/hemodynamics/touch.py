@@ -101,9 +101,7 @@ def relaxing_pressure(time_s: ArrayLike, pressure_pa: ArrayLike, *, relaxation_s
     if relaxation.any():
         # Of several, those that are 0 die away within any step.
         relaxation = np.maximum(relaxation, 1e-9 * relaxation.max())
-        for i, h in enumerate(np.diff(time)):
-            relaxed = _lagging(left[..., i], touch[..., i], touch[..., i + 1], h, relaxation)
-            left[..., i + 1] = np.maximum(touch[..., i + 1], relaxed)
+        left[..., 1:] = _lagging(time, touch, relaxation, start=touch[..., :1], least=touch[..., 1:])
     return left
 
 
@@ -123,18 +121,27 @@ def spreading_pressure(
     """
     touch, lost = finite("pressure_pa", pressure_pa), fraction("part", part)
     delay_s = positive("time_constant_s", time_constant_s)
-    delayed = np.zeros_like(touch)
-    for i, h in enumerate(np.diff(finite("time_s", time_s))):
-        delayed[..., i + 1] = _lagging(delayed[..., i], touch[..., i], touch[..., i + 1], h, delay_s)
+    least, delayed = min(0.0, touch.min(initial=0.0)), np.zeros_like(touch)
+    delayed[..., 1:] = _lagging(finite("time_s", time_s), touch, delay_s, start=0.0, least=least)
     return np.maximum(touch - lost[..., None] * delayed, 0.0)
 
 
-def _lagging(value: Any, before: Any, after: Any, step_s: float, delay_s: Any) -> Any:
-    """A first-order lag behind an input that goes evenly from `before` to `after`; in no time nothing happens."""
-    if step_s <= 0.0:
-        return value
-    lag = (after - before) * (delay_s / step_s)
-    return after - lag + (value - before + lag) * np.exp(-step_s / delay_s)
+def _lagging(time_s: np.ndarray, touch: np.ndarray, delay_s: Any, *, start: Any, least: Any) -> np.ndarray:
+    """A first-order lag behind an input (..., T) that goes evenly from time to time, no less than `least` after each
+    step; in no time nothing happens: (..., T - 1) float. A step makes max(least, factor x + added) of x, and so do two:
+    all follow by doubling (Hillis and Steele 1986, Commun. ACM 29:1170)."""
+    step_s, delay_s = np.diff(time_s), np.asarray(delay_s)[..., None]
+    factor, lag = np.exp(-step_s / delay_s), np.diff(touch) * (delay_s / np.where(step_s > 0.0, step_s, 1.0))
+    added = np.where(step_s > 0.0, touch[..., 1:] - lag - (touch[..., :-1] - lag) * factor, 0.0)
+    least = np.broadcast_to(least, added.shape).copy()
+    shift = 1
+    while shift < step_s.size:
+        later = factor[..., shift:]
+        least[..., shift:] = np.maximum(least[..., shift:], later * least[..., :-shift] + added[..., shift:])
+        added[..., shift:] += later * added[..., :-shift]
+        factor[..., shift:] *= factor[..., :-shift]
+        shift *= 2
+    return np.asarray(np.maximum(least, factor * start + added))
 
 
 class Pressures(TypedDict, total=False):

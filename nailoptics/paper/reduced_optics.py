@@ -16,6 +16,8 @@ from ..variables import Estimate, Variables, described
 # alpha D^2 at the largest D, between which it is searched: below, Beer-Lambert (8) is a straight line in D^2 to 1e-5 of
 # its slope; above, light is all gone.
 CURVATURES = np.geomspace(1e-4, 50.0, 21)
+# Its logarithm is searched to this, about where the residual no longer changes.
+CURVATURE_LN = 1e-8
 # More readings than this are fitted as their means in so many narrow ranges of D^2: within one the curve is straight.
 MOST_READINGS, RANGES = 20_000, 4096
 # The errors of the fits' constants are taken at so many samples of a touch, evenly apart.
@@ -77,8 +79,6 @@ def fit_curve(
     x, y, weight : (n,) float.
     scale : the curvature times this is held in 1e-4 to 50; the largest x if not given.
     """
-    from scipy.optimize import minimize_scalar
-
     share = np.full_like(x, 1 / x.size) if weight is None else weight / weight.sum()
     centre, level = float(share @ x), float(share @ y)
     shift, moved = x - centre, y - level
@@ -100,18 +100,14 @@ def fit_curve(
     distinct = _distinct(x / (float(x.max()) or 1.0))
     if not curved or distinct == 1:
         return at(0.0, False)
-    grid = np.log(CURVATURES / scale)
     if distinct == 2:
         return at(CURVATURES[0] / scale, False)
-    # The residual may be flat at first and has one valley.
-    best = int(np.argmin(linear(np.exp(grid))[2]))
-    curvature = minimize_scalar(
-        lambda log: float(linear(np.exp([log]))[2][0]),
-        bounds=(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]),
-        method="bounded",
-        options={"xatol": 1e-9},
-    )
-    alpha = float(np.exp(curvature.x))
+    # The residual may be flat at first and has one valley, searched on ever finer grids.
+    grid = np.log(CURVATURES / scale)
+    while np.ptp(grid) > CURVATURE_LN:
+        best = int(np.argmin(linear(np.exp(grid))[2]))
+        grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], 9)
+    alpha = float(np.exp(grid.mean()))
     return at(alpha, bool(1.01 * CURVATURES[0] < alpha * scale < 0.99 * CURVATURES[-1]))
 
 

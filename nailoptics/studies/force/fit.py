@@ -16,15 +16,15 @@ from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
 from .body_noise import MEDIAN_OF_GAUSSIAN, arterial_response
-from .person import LONGEST_STEP_S, NAMES, SPREAD_LN, Array, NominalFinger
+from .person import NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
 from .subject import LINEAR
 
 # Recordings are averaged to these rates, the first where the force, a mean over SMOOTHED_S that leaves out the load
 # cell's noise, changes by more than FAST_N_PER_S; the mean over a second leaves little of the heartbeat. [Hz]
 FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S, SMOOTHED_S = 20.0, 1.0, 1.0, 0.1
-# Least number of samples after averaging, and network steps between samples that lie far apart.
-LEAST_SAMPLES, STEPS_BETWEEN = 60, 4
+# Least number of samples after averaging.
+LEAST_SAMPLES = 60
 # Bounds of the search, in standard deviations of the priors. A distal pressure that falls off within the zone acts as
 # one over up to three times the contact's area. The table of light ends at two standard deviations of blood at rest.
 FARTHEST_SPREADS = np.where(np.array(NAMES) == "rest_blood", 2.0, 3.0)
@@ -153,9 +153,8 @@ class Fit:
         for recording in recordings:
             assert recording.force_n is not None and recording.site is not None
             pressure_n_per_cm2 = who.pressures_n_per_cm2(recording.force_n, recording.site)
-            longest_s = max(LONGEST_STEP_S, float(np.median(np.diff(recording.time_s))) / STEPS_BETWEEN)
             rest = np.asarray(who.rest_blood)[..., None]
-            blood = rest * who.widths_over(recording.time_s, pressure_n_per_cm2, longest_step_s=longest_s)[:2] ** 2
+            blood = rest * who.widths_over(recording.time_s, pressure_n_per_cm2)[:2] ** 2
             volts = self.table.volts(blood)
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out

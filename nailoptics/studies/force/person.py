@@ -28,6 +28,9 @@ from ...scene.priors import factor_priors
 # Samples further apart are walked in as many steps of at most this length; filter and memory restart after gaps longer
 # than the second. [s]
 LONGEST_STEP_S, LONGEST_GAP_S = 0.05, 5.0
+# A finger's vessels are walked through pieces of time of about this length side by side, until diameters differ by less
+# than this part from piece to piece. [s, 1]
+PIECE_S, MET = 4.0, 1e-6
 # A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
 LEFT_AT_CLOSURE = 0.05
 # Pressures among which closure is searched. [N/cm^2]
@@ -190,35 +193,52 @@ class Person:
         last = np.where(left, np.arange(SEARCHED_N_PER_CM2.size), 0).max(1)
         return SEARCHED_N_PER_CM2[np.minimum(last + 1, SEARCHED_N_PER_CM2.size - 1)]
 
-    def widths_over(
-        self,
-        time_s: Array,
-        pressure_n_per_cm2: Array,
-        *,
-        arterial_pa: Array | None = None,
-        longest_step_s: float = LONGEST_STEP_S,
-    ) -> Array:
+    def widths_over(self, time_s: Array, pressure_n_per_cm2: Array, *, arterial_pa: Array | None = None) -> Array:
         """Diameters over those at rest, (3, *S, T) float, of a finger that rests before the first sample.
 
         pressure_n_per_cm2 : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
         arterial_pa : (*S, T) float, or (*S, 1) where it stays. P_H in place of the person's. [Pa]
-        longest_step_s : samples further apart are walked in several steps. [s]
         """
         spread = spreading_pressure(time_s, pressure_n_per_cm2, part=self.creep, time_constant_s=self.creep_s)
         spread = np.stack([spread[0], relaxing_pressure(time_s, spread[1], relaxation_s=self.recovery_s)])
         outside = touch_on_walls(spread, np.asarray(self.distal_reach)[..., None])
-        mean_pa = np.full(self.rest_m.shape[1:] + (1,), self.arterial_pa)
-        high = np.broadcast_to(mean_pa if arterial_pa is None else arterial_pa, mean_pa.shape[:-1] + time_s.shape)
-        width, out = self.rest_m, np.empty(self.rest_m.shape + time_s.shape)
-        out[..., 0] = width
-        for k, sample_s in enumerate(np.diff(time_s)):
-            count = max(1, int(np.ceil(sample_s / longest_step_s - 1e-9)))
-            change, step_s = (outside[..., k + 1] - outside[..., k]) / count, sample_s / count
-            for i in range(count):
-                start, ends = outside[..., k] + i * change, (high[..., k], self.venous_pa)
-                width = step(self.walls, width, start, *ends, step_s=step_s, outside_change=change)
-            out[..., k + 1] = width
-        return out / self.rest_m[..., None]
+        high = self.arterial_pa if arterial_pa is None else arterial_pa
+        high = np.broadcast_to(high, self.rest_m.shape[1:] + time_s.shape)
+        sample_s = np.diff(time_s)
+        counts = np.maximum(1, np.ceil(sample_s / LONGEST_STEP_S - 1e-9).astype(int))
+        ends, sample = np.cumsum(counts), np.repeat(np.arange(counts.size), counts)
+        change = (np.diff(outside) / counts)[..., sample]
+        start = outside[..., sample] + (np.arange(sample.size) - (ends - counts)[sample]) * change
+        width = self._walk(start, change, high[..., sample], (sample_s / counts)[sample])[..., ends - 1]
+        return np.asarray(np.concatenate([self.rest_m[..., None], width], axis=-1) / self.rest_m[..., None])
+
+    def _walk(self, outside: Array, change: Array, high: Array, step_s: Array) -> Array:
+        """Diameters after each of M steps of a finger that rests before, (3, *S, M) float. [m]
+
+        Pieces of time are walked side by side: from rest at first, then each from where the one before ended, until all
+        have met what was walked: vessels soon forget.
+
+        outside, change : (3, *S, M) float. Pressures on the walls at the start of each step, and their change. [Pa]
+        high : (*S, M) float. P_H. [Pa] step_s : (M,) float.
+        """
+        count = max(1, round(step_s.sum() / PIECE_S))
+        length = -(-step_s.size // count)
+        # The last piece is filled up with the last step.
+        steps = np.minimum(np.arange(count * length).reshape(count, length).T, step_s.size - 1)
+        outside, change = (np.moveaxis(drive[..., steps], (-2, -1), (0, 2)) for drive in (outside, change))
+        high, step_s = np.moveaxis(high[..., steps], (-2, -1), (0, 1)), step_s[steps]
+        step_s = step_s.reshape(steps.shape + (1,) * (self.rest_m.ndim - 1))
+        width, out = np.repeat(self.rest_m[:, None], count, axis=1), np.empty_like(outside)
+        for walked in range(steps.size):
+            k = walked % length
+            if walked and k == 0:
+                width = np.concatenate([self.rest_m[:, None], width[:, :-1]], axis=1)
+            drive = outside[k], high[k], self.venous_pa
+            width = step(self.walls, width, *drive, step_s=step_s[k], outside_change=change[k])
+            if walked >= length and (np.abs(width - out[k]) <= MET * width).all():
+                break
+            out[k] = width
+        return np.moveaxis(out, (2, 0), (-2, -1)).reshape(*self.rest_m.shape, -1)
 
 
 @checked_dataclass(frozen=True, config=TABLE)

@@ -10,6 +10,7 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import relaxing_pressure, spreading_pressure
+from nailoptics.studies.force import person
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.person import USUAL_PULP, Pulp
 from nailoptics.studies.force.subject import parse_subject
@@ -58,3 +59,20 @@ def test_many_people_side_by_side_are_each_by_itself() -> None:
         alone = spreading_pressure(time_s, touch[:, k], part=parts[k], time_constant_s=2.0)
         np.testing.assert_array_equal(spread[:, k], alone)
         np.testing.assert_allclose(left[:, k], relaxing_pressure(time_s, touch[:, k], relaxation_s=times[k]), atol=1e-8)
+
+
+@pytest.mark.parametrize("damping", [1.0, 8.0])
+def test_pieces_of_time_walked_side_by_side_are_one_walk(monkeypatch: pytest.MonkeyPatch, damping: float) -> None:
+    """The one walk is a single piece, stepped from sample to sample."""
+    factors_ln = np.zeros((len(person.NAMES), 3))
+    factors_ln[[person.NAMES.index(name) for name in ("vein_damping", "capillary_damping")]] = np.log(damping)
+    who = person.nominal_finger(made_sensor.scene()).person(factors_ln)
+    time_s = np.concatenate([np.arange(0.0, 30.0, 0.04), np.arange(30.0, 60.0, 0.5)])
+    # Held, quick and hard touches, one of them through a cut.
+    force_n = 0.6 * (np.sin(time_s) > 0.3) + 3.0 * (np.sin(0.31 * time_s) > 0.9)
+    pressure = who.pressures_n_per_cm2(force_n, np.where(time_s % 20.0 < 10.0, 1.0, 0.0))
+    pieces = who.widths_over(time_s, pressure)
+    monkeypatch.setattr(person, "PIECE_S", np.inf)
+    whole = who.widths_over(time_s, pressure)
+    assert np.ptp(whole) > 0.3
+    np.testing.assert_allclose(pieces, whole, rtol=3 * person.MET)
