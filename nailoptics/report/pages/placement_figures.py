@@ -177,8 +177,8 @@ def _parts(axes: "style.Axes", scene: Scene, lit: int) -> None:
 
 def _smooth(values: xr.DataArray) -> xr.DataArray:
     """A map without the grain of single photons; what is not finite counts as nothing known."""
-    known = np.isfinite(values)
-    weight = maps.smoothed(known.to_numpy().astype(float), SMOOTH_CELLS)
-    smooth = maps.smoothed(values.where(known, 0.0).to_numpy(), SMOOTH_CELLS)
+    known = np.isfinite(values.to_numpy())
+    weight = maps.smoothed(known.astype(float), SMOOTH_CELLS)
+    smooth = maps.smoothed(np.where(known, values, 0.0), SMOOTH_CELLS)
     with np.errstate(invalid="ignore", divide="ignore"):
         return values.copy(data=np.where(weight > 0.05, smooth / weight, np.nan))
