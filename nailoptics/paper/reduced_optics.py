@@ -16,8 +16,6 @@ from ..variables import Estimate, Variables, described
 # alpha D^2 at the largest D, between which it is searched: below, Beer-Lambert (8) is a straight line in D^2 to 1e-5 of
 # its slope; above, light is all gone.
 CURVATURES = np.geomspace(1e-4, 50.0, 21)
-# Its logarithm is searched to this, about where the residual no longer changes.
-CURVATURE_LN = 1e-8
 # More readings than this are fitted as their means in so many narrow ranges of D^2: within one the curve is straight.
 MOST_READINGS, RANGES = 20_000, 4096
 # The errors of the fits' constants are taken at so many samples of a touch, evenly apart.
@@ -102,9 +100,9 @@ def fit_curve(
         return at(0.0, False)
     if distinct == 2:
         return at(CURVATURES[0] / scale, False)
-    # The residual may be flat at first and has one valley, searched on ever finer grids.
+    # The residual may be flat at first and has one valley, searched on ever finer grids to where it no longer changes.
     grid = np.log(CURVATURES / scale)
-    while np.ptp(grid) > CURVATURE_LN:
+    while np.ptp(grid) > 1e-8:
         best = int(np.argmin(linear(np.exp(grid))[2]))
         grid = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], 9)
     alpha = float(np.exp(grid.mean()))

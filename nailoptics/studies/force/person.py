@@ -207,38 +207,28 @@ class Person:
         sample_s = np.diff(time_s)
         counts = np.maximum(1, np.ceil(sample_s / LONGEST_STEP_S - 1e-9).astype(int))
         ends, sample = np.cumsum(counts), np.repeat(np.arange(counts.size), counts)
-        change = (np.diff(outside) / counts)[..., sample]
-        start = outside[..., sample] + (np.arange(sample.size) - (ends - counts)[sample]) * change
-        width = self._walk(start, change, high[..., sample], (sample_s / counts)[sample])[..., ends - 1]
-        return np.asarray(np.concatenate([self.rest_m[..., None], width], axis=-1) / self.rest_m[..., None])
-
-    def _walk(self, outside: Array, change: Array, high: Array, step_s: Array) -> Array:
-        """Diameters after each of M steps of a finger that rests before, (3, *S, M) float. [m]
-
-        Pieces of time are walked side by side: from rest at first, then each from where the one before ended, until all
-        have met what was walked: vessels soon forget.
-
-        outside, change : (3, *S, M) float. Pressures on the walls at the start of each step, and their change. [Pa]
-        high : (*S, M) float. P_H. [Pa] step_s : (M,) float.
-        """
-        count = max(1, round(step_s.sum() / PIECE_S))
-        length = -(-step_s.size // count)
-        # The last piece is filled up with the last step.
-        steps = np.minimum(np.arange(count * length).reshape(count, length).T, step_s.size - 1)
-        outside, change = (np.moveaxis(drive[..., steps], (-2, -1), (0, 2)) for drive in (outside, change))
-        high, step_s = np.moveaxis(high[..., steps], (-2, -1), (0, 1)), step_s[steps]
-        step_s = step_s.reshape(steps.shape + (1,) * (self.rest_m.ndim - 1))
-        width, out = np.repeat(self.rest_m[:, None], count, axis=1), np.empty_like(outside)
+        # Pieces of time are walked side by side, the last filled up with its last step: from rest at first, then each
+        # from where the one before ended, until all have met what was walked: vessels soon forget.
+        pieces = max(1, round(sample_s.sum() / PIECE_S))
+        length = -(-sample.size // pieces)
+        steps = np.minimum(np.arange(pieces * length).reshape(pieces, length).T, sample.size - 1)
+        of, change = sample[steps], np.diff(outside) / counts
+        start = outside[..., of] + (steps - (ends - counts)[of]) * change[..., of]
+        start, change = (np.moveaxis(drive, (-2, -1), (0, 2)) for drive in (start, change[..., of]))
+        high = np.moveaxis(high[..., of], (-2, -1), (0, 1))
+        step_s = (sample_s / counts)[of].reshape(steps.shape + (1,) * (self.rest_m.ndim - 1))
+        width, out = np.repeat(self.rest_m[:, None], pieces, axis=1), np.empty_like(start)
         for walked in range(steps.size):
             k = walked % length
             if walked and k == 0:
                 width = np.concatenate([self.rest_m[:, None], width[:, :-1]], axis=1)
-            drive = outside[k], high[k], self.venous_pa
-            width = step(self.walls, width, *drive, step_s=step_s[k], outside_change=change[k])
+            ends_pa = high[k], self.venous_pa
+            width = step(self.walls, width, start[k], *ends_pa, step_s=step_s[k], outside_change=change[k])
             if walked >= length and (np.abs(width - out[k]) <= MET * width).all():
                 break
             out[k] = width
-        return np.moveaxis(out, (2, 0), (-2, -1)).reshape(*self.rest_m.shape, -1)
+        after = np.moveaxis(out, (2, 0), (-2, -1)).reshape(*self.rest_m.shape, -1)[..., ends - 1]
+        return np.asarray(np.concatenate([self.rest_m[..., None], after], axis=-1) / self.rest_m[..., None])
 
 
 @checked_dataclass(frozen=True, config=TABLE)
