@@ -96,10 +96,8 @@ def fit_curve(
 
     scale = scale or float(x.max()) or 1.0
     distinct = _distinct(x / (float(x.max()) or 1.0))
-    if not curved or distinct == 1:
-        return at(0.0, False)
-    if distinct == 2:
-        return at(CURVATURES[0] / scale, False)
+    if not curved or distinct < 3:
+        return at(CURVATURES[0] / scale if curved and distinct == 2 else 0.0, False)
     # The residual may be flat at first and has one valley, searched on ever finer grids to where it no longer changes.
     grid = np.log(CURVATURES / scale)
     while np.ptp(grid) > 1e-8:
