@@ -53,7 +53,7 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
 def with_error(value: float, error: float, *, sign: bool = False, scale: float = 0.0) -> str:
     """Value ± standard error, both rounded to two digits of the error; powers of ten where needed.
 
-    An error that is not known is shown as "± ?"; one that is rounding of the computer's numbers is left out.
+    An error that is not known is shown as "± ?"; one below a millionth of the value is left out.
 
     scale : Size of what the value is a difference or a part of, beside which rounding is 0.
     """
@@ -61,7 +61,7 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
         return "–"
     if abs(value) <= ROUNDING * scale and (error <= ROUNDING * scale or error == math.inf):
         return "0"
-    if error <= max(TINY, ROUNDING * abs(value)):
+    if error <= max(TINY, 1e-6 * abs(value)):
         return significant(value, 4, sign=sign)
     if not math.isfinite(error):
         return f"{significant(value, 3, sign=sign)} ± ?"

@@ -24,6 +24,7 @@ from nailoptics.variables import unit_of
         (0.0, math.nan, "0 ± ?"),
         (math.nan, 1.0, "–"),
         (235.908955401, 1e-13, "235.9"),
+        (6534.285834, 4e-4, "6534"),
     ],
 )
 def test_a_value_is_rounded_to_its_error(value, error, text):

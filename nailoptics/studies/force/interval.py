@@ -43,7 +43,7 @@ class ForceEstimate(NamedTuple):
     """Force of T samples, with 95 % bounds.
 
     force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
-    proximal_share, with its bounds : (T,) float. Part of it; 0 to 1 where it is not known.
+    proximal_share, with its bounds : (T,) float. Part of it, the mean; bounds are 0 and 1 where it is not known.
     probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; a third where there
         may be none, NaN where the calibration does not say how well it tells sides apart.
     pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
@@ -118,7 +118,7 @@ class ForceInterval:
             force_n=middle,
             force_low_n=np.minimum(low, middle),
             force_high_n=np.where(is_closed.any(0), np.inf, np.maximum(high, middle)),
-            proximal_share=middle_share,
+            proximal_share=share.mean(1),
             proximal_share_low=np.where(nowhere, 0.0, share_low),
             proximal_share_high=np.where(nowhere, 1.0, share_high),
             **dict(zip(SITE_PROBABILITIES, probabilities, strict=True)),

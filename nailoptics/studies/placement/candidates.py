@@ -162,8 +162,9 @@ def _named(base: Scene, placement: Placement, places: Sequence[Point]) -> list[t
     loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
     same = (1, like.part, like.size_mm, like.body_mm, like.courtyard_mm)
     alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm, p.body_mm, p.courtyard_mm) == same]
-    fixed = [p for p in base.photodiodes if p not in loose]
-    taken = {word for p in (*fixed, *alike) for word in (p.name, p.reference)}
+    # What a file has stays on its board, whether its light is searched or not.
+    kept = [p for p in base.photodiodes if p.reference or p not in loose]
+    taken = {word for p in kept for word in (p.name, p.reference)}
     distance_mm = np.array([[math.dist(place, np.add(p.position_mm, (du, dv))) for p in alike] for place in places])
     nearest = dict(zip(*linear_sum_assignment(distance_mm.reshape(len(places), len(alike))), strict=True))
     new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)

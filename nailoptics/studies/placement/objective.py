@@ -378,10 +378,10 @@ def score_layouts(
     close = [i for i in tied if scores[i].ranked[0] <= (1 + 2 * ALIKE) * min(score.ranked[0] for score in scores)]
     simplest = min(close, key=lambda i: (layouts[i].complexity, scores[i].ranked[0]))
     order = sorted(range(len(layouts)), key=lambda i: (i != simplest, scores[i].ranked[0]))
-    unmet, left = None, f"{len(tied)} layouts tied at relative error {worst:.3g}, {relative_error:g} requested"
+    unmet, best = None, f"{len(tied)} layouts tied" if len(tied) > 1 else "the best"
     if report_progress.interrupted or not complete or len(layouts) < count:
         why = "interrupted:" if report_progress.interrupted else "max_seconds ended with"
-        unmet = f"{why} {len(layouts)} of {count} layouts traced, {left}."
+        unmet = f"{why} {len(layouts)} of {count} layouts traced, {best} to {worst:.3g} ({relative_error:g} requested)."
     return [layouts[i] for i in order], [scores[i] for i in order], unmet
 
 

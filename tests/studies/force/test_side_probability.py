@@ -9,7 +9,8 @@ import pytest
 import tomli_w
 
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.interval import BOTH_SHARES, _site_probabilities
+from nailoptics.studies.force.interval import BOTH_SHARES, ForceInterval, _site_probabilities
+from nailoptics.studies.force.kalman import PressureEstimate
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 
@@ -46,6 +47,14 @@ def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
     assert likeliest == f"probability_{'both' if site == 'even' else site}"
     # Where nothing touches, no side is touched more likely than another.
     assert probabilities[:, :50].mean(1) == pytest.approx(np.full(3, 1 / 3), abs=0.01)
+
+
+def test_at_rest_the_share_does_not_follow_the_noise() -> None:
+    """Expected: pressures that are small beside their errors leave the share near the middle, whichever is larger."""
+    least = np.array([[0.01, -0.02], [-0.02, 0.01]])
+    rest = PressureEstimate(least, np.full((2, 1, 1), 0.01) * np.eye(2), *np.zeros((3, 2)), *np.ones((2, 2), bool))
+    share = ForceInterval(subject()).of(rest).proximal_share
+    assert ((share > 0.2) & (share < 0.8)).all() and abs(share[0] - share[1]) < 0.3
 
 
 def test_a_subject_keeps_how_well_sides_are_told_apart_and_older_ones_do_not_know() -> None:

@@ -12,7 +12,7 @@ from nailoptics.light.board_map import PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
 from nailoptics.sensor import information
-from nailoptics.studies.placement import boards, search
+from nailoptics.studies.placement import boards, candidates, search
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
 from nailoptics.studies.placement.row_design import STARTS, RowDesign, SearchedSite
@@ -183,6 +183,16 @@ def test_what_is_fixed_stays_and_what_is_kept_out_stays_empty():
         assert laid.photodiode_areas[0].center_mm == pytest.approx((1.0, 0.0))
         for part in (*laid.leds, *laid.photodiode_areas):
             assert part.u_max <= -1.5 + 1e-9 or part.v_max <= 1.0 + 1e-9
+
+
+def test_a_new_photodiode_has_no_name_of_one_that_stays_on_the_board():
+    """Expected: a file's other photodiode, which the search leaves where it is, keeps its name for itself."""
+    base = two_leds("photodiodes = 2\n")
+    mine = base.photodiodes[0].model_copy(update={"name": "mine", "reference": "D9"})
+    other = mine.model_copy(update={"name": "PD1", "reference": "PD1", "size_mm": (2.0, 2.0)})
+    base = base.model_copy(update={"photodiodes": (mine, other)})
+    names = candidates._named(base, Placement(), [mine.position_mm, (2.0, 2.0)])
+    assert names == [("mine", "D9"), ("PD2", None)]
 
 
 def test_wiring_chooses_elements_where_they_are():
