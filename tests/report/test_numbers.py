@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import example, given, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from nailoptics.report import style
@@ -87,12 +87,14 @@ def test_rounding_up_to_a_thousand_takes_the_next_prefix(value, digits, text):
     assert quantity(value, "V", digits=digits) == text.replace(" ", "\u00a0")
 
 
+@settings(deadline=None)
 @given(st.floats(1e-11, 1e11))
 def test_a_prefix_leaves_one_to_a_thousand(value):
     scale, _ = prefix(value)
     assert 0.999 <= value / scale < 1000 or scale == 1e9
 
 
+@settings(deadline=None)
 @given(st.floats(allow_nan=True), st.integers(1, 6))
 @example(5e-324, 3)
 @example(1e-291, 3)
@@ -100,6 +102,7 @@ def test_every_number_can_be_shown(value, digits):
     assert significant(value, digits, sign=True) and fixed(value, digits) and with_error(value, abs(value) / 3)
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=20), st.floats(0.01, 2))
 def test_labels_keep_their_order_and_their_distance(places, gap):
     moved = spread(places, gap)
