@@ -1,4 +1,4 @@
-"""Can shear be told beside force from the readings of scenes/shear.toml? Run:
+"""Can shear be estimated beside force from the readings of scenes/shear.toml? Run:
 
     python tests/benchmarks/shear_bound.py [--photons 300000]
 
