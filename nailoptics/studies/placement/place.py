@@ -69,8 +69,6 @@ def place(
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
     rules, base = boards.rules(scene), boards.base_board(scene)
-    for line in boards.misfits(base):
-        log.warning("%s", line)
     if verify_with_mitsuba:
         verification.check_mitsuba([base, *(layout.scene for layout in given(base, rules))], options.backend)
     people = boards.people(scene)
@@ -97,9 +95,7 @@ def place(
     checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
     if store is not None:
         store.close()
-    ranked_by = rules.rank_by if isinstance(rules.rank_by, dict) else {}
-    words = ", ".join(f"{name} {weight:g}" for name, weight in ranked_by.items()) or rules.rank_by
-    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons, "rank_by": words}
+    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
     return unless_cut_off(result, unmet or unchecked)
@@ -157,6 +153,8 @@ def _candidates(
     people : whose nails the board of the search must fit, too.
     """
     rules = objective.rules
+    for line in boards.misfits(base):
+        log.warning("%s", line)
     boards.check_search(base, rules)
     layouts = given(base, rules)
     # The paper's layout has one LED, which cannot measure oxygen, and is no layout for somebody's own board.

@@ -75,7 +75,9 @@ def as_dataset(
     traced = {name: attributes[name] for name in ("backend", "photons")}
     made = provenance(scene, engine="photons", seeds=str(attributes["seed"]), **traced)
     more = {"adc_range_v": best.electronics.adc_range_v, "title": "nailoptics: layouts ranked by force resolution"}
-    more |= {"bandwidth_hz": best.electronics.bandwidth_hz}
+    rank_by = rules(scene).rank_by
+    words = ", ".join(f"{aim} {part:g}" for aim, part in rank_by.items()) if isinstance(rank_by, dict) else rank_by
+    more |= {"bandwidth_hz": best.electronics.bandwidth_hz, "rank_by": words}
     result.attrs = made | attributes | checked.attrs | more
     return result
 
