@@ -12,7 +12,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import fewer_photons
 import pytest
 from fewer_photons import COARSE_MM
 
@@ -38,7 +37,7 @@ QUICK = tuple(f"{Path(__file__).parent / one}{os.sep}" for one in ("hemodynamics
 # Of 10 MB or so each.
 SHAPES_KEPT = 24
 # First on the path of processes that trace few photons in coarse cells.
-FEWER = Path(fewer_photons.__file__).parent
+FEWER = Path(__file__).parent / "fewer"
 IN_CI = os.environ.get("CI", "").lower() in ("true", "1")
 
 

@@ -241,7 +241,7 @@ def _paths(axes: "style.Axes", cut: xr.DataArray, density: np.ndarray) -> None:
 
 
 def smoothed(density: np.ndarray, cells: float) -> np.ndarray:
-    """A map (m, n) averaged with Gaussian weights of a standard deviation in cells."""
+    """A map (m, n) averaged with Gaussian weights of a standard deviation in cells; importing scipy takes longer."""
     for _ in density.shape:
         weight = np.exp(-0.5 * (np.subtract.outer(*2 * [np.arange(len(density))]) / cells) ** 2)
         density = ((weight @ density) / weight.sum(1, keepdims=True)).T
