@@ -16,6 +16,12 @@ Z95 = 1.96
 MIN_EFFECTIVE_TERMS = 25.0
 
 
+def quotient(above: ArrayLike, below: ArrayLike) -> NDArray[Any]:
+    """One over the other, without a warning where that is not known: NaN or infinite where the lower one is 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.divide(above, below))
+
+
 def t95(groups: int) -> float:
     """The same where the error itself is known from so many groups, two or more: Student's t."""
     # Half a tenth of a second, paid only where light is traced.

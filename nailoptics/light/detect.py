@@ -17,7 +17,7 @@ from ..errors import InputError, NotReachedError, as_far_as_reached, unless_cut_
 from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
-from ..statistics import upper_limit_95
+from ..statistics import quotient, upper_limit_95
 from ..variables import described, from_record, to_record
 from . import backend as backends, optics
 from .identity import led_digest, light_scene
@@ -174,8 +174,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
     """A Transfer as the light of a finger scene; rest is the transfer's readings at rest, if they are there."""
     rest = transfer.at() if rest is None else rest
     unknown = np.isnan(rest.detected_fraction_stderr.values)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = rest.detected_fraction_stderr.values / rest.detected_fraction.values
+    relative = quotient(rest.detected_fraction_stderr, rest.detected_fraction)
 
     def readings_at(states: np.ndarray) -> ReadingSeries:
         readings = readings_over_states(transfer, states, weight_by_responsivity=True)
@@ -278,8 +277,7 @@ def _light_by_volpath(
     begin, cpu = time.perf_counter(), time.process_time()
     corners = volpath.corner_states(states)
     traced = volpath.read_leds(scene, options, progress, corners)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        relative = np.stack([reading.fraction_stderr[:, 0] / reading.fraction[:, 0] for reading in traced])
+    relative = np.stack([quotient(reading.fraction_stderr[:, 0], reading.fraction[:, 0]) for reading in traced])
     absorbers = optics.absorbers(scene)
     no_path = np.full((*relative.shape, len(absorbers)), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}

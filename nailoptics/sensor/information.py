@@ -19,7 +19,7 @@ from ..checks import Array
 from ..hemodynamics.for_scene import SteadyTouch, blood_model
 from ..scene import Led, Photodiode, Scene
 from ..scene.body import Drift
-from ..statistics import covariance_root, jackknife
+from ..statistics import covariance_root, jackknife, quotient
 from . import electronics
 
 # What is known of a pressure before any reading: that it is less than some ten N/cm^2. It keeps two unknowns
@@ -178,13 +178,11 @@ def response(
     read = electronics.read(detected, source, photodiode, amplifier, **stage)
     per_fraction = electronics.photocurrent_a(1.0, source, photodiode) * ohm
     zone, light_v = values[..., 2:] * per_fraction[..., None], detected * per_fraction
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shunted = np.where(values[..., 0] > 0, values[..., 1] / values[..., 0], 0.0)
+    shunted = np.where(values[..., 0] > 0, quotient(values[..., 1], values[..., 0]), 0.0)
     unsaturated = np.where(read.saturated, 0.0, 1.0)
     if replicates:
         stderr_v, below_v = jackknife(read.amplified_v), electronics.limit_v(amplifier) - read.amplified_v
-        with np.errstate(invalid="ignore", divide="ignore"):
-            unsaturated = np.where(stderr_v > 0, ndtr(below_v / stderr_v), unsaturated)
+        unsaturated = np.where(stderr_v > 0, ndtr(quotient(below_v, stderr_v)), unsaturated)
     # Information is of second degree in these.
     weight = np.sqrt(unsaturated)[..., None]
     return Response(

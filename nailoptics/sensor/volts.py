@@ -16,7 +16,7 @@ from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries, read_by_groups
 from ..options import Requested, TraceOptions
 from ..scene import Board, Scene
-from ..statistics import Z95, seed_of
+from ..statistics import Z95, quotient, seed_of
 from ..variables import Estimate, Variables, described
 from . import electronics
 from .ambient import LAMP, ambient_bound_a, scene_ambient_a
@@ -248,8 +248,7 @@ def replicates_v(result: xr.Dataset, transfer: Transfer) -> Array:
     `read_volts` with its course and the trace behind it. [V]"""
     read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T)
     read = np.moveaxis(read, 0, 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Volts are proportional to the light, but for what is dark.
-        per_fraction = (result.volts_stderr / result.detected_fraction_stderr).values[:, :, None]
-        moved = (read / read[:, :, :1] - 1) * result.detected_fraction.values[:, :, None]
+    # Volts are proportional to the light, but for what is dark.
+    per_fraction = quotient(result.volts_stderr, result.detected_fraction_stderr)[:, :, None]
+    moved = (quotient(read, read[:, :, :1]) - 1) * result.detected_fraction.values[:, :, None]
     return np.asarray(result.volts.values[:, :, None] + per_fraction * moved)

@@ -19,7 +19,7 @@ from ..light.transfer.series import read_replicates
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import FittedCurve, fit_curve
 from ..scene import Scene, SceneIn, as_scene
-from ..statistics import Z95, jackknife, seed_of
+from ..statistics import Z95, jackknife, quotient, seed_of
 from ..variables import Estimate, described
 
 Over = Literal["force", "blood", "saturation"]
@@ -149,9 +149,8 @@ def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: Prog
         sampling = replace(fewer, seed=seed_of(options.seed, k) >> 1).fields
         rest = as_far_as_reached(trace, scene, progress=progress, **sampling)[0].at()
         value, error = rest.detected_fraction.values, rest.detected_fraction_stderr.values
-        with np.errstate(invalid="ignore", divide="ignore"):
-            log.append(np.where(value > 0, np.log(value), np.nan))
-            square.append((error / value) ** 2)
+        log.append(np.log(np.where(value > 0, value, np.nan)))
+        square.append(quotient(error, value) ** 2)
     span = np.log(SCATTERING_FACTORS[1] / SCATTERING_FACTORS[0])
     return np.stack([(log[1] - log[0]) / span, np.sqrt(square[0] + square[1]) / span])
 
@@ -311,8 +310,7 @@ def range_errors(model: np.ndarray, traced: np.ndarray) -> np.ndarray:
     of the trace's swing over the same range; at the first point it is that at the second."""
     worst = np.maximum.accumulate(np.abs(model - traced), 1)
     swing = np.maximum.accumulate(traced, 1) - np.minimum.accumulate(traced, 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = np.where(swing > 0, worst / swing, 0.0)
+    error = np.where(swing > 0, quotient(worst, swing), 0.0)
     error[:, 0] = error[:, min(1, error.shape[1] - 1)]
     return error
 
@@ -324,8 +322,7 @@ def fitted_range_errors(x: np.ndarray, traced: np.ndarray, *, curved: bool) -> n
         some, y = x[:end], traced[:, :end]
         swing = np.ptp(y, axis=1)
         missed = np.abs(_curve(some, y[0], curved=curved).replicates(some, y) - y).max(1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            error[:, end - 1] = np.where(swing > 0, missed / swing, 0.0)
+        error[:, end - 1] = np.where(swing > 0, quotient(missed, swing), 0.0)
     return error
 
 
@@ -386,9 +383,8 @@ def verdict(result: xr.Dataset, tolerance: float, *, model: str = "taylor") -> V
     sweep = "force" if "force" in result.sweep.values else str(result.sweep.values[0])
     end = result.sel(sweep=sweep, way="fitted", model=model).isel(point=-1)
     error, stderr = end.range_error.values, end.range_error_stderr.values
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # Of a photodiode that saw nothing nothing is known.
-        below = np.where(np.isfinite(error), ndtr((tolerance - error) / stderr), 0.5)
+    # Of a photodiode that saw nothing nothing is known.
+    below = np.where(np.isfinite(error), ndtr(quotient(tolerance - error, stderr)), 0.5)
     met, missed = float(below.min()), max(0.0, 1 - float(error.size * below.min()))
     i, j = np.unravel_index(int(np.where(np.isfinite(error), error, -np.inf).argmax()), error.shape)
     # Of many readings one lies above the largest error by chance, so that the lower end has Bonferroni's correction.

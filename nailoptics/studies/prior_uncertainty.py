@@ -18,7 +18,7 @@ from ..light.transfer.series import read_by_groups
 from ..options import TraceOptions
 from ..scene import Prior, Scene
 from ..scene.priors import size_priors
-from ..statistics import Z95, covariance_root, jackknife
+from ..statistics import Z95, covariance_root, jackknife, quotient
 from ..variables import Variables, described, variable
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -237,8 +237,7 @@ def _root(variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     value = np.sqrt(np.maximum(unbiased, 0.0))
     error = jackknife(variance)
     # Where the variance is not known from 0, neither is its root from what its error would make of it.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return value, np.where(unbiased > error, error / (2 * value), np.sqrt(error))
+    return value, np.where(unbiased > error, quotient(error, 2 * value), np.sqrt(error))
 
 
 def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene: Scene) -> xr.Dataset:

@@ -12,7 +12,7 @@ from ... import checks
 from ...checks import Array
 from ...errors import InputError
 from ...scene import Scene
-from ...statistics import left_out, stderr_of_mean
+from ...statistics import left_out, quotient, stderr_of_mean
 from .. import optics
 from .records import attenuation, transmissions
 from .transfer import Transfer
@@ -71,9 +71,8 @@ def readings_over_states(
     for k in range(len(sides)):
         course.read(np.flatnonzero(side == k))
     fraction, stderr, _, _ = course.out
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # Of n equal photons the relative error is 1 / sqrt(n).
-        effective = np.nan_to_num(np.square(fraction / stderr), nan=np.inf).min(-1)
+    # Of n equal photons the relative error is 1 / sqrt(n).
+    effective = np.nan_to_num(np.square(quotient(fraction, stderr)), nan=np.inf).min(-1)
     # Where there is least blood, single long paths weigh most.
     transfer.warn_of_low_effective_sample_size(effective, transfer.moments_at(np.min(blood_fraction, 0)))
     return ReadingSeries(*course.out)
@@ -270,5 +269,4 @@ def read_replicates(
         sums += [np.bincount(group, column, minlength=count * GROUPS) for column in columns]
     read = left_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
     total = read[..., : len(mu_a)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return total, read[..., len(mu_a) :] / total[..., :1]
+    return total, quotient(read[..., len(mu_a) :], total[..., :1])

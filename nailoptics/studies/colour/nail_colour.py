@@ -26,7 +26,7 @@ from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, Viewing, as_scene
 from ...scene.tracing import Illuminant, LightFrom, Observer
-from ...statistics import Array, jackknife, seed_of
+from ...statistics import Array, jackknife, quotient, seed_of
 from ...variables import described, jackknifed
 from ..prior_uncertainty import only_absorbs, over_priors
 from .reflectance import WAVELENGTHS_NM, ColourRays, Viewer, delta_e_2000, linear, walk_colour
@@ -236,8 +236,7 @@ def _redness_left(redness: Array, pale: Array) -> Array:
     redness : (..., p, s) float. a* of each state; the first is at rest. pale : (..., p) float. a* without blood.
     """
     by_blood = redness - pale[..., None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        part = by_blood / by_blood[..., :1]
+    part = quotient(by_blood, by_blood[..., :1])
     return np.where(np.isfinite(part), part, 1.0)
 
 

@@ -18,7 +18,7 @@ from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.transfer.records import transmissions
 from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife
+from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife, quotient
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
@@ -58,16 +58,14 @@ class PairedReadings:
     @cached_property
     def modulation(self) -> np.ndarray:
         """Change by touch, as a part of the reading at rest; NaN where nothing was detected."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return self.sums(1) / self.level - 1
+        return quotient(self.sums(1), self.level) - 1
 
     @cached_property
     def relative_stderr(self) -> np.ndarray:
         """Relative standard error of the level; inf where fewer than 25 effective photons were detected."""
         photons, square = np.array([trace.photons for trace in self.transfer.traces])[:, None], self.sums(0, 2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relative = np.sqrt(np.maximum(square - self.level**2 / photons, 0)) / self.level
-            return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
+        relative = quotient(np.sqrt(np.maximum(square - self.level**2 / photons, 0)), self.level)
+        return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
 
     @cached_property
     def relative_covariance(self) -> np.ndarray:
@@ -86,8 +84,8 @@ class PairedReadings:
         for recorded, part, level, modulation in of_leds:
             # The modulation is linear in what one photon more or less adds to it.
             added = part[:, 1] - (1 + modulation[recorded.photodiode]) * part[:, 0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                spread.append(np.sqrt(np.bincount(recorded.photodiode, added**2, minlength=count)) / level)
+            root = np.sqrt(np.bincount(recorded.photodiode, added**2, minlength=count))
+            spread.append(quotient(root, level))
         return np.where(np.isfinite(self.relative_stderr), np.stack(spread), np.inf)
 
     @cached_property

@@ -17,7 +17,7 @@ from ...light.transfer.series import ChebyshevBox, read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.front_end import oximeter_leds
-from ...statistics import Array, seed_of
+from ...statistics import Array, quotient, seed_of
 
 # Readings are smooth in the saturation: over half of its range polynomials of this many nodes miss them by 1e-6.
 NODES = 7
@@ -83,18 +83,13 @@ class Pulsation:
     @property
     def perfusion_index(self) -> Array:
         """ac over dc, (1 + groups, 2, photodiodes, states) float."""
-        return _quotient(self.ac, self.dc)
+        return quotient(self.ac, self.dc)
 
     @property
     def ratio(self) -> Array:
         """The ratio of ratios, R = (ac/dc of red) / (ac/dc of infrared), (1 + groups, photodiodes, states) float."""
         index = self.perfusion_index
-        return _quotient(index[:, 0], index[:, 1])
-
-
-def _quotient(a: Array, b: Array) -> Array:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(a / b)
+        return quotient(index[:, 0], index[:, 1])
 
 
 def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, pulse: Array) -> Array:
@@ -160,7 +155,7 @@ def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBea
         wavelength, _ = optics.spectrum(scene.leds[led])
         mu_a = absorption(scene, wavelength, scene.blood.so2, beat.resting, np.zeros((1, len(swing))))
         paths.append(read_replicates(transfer, led, mu_a)[1] @ swing / swing.sum())
-    return _quotient(*paths)
+    return quotient(*paths)
 
 
 def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array]:

@@ -131,8 +131,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     light = recording.volts[:, j] - recording.dark_v[j]
     if np.nanmedian(light, axis=1).min() <= 0:
         raise InputError(f"{name}: less its dark reading an LED gives no light; check the slots' names.")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logarithm = -np.log(np.where(light > 0, light, np.nan))
+    logarithm = -np.log(np.where(light > 0, light, np.nan))
     away = np.abs(logarithm - np.nanmedian(logarithm, axis=1, keepdims=True)) > MOST_AWAY
     # LEDs that are not lit yet; a filter would spread one such sample over a second.
     logarithm[:, away.any(0)] = np.nan
