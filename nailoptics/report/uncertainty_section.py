@@ -20,7 +20,7 @@ def spread_summary(result: xr.Dataset) -> dict[str, Any]:
     if not result.sizes.get("prior"):
         return {}
     rows = _rows(result)
-    return {"unknowns": rows, "conclusions": conclusions(result, rows)}
+    return {"unknowns": rows, "conclusions": _conclusions(result, rows)}
 
 
 def _kinds(result: xr.Dataset) -> list[str]:
@@ -45,12 +45,8 @@ def _rows(result: xr.Dataset) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: -max(np.nan_to_num(row[f"{kind}_spread"], nan=-1.0) for kind in _kinds(result)))
 
 
-def conclusions(result: xr.Dataset, rows: list[dict[str, Any]] | None = None) -> list[str]:
-    """What a designer may conclude over the priors of the finger.
-
-    rows : of the priors, as `spread_summary` has them, if known already.
-    """
-    rows = _rows(result) if rows is None else rows
+def _conclusions(result: xr.Dataset, rows: list[dict[str, Any]]) -> list[str]:
+    """What a designer may conclude over the priors of the finger, whose rows are given."""
     traced = [row for row in rows if row["how"] != "not traced"]
     lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
     if left := [row["name"] for row in rows if row["how"] == "not traced"]:
@@ -123,4 +119,4 @@ def spread_section(result: xr.Dataset) -> str:
     note = TEXTS["note"] + (" " + TEXTS["unresolved"].format(", ".join(unresolved)) if unresolved else "")
     sources = table([{"Parameter": row["name"], "Source of its range": row["source"]} for row in rows], kind="words")
     tables = table(lines), small(note), details("Sources of the ranges", sources)
-    return section("Uncertainty over the priors", *conclusions(result, rows), *tables)
+    return section("Uncertainty over the priors", *_conclusions(result, rows), *tables)

@@ -6,7 +6,7 @@ from hostile_names import HOSTILE, assert_text_alone
 
 from nailoptics.report.readings import hold_end, photodiode_readings, simulation_lines, simulation_summary
 from nailoptics.report.scene_description import check_lines
-from nailoptics.report.uncertainty_section import conclusions, spread_section
+from nailoptics.report.uncertainty_section import spread_section, spread_summary
 
 
 def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
@@ -58,17 +58,17 @@ def test_the_spread_states_the_signs_that_hold_and_what_is_not_in_it(make):
     scene that is not at its priors' mean is reported."""
     result = make(section=False)
     result.saturated[0, 0, 5] = True
-    lines = conclusions(with_priors(result, 0.0))
+    lines = spread_summary(with_priors(result, 0.0))["conclusions"]
     assert any(
         "sign of the change holds" in line and "at 2 of 7 readings; at the others it may" in line for line in lines
     )
     assert lines[-1].startswith("Not among these priors: how contact") and not any("shifted" in line for line in lines)
-    (line,) = [one for one in conclusions(with_priors(make(section=False), -1.3)) if "shifted" in one]
+    (line,) = [one for one in spread_summary(with_priors(make(section=False), -1.3))["conclusions"] if "shifted" in one]
     assert "(plate absorption)" in line and "+10 % to +80 %" in line
 
 
 def test_the_priors_with_most_effect_on_readings_and_on_changes_are_named(make):
-    line = conclusions(with_priors(make(section=False), 0.0))[0]
+    line = spread_summary(with_priors(make(section=False), 0.0))["conclusions"][0]
     assert "(one standard deviation), most by plate absorption, and changes by" in line
     assert line.endswith("most by plate absorption.")
 
@@ -94,11 +94,11 @@ def test_a_prior_with_a_hostile_name_is_text(make, name, field):
 
 def test_a_saturated_reading_has_no_spread(make):
     result = with_priors(make(section=False), 0.0)
-    assert "10-80 %" in conclusions(result)[0]
+    assert "10-80 %" in spread_summary(result)["conclusions"][0]
     result.saturated[0, 7, 5] = True
-    assert "10-70 %" in conclusions(result)[0]
+    assert "10-70 %" in spread_summary(result)["conclusions"][0]
     result.saturated[:] = True
-    assert conclusions(result) == []
+    assert spread_summary(result)["conclusions"] == []
 
 
 def test_a_check_is_reported_in_sentences():

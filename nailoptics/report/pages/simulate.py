@@ -355,8 +355,8 @@ def _line(axes: "style.Axes", values: xr.DataArray, **look: Any) -> None:
     axes.plot(values.time.to_numpy(), values.to_numpy(), **look)
 
 
-def _over_time(axes: "style.Axes", result: xr.Dataset, title: str = "", ylabel: str = "") -> None:
-    axes.set(xlabel="time [s]", title=title or axes.get_title("left"), ylabel=ylabel or axes.get_ylabel())
+def _over_time(axes: "style.Axes", result: xr.Dataset, title: str, ylabel: str) -> None:
+    axes.set(xlabel="time [s]", title=title, ylabel=ylabel)
     if result.sizes["time"] > 1:
         axes.set_xlim(float(result.time[0]), float(result.time[-1]))
 

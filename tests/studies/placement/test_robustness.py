@@ -8,7 +8,7 @@ import pytest
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
-from nailoptics.report.uncertainty_section import conclusions, spread_section
+from nailoptics.report.uncertainty_section import spread_section, spread_summary
 from nailoptics.scene import Body, Breathing, Candidate, Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards, candidates
@@ -86,7 +86,7 @@ def test_a_node_is_what_a_placement_of_that_finger_finds(ranked):
 
 def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     *_, result = ranked
-    lines = conclusions(result)
+    lines = spread_summary(result)["conclusions"]
     times = int(result.best_stays_best_at)
     assert f"near remains the best at {times} of 6 values" in lines[0] and "none of them" in lines[0]
     assert "most with bloodless bed absorption" in lines[1]
