@@ -66,21 +66,13 @@ def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], tr
     """Readings at rest, mean paths and where the light ended."""
     transfer, photons, reached = _transfer(scene, options, stores, traced)
     rest, energy = transfer.at(), transfer.energy()
-    names = ("effective_photons", "mean_path_mm", "mean_path_mm_stderr")
-    fraction, pair = rest.variables["detected_fraction"], {"ancillary_variables": "detected_fraction_rest_stderr"}
+    at_rest = {f"detected_fraction{end}": f"detected_fraction_rest{end}" for end in ("", "_stderr")}
+    kept = rest[[*at_rest, "effective_photons", "mean_path_mm", "mean_path_mm_stderr", "wavelength_nm"]].rename(at_rest)
+    kept.detected_fraction_rest.attrs["ancillary_variables"] = "detected_fraction_rest_stderr"
     value, stderr = ([part[name] for part in energy.values()] for name in ("value", "stderr"))
-    dataset = xr.Dataset(
-        {
-            "detected_fraction_rest": (fraction.dims, fraction.values, fraction.attrs | pair),
-            "detected_fraction_rest_stderr": rest.variables["detected_fraction_stderr"],
-            **{name: rest.variables[name] for name in names},
-            "wavelength_nm": rest.variables["wavelength_nm"],
-            **variable("energy", "part", value, "share of the emitted power", stderr=stderr),
-        },
-        coords={"part": list(energy)} | {name: rest.variables[name] for name in ("led", "photodiode", "absorber")},
-        attrs=rest.attrs | ({"traced_mu_a_per_mm": transfer.traces[0].mu_a.tolist()} if traced else {}),
-    )
-    return dataset, photons, reached
+    shares = variable("energy", "part", value, "share of the emitted power", stderr=stderr)
+    known = {"traced_mu_a_per_mm": transfer.traces[0].mu_a.tolist()} if traced else {}
+    return kept.assign(shares).assign_coords(part=list(energy)).assign_attrs(known), photons, reached
 
 
 def _transfer(
