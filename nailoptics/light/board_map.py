@@ -101,19 +101,19 @@ class BoardTracer:
         *,
         backend: str = "auto",
         spacing_mm: float = SPACING_MM,
-        store: LightStore | None = None,
+        stores: Sequence[LightStore] = (),
         seed: int = 0,
     ) -> None:
         """spacing_mm : cells of the distances that the walk looks up; wider ones are made sooner and walk slower.
 
-        store, seed : the cache of light, and the command's seed, with which light is listed there.
+        stores, seed : where light is stored, and the command's seed, with which it is listed there.
         """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
         self.backend = backends.choose_jit(backend, "a photon map")
         # Its light knows no names.
         self.photodiodes = scene.photodiodes
-        self.scene, self.spacing_mm, self.store, self.seed = light_scene(scene), spacing_mm, store, seed
+        self.scene, self.spacing_mm, self.stores, self.seed = light_scene(scene), spacing_mm, stores, seed
         self.mu_a = [optics.absorption(self.scene, led.wavelength_nm)[0] for led in self.scene.leds]
 
     @cached_property
@@ -130,11 +130,9 @@ class BoardTracer:
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
-        lights = []
-        if self.store is not None:
-            made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
-            made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": self.mu_a[led].tolist()}
-            lights = [self.store.light(made)]
+        made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
+        made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": self.mu_a[led].tolist()}
+        lights = [store.light(made) for store in self.stores]
         return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 
     def _stored_arrivals(self, led: int, name: str, photons: int, seed: int, trace: Callable[[], Arrivals]) -> Arrivals:

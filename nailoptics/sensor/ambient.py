@@ -85,8 +85,8 @@ def trace_ambient(
     """
     elements, led = scene.layout.photodiodes, int(np.argmax([led.wavelength_nm for led in scene.leds]))
     mu_a, n = optics.absorption(scene, INSIDE_NM), optics.index_around(scene, scene.leds[led].wavelength_nm)
-    store = LightStore.of_user() if options.store else None
-    tracer = BoardTracer(scene, spacing_mm=SPACING_MM, backend=options.backend, store=store, seed=seed)
+    stores = LightStore.of_command(options)
+    tracer = BoardTracer(scene, spacing_mm=SPACING_MM, backend=options.backend, stores=stores, seed=seed)
     result = np.empty((3, len(sources), len(elements)))
     for j, element in enumerate(elements):
         check_time()
@@ -98,7 +98,7 @@ def trace_ambient(
         largest_a = np.where(largest_a > 0, largest_a, whole_a / photons)
         total, square = currents_a.sum(1), (currents_a**2).sum(1)
         result[..., j] = total, np.sqrt(np.maximum(square - total**2 / photons, largest_a**2)), whole_a
-    if store is not None:
+    for store in stores:
         store.close()
     return result
 

@@ -101,13 +101,6 @@ class LightStore:
         text = json.dumps(made, sort_keys=True, separators=(",", ":"))
         return StoredLight(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
 
-    def damaged(self, path: Path, why: Exception) -> None:
-        """Report a file that is not what was written."""
-        if isinstance(why, PermissionError):
-            log.warning("%s: stored light cannot be read (%s); traced again", self.root, why.strerror)
-        else:
-            log.warning("%s: is not what was stored there (%s); traced again", path, why)
-
     def write(self, path: Path, data: memoryview) -> None:
         """Write a file of the store; where it is optional, the first refusal ends storing with a word."""
         # os.path takes what a folder hides for missing, Path does not.
@@ -178,10 +171,12 @@ class StoredLight:
                 os.utime(self.folder)
             return build(header["about"], arrays)
         except (FileNotFoundError, NotADirectoryError):
-            return None
+            pass
+        except PermissionError as error:
+            log.warning("%s: stored light cannot be read (%s); traced again", self.store.root, error.strerror)
         except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
-            self.store.damaged(path, error)
-            return None
+            log.warning("%s: is not what was stored there (%s); traced again", path, error)
+        return None
 
     def write(self, name: str, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Write header and arrays under a name."""

@@ -228,8 +228,8 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
-    sources, bare, store = colours(base), boards.bare_board(base), LightStore.of_command(options)
-    how: dict[str, Any] = {"store": store[0] if store else None, "backend": options.backend, "seed": options.seed}
+    sources, bare, stores = colours(base), boards.bare_board(base), LightStore.of_command(options)
+    how: dict[str, Any] = {"stores": stores, "backend": options.backend, "seed": options.seed}
     lit = {(led.wavelength_nm, led.fwhm_nm): lit_by(bare, led) for led in sources}
     tracers = {light: BoardTracer(one, spacing_mm=DISTANCE_MM, **how) for light, one in lit.items()}
     by_led = [tracers[led.wavelength_nm, led.fwhm_nm] for led in base.leds]

@@ -83,7 +83,7 @@ class PhotonMapCache:
 
     distance_mm : cells of the distances that the walk asks for.
     batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED; bounds batches, too.
-    store : the cache of traced light.
+    stores : where traced light is stored.
     stop : whether nothing more is to be traced, tested before every batch.
     ambient_a : by digest of a layout, photocurrents by light from outside to which "auto" fits. [A]
     part : of the blocks of photons by which fingers are read.
@@ -97,7 +97,7 @@ class PhotonMapCache:
     distance_mm: float = SPACING_MM
     batch_photons: int | None = None
     most_photons: int | None = None
-    store: LightStore | None = None
+    stores: Sequence[LightStore] = ()
     stop: Callable[[], bool] = lambda: False
     part: slice = field(default_factory=lambda: slice(None))
     photons: int = field(default=0, init=False)
@@ -123,7 +123,7 @@ class PhotonMapCache:
 
     def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
         """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
-        how: dict[str, Any] = {"backend": self.backend, "store": self.store, "seed": self.seed}
+        how: dict[str, Any] = {"backend": self.backend, "stores": self.stores, "seed": self.seed}
         return BoardTracer(scene, spacing_mm=spacing_mm or self.distance_mm, **how)
 
     def of(self, board: Scene) -> TracedBoard:

@@ -76,8 +76,8 @@ def place(
     conditions = [*on_fingers, *(finger_condition(base, person, rules) for person in people)]
     of_fingers, objective = (_objective(base, on, rules) for on in (on_fingers, conditions))
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
-    store = LightStore.of_user() if options.store else None
-    ranking = PhotonMapCache(conditions, **made, store=store, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
+    stores = LightStore.of_command(options)
+    ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
     ranking.most_photons = photons
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
@@ -93,7 +93,7 @@ def place(
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
     checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
-    if store is not None:
+    for store in stores:
         store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}

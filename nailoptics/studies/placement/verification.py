@@ -42,7 +42,7 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
     """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
     resolution."""
     sources, traced = sources_of(scene), []
-    options = TraceOptions(backend=cache.backend, store=cache.store is not None)
+    options = TraceOptions(backend=cache.backend, store=bool(cache.stores))
     for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
         on = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": cover_um})})
         how: dict[str, Any] = {"photons": photons, "seed": cache.seed, "check_time": cache.check_time}

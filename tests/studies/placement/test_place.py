@@ -487,7 +487,8 @@ def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, 
     of_ranking = {"seed": 1, "stream": 1, "backend": "auto", "blocks": place.BLOCKS, "distance_mm": place.DISTANCE_MM}
     with fewer_photons():
         caches = [
-            photon_maps.PhotonMapCache([condition], **of_ranking, store=store) for store in (None, LightStore.of_user())
+            photon_maps.PhotonMapCache([condition], **of_ranking, stores=stores)
+            for stores in ([], [LightStore.of_user()])
         ]
         caches[0].extend(board, 1 << 18)
         monkeypatch.setattr(FingerTracer, "walk", None)
