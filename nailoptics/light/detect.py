@@ -177,7 +177,7 @@ def light_of(transfer: Transfer, *, rest: xr.Dataset | None = None) -> DetectedL
     relative = quotient(rest.detected_fraction_stderr, rest.detected_fraction)
 
     def readings_at(states: np.ndarray) -> ReadingSeries:
-        readings = readings_over_states(transfer, states, weight_by_responsivity=True)
+        readings = readings_over_states(transfer, states)
         # A sum of no photons, or of one, has no spread, which is not the same as no error.
         readings.stderr[unknown] = readings.change_stderr[unknown] = np.nan
         return readings

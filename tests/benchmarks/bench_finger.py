@@ -85,7 +85,7 @@ def press(scene: nail.Scene) -> None:
     t = np.linspace(0, 1, 10_000)
     states = np.stack([0.03 * (1 + 0.8 * np.sin(6 * t)), 0.03 * (1 + 0.9 * np.cos(9 * t))], -1)
     start = time.perf_counter()
-    readings_over_states(transfer, states, weight_by_responsivity=True)
+    readings_over_states(transfer, states)
     seen = sum(len(trace.weight) for trace in transfer.traces)
     print(
         f"press        10 000 states x 3 LEDs x 8 photodiodes in {time.perf_counter() - start:.2f} s ({seen} photons)"

@@ -44,7 +44,7 @@ def rank() -> None:
     light = trace(scene, photons=400_000, seed=1)
 
     def signal(one: Scene) -> np.ndarray:
-        read = readings_over_states(light, steady_blood(one, [0.0, 1.0]), weight_by_responsivity=True)
+        read = readings_over_states(light, steady_blood(one, [0.0, 1.0]))
         return 100 * read.change[0, :, 1] / read.fraction[0, :, 0]
 
     rows = {}

@@ -50,7 +50,7 @@ def test_over_a_photodiode_the_map_reads_what_the_photodiode_reads(scene, arriva
     areas = list(scene.layout.photodiode_areas)
     point = blood_point(scene, 0)
     mean, error = together(arrivals, point, areas)
-    seen = readings_over_states(transfer, np.array([[0.03, 0.03]]), weight_by_responsivity=True)
+    seen = readings_over_states(transfer, np.array([[0.03, 0.03]]))
     expected, spread = seen.fraction[0, :, 0], seen.stderr[0, :, 0]
     assert np.all(np.abs(mean[:, 0] - expected) < 4 * np.hypot(error[:, 0], spread))
     assert np.all(np.hypot(error[:, 0], spread) < [0.03, 0.06] * expected)
@@ -64,7 +64,7 @@ def test_sensitivities_are_the_finite_differences_of_a_trace(scene, arrivals, tr
     for zone in range(2):
         step = np.zeros(2)
         step[zone] = 3e-4
-        seen = readings_over_states(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]), weight_by_responsivity=True)
+        seen = readings_over_states(transfer, np.array([0.03 - step / 2, 0.03 + step / 2]))
         slope, spread = (part[0, :, 1] / 3e-4 for part in (seen.change, seen.change_stderr))
         assert np.all(np.abs(mean[:, 2 + zone] - slope) < 4 * np.hypot(error[:, 2 + zone], spread))
         assert np.all(np.hypot(error[:, 2 + zone], spread) < 0.1 * np.abs(mean[:, 2:].sum(1)))
@@ -99,7 +99,7 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arriva
     mean, error = together(arrivals, blood_point(scene, 0, blood_fraction=blood), list(scene.layout.photodiode_areas))
     more = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.05})})
     fresh = nail.trace(more, photons=1 << 18, seed=11)
-    seen = readings_over_states(fresh, np.array([blood]), weight_by_responsivity=True)
+    seen = readings_over_states(fresh, np.array([blood]))
     noise = np.hypot(error[:, 0], seen.stderr[0, :, 0])
     assert np.all(np.abs(mean[:, 0] - seen.fraction[0, :, 0]) < 4 * noise)
     assert np.all(noise < [0.04, 0.07] * mean[:, 0])
@@ -214,9 +214,7 @@ def test_a_turned_photodiode_reads_the_map_over_its_rectangle(scene, arrivals, c
     one = scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=turned),)})
     (area,) = one.layout.photodiode_areas
     mean, error = together(arrivals, blood_point(scene, 0), [area])
-    seen = readings_over_states(
-        nail.trace(one, photons=2 << 18, seed=21), np.array([[0.03, 0.03]]), weight_by_responsivity=True
-    )
+    seen = readings_over_states(nail.trace(one, photons=2 << 18, seed=21), np.array([[0.03, 0.03]]))
     expected, spread = seen.fraction[0, 0, 0], seen.stderr[0, 0, 0]
     assert abs(mean[0, 0] - expected) < 4 * np.hypot(error[0, 0], spread)
     assert np.hypot(error[0, 0], spread) < 0.04 * expected

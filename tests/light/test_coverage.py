@@ -76,7 +76,7 @@ def of_trace(transfer: Transfer) -> Estimates:
     rest, other = transfer.at(), transfer.at(blood_fraction=[0.05, 0.01], so2=0.8)
     bed = {"absorber": "bed_1"}
     states = np.linspace([0.03, 0.03], [0.06, 0.015], 9)
-    moved = readings_over_states(transfer, states, weight_by_responsivity=True)
+    moved = readings_over_states(transfer, states)
     out = {
         "reading": (rest.detected_fraction.values, rest.detected_fraction_stderr.values),
         "other state": (other.detected_fraction.values, other.detected_fraction_stderr.values),

@@ -45,16 +45,14 @@ class ReadingSeries:
     change_stderr: np.ndarray
 
 
-def readings_over_states(
-    transfer: Transfer, blood_fraction: np.ndarray, *, weight_by_responsivity: bool = False
-) -> ReadingSeries:
+def readings_over_states(transfer: Transfer, blood_fraction: np.ndarray) -> ReadingSeries:
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
-    Readings are smooth in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the
-    error of interpolation below 1e-7 of a reading for all but the longest paths, and interpolated.
+    An LED's line is weighed by the photodiode's response, relative to that at the peak wavelength. Readings are smooth
+    in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the error of interpolation
+    below 1e-7 of a reading for all but the longest paths, and interpolated.
 
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
-    weight_by_responsivity : weigh the LED's line by the photodiode's response, relative to that at the peak wavelength.
 
     Warns: ReweightWarning where fewer than 400 effective photons stand behind a reading of some state, or fewer than 25
     behind the standard error of one that is brighter than the traced state.
@@ -64,7 +62,7 @@ def readings_over_states(
     count, blood = optics.zones(transfer.scene).count, transfer.scene.blood
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
-    course = _Course(transfer, states, weight_by_responsivity)
+    course = _Course(transfer, states)
     # Absorption bends where venous blood begins to pool: between nodes on one side of that it is smooth.
     pooling = 1.0 if blood.venous_so2 is None else blood.rest_blood_fraction
     sides, side = np.unique(states > pooling, axis=0, return_inverse=True)
@@ -81,8 +79,8 @@ def readings_over_states(
 class _Course:
     """States to read, (t, K), and `out`, what was read in them: the four arrays of a `ReadingSeries`."""
 
-    def __init__(self, transfer: Transfer, states: np.ndarray, weight_by_responsivity: bool) -> None:
-        self.transfer, self.states, self.weighted = transfer, states, weight_by_responsivity
+    def __init__(self, transfer: Transfer, states: np.ndarray) -> None:
+        self.transfer, self.states = transfer, states
         self.first = checks.fraction("blood_fraction", states)[0]
         self.out = np.empty((4, len(transfer.traces), len(transfer.photodiodes), len(states)), states.dtype)
 
@@ -93,8 +91,7 @@ class _Course:
         out = np.zeros((4, len(self.transfer.traces), count, len(states)))
         for i, (trace, led) in enumerate(zip(self.transfer.traces, self.transfer.scene.leds, strict=True)):
             wavelength, share = optics.spectrum(led)
-            if self.weighted:
-                share = share * wavelength / led.wavelength_nm
+            share = share * wavelength / led.wavelength_nm
             mu_a = _absorption(self.transfer.scene, wavelength, np.vstack([self.first, states]), line) - trace.mu_a
             sums = np.zeros((4, count, len(states)))
             order = np.argsort(trace.photodiode, kind="stable")
