@@ -129,8 +129,10 @@ Box = tuple[float, float, float, float]
 
 
 class Packaged(Table):
-    """The package of a part, in a part as in a scene."""
+    """The face and the package of a part, in a part as in a scene."""
 
+    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """Height by which its face protrudes from the board's underside. [um]"""
     package_height_um: Annotated[float, Field(gt=0, le=20_000)] | None = None
     """Height of its package above the board. [um]"""
     lens: bool = False

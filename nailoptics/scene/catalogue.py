@@ -52,8 +52,6 @@ class LedPart(Packaged):
     """Largest current of the LED, or of the driver in its module. [mA]"""
     die_size_mm: Annotated[Size, Field(serialization_alias="size_mm")] = (0.25, 0.25)
     """Size of the die across the nail (u) and along it (v). [mm]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which the die protrudes from the board's underside. [um]"""
     pattern: Literal["lambertian"] | Rows = "lambertian"
     """lambertian, or rows [angle_deg, relative intensity per solid angle]."""
 
@@ -77,8 +75,6 @@ class PhotodiodeElements(Packaged):
     """Number of elements in a row along v."""
     pitch_mm: Positive | None = None
     """Pitch of the elements, centre to centre; their size along v if not given. [mm]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which the sensitive face protrudes from the board's underside. [um]"""
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.85
     """Electrons per incident photon."""
     responsivity: tuple[tuple[Positive, NonNegative], ...] | None = None

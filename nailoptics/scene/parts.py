@@ -71,8 +71,6 @@ class Mounted(Packaged):
     """Centre of the die, photodiode or array. [mm]"""
     rotation_deg: Rotation = 0.0
     """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
-    height_um: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Height by which its face protrudes from the board's underside. [um]"""
     body_mm: Box | None = None
     """Box around its body and pads, (u_min, v_min, u_max, v_max) from its position, before its rotation; filled from
     kicad. [mm]"""
