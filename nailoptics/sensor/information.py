@@ -299,9 +299,10 @@ def share_resolution(information: Array, point: OperatingPoint) -> Array:
 
 
 def _stderr_of(information: Array, per_pa: Array) -> Array:
-    """Standard deviation of what changes with both pressures as given, (2,) float, to first order."""
-    proximal, both, distal = _with_prior(information)
-    a, b = per_pa
+    """Standard deviation of what changes with both pressures as given, (2,) float, to first order; a prior is added to
+    the information on each pressure."""
+    (a, b), (proximal, both, distal) = per_pa, np.moveaxis(pressure_information(information), -1, 0)
+    proximal, distal = proximal + PRIOR_PA**-2, distal + PRIOR_PA**-2
     return np.sqrt((a**2 * distal - 2 * a * b * both + b**2 * proximal) / (proximal * distal - both**2))
 
 
@@ -319,14 +320,7 @@ def physiological_noise_force_n(point: OperatingPoint) -> float:
 
 def pressure_resolution_pa(information: Array) -> Array:
     """Standard deviation of the proximal and of the distal pressure, (..., 2) float. [Pa]"""
-    proximal, both, distal = _with_prior(information)
-    return np.sqrt(np.stack([distal, proximal], -1) / (proximal * distal - both**2)[..., None])
-
-
-def _with_prior(information: Array) -> tuple[Array, Array, Array]:
-    """The entries 11, 12, 22 with what is known before any reading."""
-    prior, (proximal, both, distal) = PRIOR_PA**-2, np.moveaxis(pressure_information(information), -1, 0)
-    return proximal + prior, both, distal + prior
+    return np.stack([_stderr_of(information, pressure) for pressure in np.eye(2)], -1)
 
 
 def condition_number(read: Response) -> float:
