@@ -77,6 +77,16 @@ class Mounted(Packaged):
     courtyard_mm: Box | None = None
     """Box around its courtyard, on which no other part may lie, likewise; filled from kicad. [mm]"""
 
+    @property
+    def is_of_module(self) -> bool:
+        """Whether it is one die of a footprint of several."""
+        return "." in (self.reference or "")
+
+    @property
+    def footprint(self) -> str:
+        """Reference of its footprint, the same for all dies of a module; its name without one."""
+        return (self.reference or self.name).split(".")[0]
+
 
 class Led(Mounted):
     """A light-emitting die, or a beam on a phantom."""
@@ -194,9 +204,8 @@ class BoardFile(Table):
     candidates without it have that of [board]. A scene that was read from a KiCad board keeps it."""
     origin: Literal["auxiliary", "grid", "outline"] | Point | None = None
     """Point of the file that is the board's origin: the auxiliary origin of drill and position files, the grid's, the
-    outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except the
-    grid's, else the middle of the mapped parts (of a position file, where they lie farther than a nail from (0, 0)).
-    [mm]"""
+    outline's centre, or (x, y) as shown by the layout program; if not given the first of these that exists, except
+    the grid's (of a position file (0, 0)), if a nail reaches all mapped parts from there, else their middle. [mm]"""
     faces_nail: Literal["top", "bottom"] | None = None
     """Side of the file's board that faces the nail; that of its parts if not given."""
     turn_deg: Rotation = 0.0

@@ -39,10 +39,12 @@ SINGLE = {"reference": None, "part": None, "wired": None, "elements": 1, "pitch_
 
 def rules(scene: Scene) -> Placement:
     """The scene's [placement], or the usual rules; where they give no outline, that of the board's own file, whose
-    other parts are kept out, too."""
+    other parts are kept out, too; dies of a module, which do not move by themselves, are fixed."""
     placement, board = scene.placement or Placement(), scene.board
     taken = shifted(board.taken_mm or (), board.center_mm)
+    of_modules = (p.name for p in (*scene.leds, *scene.photodiodes) if p.is_of_module)
     update: dict[str, object] = {"keep_out_mm": (*placement.keep_out_mm, *taken)}
+    update["fixed"] = (*placement.fixed, *of_modules)
     if placement.outline_mm is None and board.outline_mm is not None:
         corners, *holes = shifted((board.outline_mm, *board.outline_holes_mm), board.center_mm)
         update |= {"outline_mm": corners, "outline_holes_mm": tuple(holes)}
@@ -242,8 +244,7 @@ def crowded(scene: Scene) -> list[str]:
     lines = [
         f"body or courtyard of {one.name} and {other.name} overlap by {room.overlap_mm(its):.2g} mm; move one of them"
         for (one, room), (other, its) in combinations(parts, 2)
-        if room.overlap_mm(its) > OVERLAP_MM
-        and (one.reference or one.name).split(".")[0] != (other.reference or other.name).split(".")[0]
+        if room.overlap_mm(its) > OVERLAP_MM and one.footprint != other.footprint
     ]
     border, *holes = scene.layout.border_mm or (scene.layout.outline.corners_mm,)
     off = [*holes, *shifted(board.taken_mm or (), board.center_mm)]
@@ -259,9 +260,8 @@ def misfits(scene: Scene) -> list[str]:
     room_um, lines = 1e3 * scene.board.height_mm, []
     for part in (*scene.leds, *scene.photodiodes):
         if (tall_um := part.package_height_um or 0.0) > room_um:
-            name = (part.reference or part.name).split(".")[0]
             text = f"{tall_um:g} um high, and {room_um:g} um are between board and nail: it cannot lie as drawn"
-            lines.append(f"package of {name} is {text}; raise board.clear_epoxy_um")
+            lines.append(f"package of {part.footprint} is {text}; raise board.clear_epoxy_um")
         shape = "pattern" if isinstance(part, Led) else "angular_response"
         if part.lens and getattr(part, shape) not in ("lambertian", None):
             cure = 'set it to "lambertian"' if isinstance(part, Led) else "copy its part without it"
@@ -285,8 +285,7 @@ def check_search(base: Scene, placement: Placement) -> None:
             f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; set search = false and "
             "give candidates."
         )
-    loose, requested = loose_photodiodes(base, placement), placement.photodiodes
-    staying = tuple(photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed)
+    (staying, loose), requested = fixed_and_loose(base, placement), placement.photodiodes
     fixed = len(lay_elements(base.board, staying)[0])
     if fixed > requested:
         raise InputError(f"placement.photodiodes = {requested}, but fixed has {fixed} of them; ask for more.")
@@ -297,9 +296,10 @@ def check_search(base: Scene, placement: Placement) -> None:
         )
 
 
-def loose_photodiodes(base: Scene, placement: Placement) -> list[Photodiode]:
-    """The scene's photodiodes that are not fixed."""
-    return [photodiode for photodiode in base.photodiodes if photodiode.name not in placement.fixed]
+def fixed_and_loose(base: Scene, placement: Placement) -> tuple[tuple[Photodiode, ...], tuple[Photodiode, ...]]:
+    """The scene's photodiodes that are fixed, and the others."""
+    fixed = tuple(photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed)
+    return fixed, tuple(photodiode for photodiode in base.photodiodes if photodiode not in fixed)
 
 
 def searchable_board(base: Scene, placement: Placement) -> Scene:
@@ -315,11 +315,11 @@ def searchable_board(base: Scene, placement: Placement) -> Scene:
 
 
 def straightened(part: PartT) -> PartT:
-    """A part that lies along or across the nail, whichever is nearer; of a module without its package."""
-    of_module = dict.fromkeys(ROOM if "." in (part.reference or "") else ())
-    return part.model_copy(update={"rotation_deg": 90.0 * round(part.rotation_deg / 90) % 360} | of_module)
+    """A part that lies along or across the nail, whichever is nearer."""
+    return part.model_copy(update={"rotation_deg": 90.0 * round(part.rotation_deg / 90) % 360})
 
 
 def single(photodiode: Photodiode) -> Photodiode:
-    """A photodiode for another place: of an array one element, without its package."""
-    return photodiode.model_copy(update=SINGLE | dict.fromkeys(ROOM if photodiode.elements > 1 else ()))
+    """A photodiode for another place: of an array one element, and of that or a module without its package."""
+    of_several = photodiode.elements > 1 or photodiode.is_of_module
+    return photodiode.model_copy(update=SINGLE | dict.fromkeys(ROOM if of_several else ()))

@@ -14,7 +14,7 @@ from ...scene.base import Point
 from ...scene.parts import check_one_response
 from ...scene.rectangles import Rectangle
 from . import boards
-from .boards import DECIMALS, PartT, loose_photodiodes, straightened
+from .boards import DECIMALS, PartT, fixed_and_loose, straightened
 
 # Of simple layouts, and the part of it by which a place may be off.
 GRID_MM, ON_GRID = 0.25, 1e-3
@@ -136,10 +136,11 @@ def searched(
     wall : side of the photodiodes on which the LEDs lie behind their wall, and its gap to the nearest; None without.
     """
     leds = [_at(base, led, place) for led, place in zip(base.leds, leds_mm, strict=True)]
-    parts = [photodiode for photodiode in base.photodiodes if photodiode.name in placement.fixed]
+    fixed, loose = fixed_and_loose(base, placement)
+    parts = [*fixed]
     if placement.wire:
         names = {area.name for area in photodiodes}
-        for part in loose_photodiodes(base, placement):
+        for part in loose:
             if wired := tuple(i for i, element in enumerate(part.element_names()) if element in names):
                 parts.append(part.model_copy(update={"wired": wired if len(wired) < part.elements else None}))
     else:
@@ -159,7 +160,7 @@ def _named(base: Scene, placement: Placement, places: Sequence[Point]) -> list[t
     else new."""
     from scipy.optimize import linear_sum_assignment
 
-    loose, like, (du, dv) = loose_photodiodes(base, placement), base.photodiodes[0], base.board.center_mm
+    (_, loose), like, (du, dv) = fixed_and_loose(base, placement), base.photodiodes[0], base.board.center_mm
     same = (1, like.part, like.size_mm, like.body_mm, like.courtyard_mm)
     alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm, p.body_mm, p.courtyard_mm) == same]
     # What a file has stays on its board, whether its light is searched or not.

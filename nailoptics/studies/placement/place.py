@@ -155,6 +155,8 @@ def _candidates(
     rules = objective.rules
     for line in boards.misfits(base):
         log.warning("%s", line)
+    for ref in dict.fromkeys(p.footprint for p in (*base.leds, *base.photodiodes) if p.is_of_module):
+        log.warning("%s is one footprint, whose dies do not move by themselves: it stays where it is.", ref)
     boards.check_search(base, rules)
     layouts = given(base, rules)
     # The paper's layout has one LED, which cannot measure oxygen, and is no layout for somebody's own board.
@@ -169,7 +171,8 @@ def _candidates(
     parts = f"{len(base.leds)} LEDs and {rules.photodiodes} photodiodes"
     has_room = any(design.places.free >= design.count for design in layout_search.designs.values())
     if rules.search and not searched and not report_progress.is_over(search.SEARCH_SHARE):
-        room = f"no room for {parts}; make the board larger, placement.led_step_mm smaller, or ask for fewer"
+        wall = ", set board.barrier = false" if base.board.barrier else ""
+        room = f"no room for {parts}; make the board larger, placement.led_step_mm smaller{wall}, or ask for fewer"
         log.warning("placement.search: %s", UNRESOLVED if has_room else room)
     # The user's layouts and the search's best are evaluated even where time is over.
     layouts += search.shortlist(straight, rules, [*searched, *layout_search.regular])

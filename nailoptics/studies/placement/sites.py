@@ -113,13 +113,13 @@ class Sites:
     @cached_property
     def _fixed(self) -> list[Rectangle]:
         """Elements that are read of photodiodes that stay."""
-        fixed = tuple(photodiode for photodiode in self.base.photodiodes if photodiode.name in self.rules.fixed)
+        fixed, _ = boards.fixed_and_loose(self.base, self.rules)
         return [element.area for element in lay_elements(self.base.board, fixed)[0]]
 
     @cached_property
     def elements(self) -> tuple[Rectangle, ...]:
         """Of which the search wires some: all elements of the scene's photodiodes that are not fixed."""
-        loose = boards.loose_photodiodes(self.base, self.rules) if self.rules.wire else []
+        loose = boards.fixed_and_loose(self.base, self.rules)[1] if self.rules.wire else ()
         wired = tuple(photodiode.model_copy(update={"wired": None}) for photodiode in loose)
         return tuple(element.area for element in lay_elements(self.base.board, wired)[0])
 

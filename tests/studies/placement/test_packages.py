@@ -225,3 +225,28 @@ def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(tmp_path)
     assert light_digest(both.model_copy(update={"leds": (bare, leds[1])})) == light_digest(
         both.model_copy(update={"leds": (bare.model_copy(update={"lens": False}), leds[1])})
     )
+
+
+def test_a_module_stays_where_its_footprint_is(tmp_path, caplog):
+    """Expected: in every searched layout the module's dies where the board has them, and photodiodes beside it."""
+    file = BOARD.replace('(at 102 97 90) (property "Reference" "PD1")', '(at 100 101 90) (property "Reference" "U1")')
+    (tmp_path / "x.kicad_pcb").write_text(file)
+    text = "\n".join(
+        line for line in SCENE.format(barrier="false", more="").splitlines() if line[:2] not in ("D1", "D2")
+    )
+    text = text.replace("PD1 = {", 'U1 = { module = "max30102" }\n#').replace("\n[placement]", "#\n[placement]")
+    (tmp_path / "mine.toml").write_text(text)
+    scene = load_scene(tmp_path / "mine.toml")
+    one, result = searched(scene)
+    layouts = search.shortlist(one.base, one.rules, [*result, *one.regular])
+    assert layouts
+    for layout in layouts:
+        named, board = kicad_board.own_board(layout.scene, tmp_path)
+        assert [led.center_mm for led in layout.scene.layout.leds] == [led.center_mm for led in scene.layout.leds]
+        assert "U1.pd" in layout.scene.layout.photodiode_names
+        (tmp_path / "best.kicad_pcb").write_text(board)
+        before, after = (
+            next(part for part in read_board(tmp_path / f"{name}.kicad_pcb").footprints if part.ref == "U1")
+            for name in ("x", "best")
+        )
+        assert before == after
