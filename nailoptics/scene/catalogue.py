@@ -185,7 +185,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
 
 
 def _find_part(name: str, beside: Path | None) -> Path:
-    if not re.fullmatch(r"\w[\w.-]*", name):
+    if not re.fullmatch(r"\w[\w.-]*|\?", name):  # "?" is what a proposed map has where a part is to be chosen
         why = 'is not a name of letters, digits, "_", "-" and "."; give no path and no .toml'
         raise InputError(f'part "{short(name)}" {why}')
     shipped = data_dir("assets") / "parts"
@@ -194,5 +194,5 @@ def _find_part(name: str, beside: Path | None) -> Path:
         if is_there(path := folder / f"{name}.toml"):
             return path
     known = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
-    hint = "" if beside is None else f", or put your own {short(name)}.toml into {beside}"
+    hint = "" if beside is None else f", or put your own PART.toml into {beside}"
     raise InputError(f'part "{short(name)}" is unknown; choose one of {known}{hint}')

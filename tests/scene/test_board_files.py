@@ -117,7 +117,19 @@ def test_coordinates_of_a_page_are_taken_from_the_middle_of_the_parts(tmp_path, 
     path = write_positions(tmp_path, text)
     scene = load_scene(path)
     assert scene.leds[0].position_mm == (-2, 1) and scene.photodiodes[0].position_mm == (2, -1)
-    assert "pos.csv: has no origin; the middle of its mapped parts lies on the nail's centre" in caplog.text
+    assert "pos.csv: has no origin near its mapped parts, whose middle lies on the nail's centre" in caplog.text
+
+
+@pytest.mark.parametrize("origin", ["(setup (aux_axis_origin 10 20))", ""])
+def test_parts_far_from_the_origin_of_a_large_board_lie_around_the_nails_centre(tmp_path, caplog, origin):
+    """A board of 80 x 60 mm whose corner is the origin of its drill files, or that has none."""
+    path, file = write(tmp_path), tmp_path / "x.kicad_pcb"
+    setup, edges = "(setup (aux_axis_origin 100 100))", "(gr_rect (start 96 96) (end 104 105)"
+    assert (board := file.read_text()).count(setup) == board.count(edges) == 1
+    file.write_text(board.replace(setup, origin).replace(edges, "(gr_rect (start 93 60) (end 190 130)"))
+    scene = load_scene(path)
+    assert (scene.leds[0].position_mm, scene.photodiodes[0].position_mm) == ((-2, 1), (2, -1))
+    assert "x.kicad_pcb: has no origin near its mapped parts" in caplog.text
 
 
 def test_an_assembler_writes_the_bottom_seen_from_below(tmp_path, caplog):
@@ -158,7 +170,7 @@ def test_a_candidate_of_a_position_file_lies_by_its_origin_and_turn(tmp_path, ca
         return *read.leds_mm, *read.photodiodes_mm, *read.photodiodes_deg
 
     assert places() == ((-2, 1), (2, -1), 0)
-    assert "pos.csv: has no origin; the middle of its mapped parts" in caplog.text
+    assert "pos.csv: has no origin near its mapped parts" in caplog.text
     assert places(origin=(100.0, -100.0)) == ((-3, 1), (1, -1), 0)
     assert places(origin=(100.0, -100.0), turn_deg=90.0) == ((-1, -3), (1, 1), 90)
     assert places(origin=(100.0, -100.0), faces_nail="top") == ((3, 1), (-1, -1), 0)
@@ -289,6 +301,7 @@ def test_where_nothing_is_mapped_a_map_is_proposed(tmp_path):
         ("D1 =", "D7 =", "parts.D7 names a part that x.kicad_pcb has not; it has D1, PD1, R1"),
         ('led = "led_660"', "colour = 3", "parts.D1 must say what it is: one of led, photodiode, module"),
         ('led = "led_660"', 'led = "led_661"', 'part "led_661" is unknown'),
+        ('led = "led_660"', 'led = "?"', r'part "\?" is unknown; choose one of bp104fs, .*led_660'),
         ('led = "led_660"', 'led = "led_660", position_mm = [1.0, 2.0]', "parts.D1.position_mm is the file's"),
         ("elements = 1", "elements = -1", r"photodiodes\[0\].elements = -1"),
         ("barrier = false", 'barrier = false\norigin = "grid"', "x.kicad_pcb has no such origin"),

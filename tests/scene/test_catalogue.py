@@ -180,6 +180,18 @@ def test_a_diode_is_proposed_as_an_led_by_its_value(value, use):
     assert ("D1 = { led" in line) == (use is not None) and (use is None or f'D1 = {{ led = "{use}" }}' in line)
 
 
+@pytest.mark.parametrize(
+    ("ref", "value", "package", "line"),
+    [
+        ("R", "~", "LEDs:LED_0805", 'parts = { R = { led = "?" } }'),
+        ("D1", "SFH_2430-Z", "SFH_2430-Z:DIO_SFH_2430-Z", 'parts = { D1 = { photodiode = "?" } }'),
+        ("J", "~", "Pin_Headers:1x03", 'parts = { REF = { led = "PART" } }, with REF one of J'),
+    ],
+)
+def test_a_part_is_proposed_by_its_footprint(ref, value, package, line):
+    assert proposal([PlacedPart(ref, value, package, (0.0, 0.0), 0.0, "top")]) == line
+
+
 def test_of_parts_whose_names_begin_alike_the_longer_is_proposed():
     values = enumerate(("SFH 2400 FA", "SFH2400"))
     placed = [PlacedPart(f"PD{i}", value, "", (0.0, 0.0), 0.0, "top") for i, value in values]

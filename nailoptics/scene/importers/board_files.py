@@ -220,31 +220,28 @@ def _mapped(placed: Sequence[PlacedPart], uses: Mapping[str, Any], name: str) ->
 def _origin(
     origin: Any, board: KicadBoard | None, outline: Outline | None, mapped: Sequence[PlacedPart], name: str
 ) -> Point:
-    """The point that lies on the nail's centre, in the file's coordinates; without any, the parts' middle. [mm]"""
+    """The point that lies on the nail's centre, in the file's coordinates; where the file has none from which a nail
+    reaches its mapped parts, their middle. [mm]"""
     if not isinstance(origin, str | None):
         x, y = origin
         # KiCad shows y downwards.
         return (float(x), float(y)) if board is None else (float(x), -float(y))
-    if board is None:
-        if origin is not None:
-            raise ValueError(f'origin = "{origin}" needs a KiCad board; give [x, y] as in {name}, or leave it out')
-        reach_mm = max(abs(x) for part in mapped for x in part.position_mm)
-        return (0.0, 0.0) if reach_mm <= NAIL_REACH_MM else _middle_of(mapped, name)
-    named = {"auxiliary": board.auxiliary_mm, "grid": board.grid_mm}
-    named["outline"] = middle(outline.corners_mm) if outline else None
-    for choice in ("auxiliary", "outline") if origin is None else (origin,):
-        if (point := named.get(choice)) is not None:
-            return point
+    if board is None and origin is not None:
+        raise ValueError(f'origin = "{origin}" needs a KiCad board; give [x, y] as in {name}, or leave it out')
+    named: dict[str, Point | None] = {"positions": (0.0, 0.0)}
+    if board is not None:
+        named = {"auxiliary": board.auxiliary_mm, "outline": middle(outline.corners_mm) if outline else None}
     if origin is None:
-        return _middle_of(mapped, name)
+        points, first = [part.position_mm for part in mapped], next(filter(None, named.values()), None)
+        if first and all(abs(a - b) <= NAIL_REACH_MM for at in points for a, b in zip(at, first, strict=True)):
+            return first
+        text = "has no origin near its mapped parts, whose middle lies on the nail's centre: give origin"
+        log.warning("%s: %s.", name, text)
+        return middle(points)
+    if board is not None and (point := (named | {"grid": board.grid_mm}).get(origin)) is not None:
+        return point
     why = 'set it in KiCad, or give origin = "auxiliary", "grid", "outline" or [x, y]'
     raise ValueError(f"{name} has no such origin; {why}")
-
-
-def _middle_of(mapped: Sequence[PlacedPart], name: str) -> Point:
-    """The middle of the box around the mapped parts, for a file that says no origin. [mm]"""
-    log.warning("%s: has no origin; the middle of its mapped parts lies on the nail's centre: give origin.", name)
-    return middle([part.position_mm for part in mapped])
 
 
 def _looks_turned(part: PlacedPart, use: Mapping[str, Any], folder: str | Path | None) -> bool:
@@ -327,10 +324,12 @@ def _looks_like(part: PlacedPart, shipped: Sequence[str]) -> str:
             kind = load_part(name).kind
             return f'{"photodiode" if kind == "photodiode_array" else kind} = "{name}"'
     ref = part.ref.upper()
-    if re.match(r"PD\d|PH\d", ref) or re.search(r"photo-?diode|vemd|temd|bpw|sfh2", text):
+    if re.match(r"PD\d|PH\d", ref) or re.search("photodiode|vemd|temd|bpw|sfh2", plain):
         return 'photodiode = "?"' if not re.match(r"LED?\d", ref) else ""
     nm = re.search(r"(\d{3,4})\s*nm", text)
-    if re.match(r"(LED|LD)\d", ref) or (re.match(r"D\d", ref) and (nm or "led" in text)):
+    # A letter with a footprint of a library of LEDs is one, too.
+    of_leds = re.fullmatch("[A-Z]", ref) and re.match("leds?[_:]", text)
+    if of_leds or re.match(r"(LED|LD)\d", ref) or (re.match(r"D\d", ref) and (nm or "led" in text)):
         if nm:
             dies = {name: int(name[4:]) for name in shipped if re.fullmatch(r"led_\d+", name)}
             near = next((name for name, peak_nm in dies.items() if abs(peak_nm - int(nm[1])) < NEAR_NM), None)
