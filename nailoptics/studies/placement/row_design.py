@@ -114,11 +114,9 @@ class SearchedSite:
     @property
     def name(self) -> str:
         """The site as a layout's name."""
-        where = "_".join(
-            f"{'m' if x < 0 else 'p'}{abs(x):.3g}" for place in self.places_mm for x in (v + 0.0 for v in place)
-        )
+        where = " ".join(f"({u + 0.0:.3g} {v + 0.0:.3g})" for u, v in self.places_mm)
         several = "s" if len(self.places_mm) > 1 else ""
-        return "_".join(filter(None, [f"led{several}_{where}", self.row.side, self.form]))
+        return " ".join(filter(None, [f"LED{several} {where}", self.row.side, self.form]))
 
 
 @dataclass

@@ -174,7 +174,7 @@ def test_seeds_agree_on_the_simplest_of_what_ties():
     for seed in range(4):
         layouts = layouts_of(scene, seed, noise=0.02)
         best.append(places_of(layouts[0].scene))
-        rows = [layout for layout in layouts if layout.name.endswith("_row")]
+        rows = [layout for layout in layouts if layout.name.endswith(" row")]
         simplest.append(places_of(min(rows, key=lambda layout: layout.complexity).scene))
     assert all(np.allclose(simplest[0], other, atol=0.25) for other in simplest[1:])
     assert not all(np.allclose(best[0], other, atol=0.25) for other in best[1:])
