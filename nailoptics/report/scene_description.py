@@ -6,7 +6,7 @@ from ..scene import Scene
 from ..scene.vessels import FACTORS
 from ..sensor.exposure import EYE_M, EYE_W_PER_M2, SKIN_M, SKIN_W_PER_M2
 from .html import texts
-from .numbers import aligned
+from .numbers import aligned, estimated
 
 TEXTS = texts("scene")
 CAUSES = TEXTS["causes"]
@@ -90,7 +90,7 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
         names = {"LED": pair["led"], "photodiode": pair["photodiode"]}
         row = names | places[pair["photodiode"]] | {"distance [mm]": f"{pair['distance_mm']:.2f}"}
         row["gain [Mohm]"] = f"{1e-6 * pair['feedback_ohm']:.3g}"
-        readings.append(row | {"reading [V]": f"{pair['volts']:.3g} +- {pair['volts_stderr']:.1g}"})
+        readings.append(row | {"reading [V]": estimated(pair, "volts")})
         rms = {f"{CAUSES.get(cause, cause)} [uV]": f"{1e6 * rms_v:.2g}" for cause, rms_v in pair["noise_v"].items()}
         noise += [names | rms] if rms else []
     lines = [f"photodiodes: {len(places)}{of}, on a board of {u:.3g} x {v:.3g} mm"]

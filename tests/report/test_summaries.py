@@ -126,8 +126,10 @@ def test_a_check_is_reported_in_sentences():
     lines = check_lines({"scene": "mine", "valid": True, "leds": [led]} | computed)
     assert "photodiodes: 1, and 2 that are not wired, on a board of 2.83 x 9 mm" in lines
     assert [line.split() for line in lines if "(0.5, -2)" in line] == [
-        ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "1", "0.25", "+-", "0.01"]
+        ["ir", "a", "(0.5,", "-2)", "1", "x", "0.25", "90", "1.50", "1", "0.250", "+-", "0.010"]
     ]
+    computed["pairs"] = [pair | {"volts_stderr": float("nan")}]
+    assert "0.250 +- ?" in "\n".join(check_lines({"scene": "mine", "valid": True, "leds": [led]} | computed))
     assert "noise: shot noise limits" in lines and any("400 W/m^2 below ir" in line for line in lines)
     assert lines[-1] == "warning: hot"
     assert "layout mine: 1 LEDs, 4 photodiodes" in lines

@@ -23,7 +23,7 @@ from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_M
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
-from ..numbers import aligned, cells, estimated, quantity, significant, with_error, with_stderr
+from ..numbers import ROUNDING, aligned, cells, estimated, quantity, significant, with_error, with_stderr
 from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from .placement_figures import SHOWN, budget_figure, front_figure, map_figure, ranking_figure
@@ -34,6 +34,8 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
+# Beside this a change is none: a thousandth of a percent. [%]
+NONE_OF = 1e-3 / ROUNDING
 TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
@@ -172,17 +174,18 @@ def _bound(result: xr.Dataset) -> str:
     if "bound" not in result:
         return "" if not result.sizes.get("led_site") else TEXTS["no_bound"]
     rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
-    factor, unit = _ranked_in(result)
+    _, factor, unit = _ranked_in(result)
     percent, where = estimated(result, "above_bound", 100), f"{sites} places"
     grid = "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
     photodiodes = f"{rules.photodiodes} photodiodes {grid}"
     return TEXTS["bound"].format(percent, photodiodes, where, estimated(result, "bound", factor) + unit)
 
 
-def _ranked_in(result: xr.Dataset) -> tuple[float, str]:
-    """Factor and unit by which what layouts are ranked by is shown."""
+def _ranked_in(result: xr.Dataset) -> tuple[str, float, str]:
+    """What layouts are ranked by, and factor and unit by which it is shown."""
     weights = boards.rules(parse_scene(result.attrs["scene"], name="the scene")).weights
-    return (1e3, " mN") if set(weights) <= {"worst", "mean", "force"} else (1.0, "")
+    words = TEXTS["ranked"].get("".join(weights), f"weighted mean ({result.attrs['rank_by']})")
+    return words, *((1e3, " mN") if set(weights) <= {"worst", "mean", "force"} else (1.0, ""))
 
 
 def _front(result: xr.Dataset) -> tuple[list[dict[str, Any]], str]:
@@ -190,7 +193,7 @@ def _front(result: xr.Dataset) -> tuple[list[dict[str, Any]], str]:
     Pareto front in a line."""
     if "on_front" not in result:
         return [], ""
-    factor, unit = _ranked_in(result)
+    words, factor, unit = _ranked_in(result)
     points, shown = list[dict[str, Any]](), list[str]()
     for n, power_mw in product(result.front_photodiodes.values, result.led_power_mw.values):
         at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
@@ -198,7 +201,7 @@ def _front(result: xr.Dataset) -> tuple[list[dict[str, Any]], str]:
         points[-1] |= with_stderr(at, "front_error")
         if at.on_front:
             shown.append(f"{n} with {quantity(1e-3 * power_mw, 'W')} {estimated(at, 'front_error', factor)}{unit}")
-    return points, TEXTS["front"].format(result.attrs["rank_by"], "; ".join(shown)) if shown else ""
+    return points, TEXTS["front"].format(words, "; ".join(shown)) if shown else ""
 
 
 def _limits(result: xr.Dataset) -> str:
@@ -261,8 +264,8 @@ def _change(change: dict[str, float] | None) -> str:
     """A change with its standard error; of what has no room or saturates, in words."""
     if change is None:
         return "no room or time"
-    percent = 100 * change["value"]
-    return "over ten times" if percent > MOST_PERCENT else with_error(percent, 100 * change["stderr"], sign=True)
+    percent, stderr = 100 * change["value"], 100 * change["stderr"]
+    return "over ten times" if percent > MOST_PERCENT else with_error(percent, stderr, sign=True, scale=NONE_OF)
 
 
 def why(row: dict[str, Any]) -> str:

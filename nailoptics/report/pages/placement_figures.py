@@ -74,9 +74,9 @@ def budget_figure(budgets: list[dict[str, Any]]) -> "style.Figure":
 
 
 @style.drawing()
-def front_figure(result: xr.Dataset, factor: float, unit: str) -> "style.Figure":
+def front_figure(result: xr.Dataset, words: str, factor: float, unit: str) -> "style.Figure":
     """What layouts are ranked by over the number of photodiodes, a line for each power of the LEDs; filled on the
-    Pareto front. factor, unit : in which it is shown."""
+    Pareto front. words, factor, unit : what it is, and in which it is shown."""
     figure, axes = style.panels(4.6, 3.4)
     counts, powers = result.front_photodiodes.values, result.led_power_mw.values
     for j, colour in enumerate(style.place_colours(len(powers))):
@@ -84,7 +84,7 @@ def front_figure(result: xr.Dataset, factor: float, unit: str) -> "style.Figure"
         value, error = factor * at.front_error.values, factor * at.front_error_stderr.values
         axes.errorbar(counts, value, error, color=colour, lw=1.2, capsize=2, label=quantity(1e-3 * powers[j], "W"))
         axes.scatter(counts, value, 34, np.where(at.on_front, colour, "#ffffff"), edgecolors=colour, zorder=3)
-    axes.set(xlabel="photodiodes", ylabel=f"{result.attrs['rank_by']}{unit and f' [{unit.strip()}]'}", xticks=counts)
+    axes.set(xlabel="photodiodes", ylabel=f"{words}{unit and f' [{unit.strip()}]'}", xticks=counts)
     axes.set_yscale("log")
     style.plain_log(axes.yaxis)
     style.legend_above(figure, axes, ncols=4)

@@ -19,7 +19,7 @@ from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.placement import PLACEMENT
+from nailoptics.report.pages.placement import PLACEMENT, _change
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -427,6 +427,16 @@ def test_the_chosen_layout_comes_back_as_scene_and_as_parts(computed, scene):
     assert rows[0]["rank"] == 1 and not rows[-1]["tied"] and {row["layout"] for row in rows} == {"near", "far", "paper"}
 
 
+def test_a_searched_layout_is_named_by_its_places():
+    site = row_design.SearchedSite(((-4.0, -0.0), (1.25, 2.97)), sites.LedRow("left", 0.5), (), 1.0, 0.1, 1000, "row")
+    assert site.name == "LEDs (-4 0) (1.25 2.97) left row"
+
+
+@pytest.mark.parametrize(("value", "stderr", "words"), [(-1e-16, 7e-16, "0"), (0.0123, 0.002, "+1.23 ± 0.20")])
+def test_a_change_that_is_none_is_shown_as_0(value, stderr, words):
+    assert _change({"value": value, "stderr": stderr}) == words
+
+
 def test_places_of_several_leds_stand_beside_a_best_layout_of_one():
     """As where the paper's layout, which has one LED, is finer than what was searched for three."""
     places = ((0.0, 0.0), (1.0, 0.0), (2.0, 0.5))
@@ -469,6 +479,7 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
         p["photodiodes"] for p in front[:: computed.sizes["led_power_mw"]]
     ] == computed.front_photodiodes.values.tolist()
     assert front[0]["on_front"] and words.count(" with ") == 1 + sum(p["on_front"] for p in front)
+    assert words.startswith("Pareto front of force resolution of one sample, each") and "[body]" in text
     assert words in text and words.replace("\u00a0", " ") in PLACEMENT.lines(computed, report)
     assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
     write_dataset(computed, tmp_path / "place.nc")
