@@ -16,8 +16,7 @@ from .regions import AIR
 SPACING_MM = 0.15
 # Larger distances are capped: light seldom goes further before it scatters. [mm]
 CAP_MM = 0.35
-FINE = 0.4  # covering radius of the fine samples, in spacings
-COARSE = 1.0
+COVERED = 0.4  # covering radius of the samples, in spacings
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
 CHUNK = 500_000
 # In the nail plate light scatters every 0.03 mm, so that cells help little. Those near its faces also have a plane,
@@ -88,20 +87,14 @@ def distance_grid(
     plate = [region for region, name in enumerate(geometry.regions) if name == "plate"]
     of_plate = np.isin(geometry.below, plate) | np.isin(geometry.above, plate)
     # What lies farther from the cells than the cap is nearest to none of them.
-    reach = 2 * CAP_MM + COARSE * spacing_mm
+    reach = 2 * CAP_MM + spacing_mm
     close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
     corners, of_plate = corners[close], of_plate[close]
-    fine_radius, coarse_radius = FINE * spacing_mm, COARSE * spacing_mm
-    fine, coarse = (_tree(_samples(corners, radius)) for radius in (fine_radius, coarse_radius))
-    # Beyond this the coarse samples are good enough: they cost radius^2 / (2 distance).
-    near_mm = 2 * coarse_radius
+    radius = COVERED * spacing_mm
+    samples = _tree(_samples(corners, radius))
     for start in range(0, len(cells), CHUNK):
         chunk = cells[start : start + CHUNK]
-        points = grid.centers(chunk)
-        bound = _bound(coarse, points, coarse_radius, CAP_MM)
-        near = np.nonzero(bound < near_mm)[0]
-        bound[near] = np.maximum(bound[near], _bound(fine, points[near], fine_radius, near_mm + coarse_radius))
-        result[tuple(chunk.T)] = np.minimum(bound, CAP_MM) * (1 - 1e-6)
+        result[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
     if of_plate.any() and spacing_mm < PLANES_BELOW_MM:
         _add_planes(grid, cells, corners, of_plate)
     return grid
@@ -166,11 +159,12 @@ def _distinct(points: Array) -> Array:
     return points[np.unique(x << 42 | y << 21 | z, return_index=True)[1]]
 
 
-def _bound(tree: Any, points: Array, radius: float, cap_mm: float) -> Array:
-    """Lower bounds (k,) at points (k, 3) from a tree of samples that cover the interfaces within a radius."""
-    reach = (1 + SLACK) * float(np.hypot(cap_mm, radius))
-    nearest, _ = tree.query(points, eps=SLACK, distance_upper_bound=reach, workers=-1)
-    return np.sqrt(np.maximum((np.minimum(nearest, reach) / (1 + SLACK)) ** 2 - radius**2, 0))
+def _bound(samples: Any, points: Array, radius: float) -> Array:
+    """Lower bounds (k,), at most the cap, at points (k, 3) from samples that cover the interfaces within a radius."""
+    reach = (1 + SLACK) * float(np.hypot(CAP_MM, radius))
+    nearest, _ = samples.query(points, eps=SLACK, distance_upper_bound=reach, workers=-1)
+    bound = np.sqrt(np.maximum((np.minimum(nearest, reach) / (1 + SLACK)) ** 2 - radius**2, 0))
+    return np.asarray(np.minimum(bound, CAP_MM))
 
 
 def _samples(corners: Array, radius: float) -> Array:
