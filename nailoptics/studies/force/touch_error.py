@@ -145,8 +145,10 @@ class TouchError:
         waves, touch2 = slice(kalman.FIRST_WAVE, size), _diagonal(everything)[..., TOUCH]
         for step, force_n in zip(self._steps, self._force_n, strict=True):
             touch2[0] += since_s * step.rate**2
-            everything[:, :, :size] = step.transition @ everything[:, :, :size]
-            rows[:, :size] = rows[:, :size] @ step.transition.T
+            # F P F^T by rows, then by columns, as P is symmetric.
+            once = (rows[:, :size] @ step.transition.T).reshape(2, batch, size + count, size)
+            everything[..., :size], everything[:, :, :size, size:] = once, np.swapaxes(once[:, :, size:], 2, 3)
+            everything[:, :, :size, :size] = np.swapaxes(once[:, :, :size], 2, 3) @ step.transition.T
             claimed[:, :size, :size] += step.noise
             # What the filter takes for noise of walls and pulp is none of the body's.
             true[:, waves, waves] += step.noise[waves, waves]
@@ -173,12 +175,14 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
     by_state = jacobian @ covariances
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
     _diagonal(innovation)[...] += noise2
-    gain = np.swapaxes(np.linalg.solve(innovation[0], by_state[0]), 1, 2)
-    # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T as it stands: multiplied out, variances fall below 0 by rounding.
-    keep, turned = np.eye(lag.shape[1]) - gain @ jacobian, np.swapaxes(gain, 1, 2)
-    updated = keep @ covariances @ np.swapaxes(keep, 1, 2) + gain * noise2[:, :, None] @ turned
-    covariances[...] = 0.5 * (updated + np.swapaxes(updated, 2, 3))
-    lag -= (gain @ (jacobian @ lag[..., None]))[..., 0]
+    turned = np.swapaxes(by_state, 2, 3)
+    gain = np.broadcast_to(turned[0] @ np.linalg.inv(innovation[0]), turned.shape)
+    # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T, as P - K H P - (P H^T - K S) K^T, both products in one; with its
+    # sides summed up to one product, or not kept symmetric, variances fall below 0 by rounding.
+    left, right = (gain, turned - gain @ innovation), (by_state, np.swapaxes(gain, 2, 3))
+    covariances -= np.concatenate(left, 3) @ np.concatenate(right, 2)
+    covariances[...] = 0.5 * (covariances + np.swapaxes(covariances, 2, 3))
+    lag -= (gain[0] @ (jacobian @ lag[..., None]))[..., 0]
 
 
 def scene_noise(body: Body | None, person: Person) -> Noise:
