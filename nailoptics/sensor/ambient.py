@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..assets import read_table
 from ..checks import Array
+from ..geometry import SPACING_MM
 from ..light import optics
 from ..light.board_map import BoardTracer
 from ..light.tracing.store import LightStore
@@ -33,7 +35,6 @@ SOURCES = SUN, LAMP = Ambient(kind="sun", illuminance_lux=1e5), Ambient(kind="la
 PHOTONS = 1 << 16
 # The same for its bound, to which resistors fit.
 BOUND_PHOTONS = 1 << 13
-SPACING_MM = 0.2
 _BACK = 31
 
 
@@ -73,6 +74,7 @@ def trace_ambient(
     *,
     seed: int,
     photons: int = PHOTONS,
+    spacing_mm: float = SPACING_MM,
     check_time: Callable[[], object] = lambda: None,
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
@@ -81,12 +83,12 @@ def trace_ambient(
     By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs. Where
     none of n photons left, the standard error is that of one.
 
-    check_time : called before each trace; may raise.
+    spacing_mm : as of `BoardTracer`; check_time : called before each trace; may raise.
     """
     elements, led = scene.layout.photodiodes, int(np.argmax([led.wavelength_nm for led in scene.leds]))
     mu_a, n = optics.absorption(scene, INSIDE_NM), optics.index_around(scene, scene.leds[led].wavelength_nm)
     stores = LightStore.of_command(options)
-    tracer = BoardTracer(scene, spacing_mm=SPACING_MM, backend=options.backend, stores=stores, seed=seed)
+    tracer = BoardTracer(scene, spacing_mm=spacing_mm, backend=options.backend, stores=stores, seed=seed)
     result = np.empty((3, len(sources), len(elements)))
     for j, element in enumerate(elements):
         check_time()
@@ -103,13 +105,13 @@ def trace_ambient(
     return result
 
 
-def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
+def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None, **how: Any) -> Array:
     """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either. [A]"""
+    where it has none, (photodiodes,) float; 0 without either; how : as of `trace_ambient`. [A]"""
     source = scene.ambient or usual
     if source is None:
         return np.zeros(len(scene.layout.photodiodes))
-    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS)[:2, 0]
+    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS, **how)[:2, 0]
     return np.asarray(current_a + Z95 * stderr_a)
 
 

@@ -21,7 +21,7 @@ from ..force.touch_error import TouchError
 from . import boards, candidates, certificate, robustness, search, verification
 from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, UNRESOLVED, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
-from .photon_maps import FingerCondition, PhotonMapCache
+from .photon_maps import COARSE_MM, FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import tolerances
 from .row_design import SearchedSite
@@ -74,12 +74,13 @@ def place(
     people = boards.people(scene)
     on_fingers = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     conditions = [*on_fingers, *(finger_condition(base, person, rules) for person in people)]
-    of_fingers, objective = (_objective(base, on, rules) for on in (on_fingers, conditions))
+    of_fingers = _objective(base, on_fingers, rules)
+    objective = _objective(base, conditions, rules) if people else of_fingers
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     stores = LightStore.of_command(options)
     ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
     ranking.most_photons = photons
-    searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=search.DISTANCE_MM)
+    searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=COARSE_MM)
     searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)

@@ -19,7 +19,7 @@ from ...statistics import left_out
 from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
-from .photon_maps import PhotonMapCache
+from .photon_maps import COARSE_MM, PhotonMapCache
 from .row_design import RowDesign, SearchedSite
 from .sites import ROUNDING_MM, LedRow, PhotodiodePlaces, Sites
 
@@ -28,9 +28,6 @@ log = logging.getLogger(__name__)
 # photodiodes are chosen once more: the photons' noise adds to the information of positions, most where little light
 # comes. With twice the latter the shipped scene's best came to 0.4(2) % above the bound of all layouts.
 FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 15, 1 << 17
-# Cells of the distances that the walk asks for: few photons for each of many boards pay for no finer ones. Such cells
-# take half the time of those of 0.2 mm to make, a place of the LED with its first photons four fifths. [mm]
-DISTANCE_MM = 0.4
 # First photodiodes from which those of the best sites are chosen once more.
 LAST_STARTS = 8
 # Part of the time for the search.
@@ -63,7 +60,7 @@ class Search:
         if self.base.electronics.feedback_ohm != "auto":
             return 0.0
         areas_mm2 = [area.area_mm2 for area in self.base.layout.photodiode_areas]
-        return float(np.max(ambient_bound_a(self.base, usual=LAMP) / areas_mm2))
+        return float(np.max(ambient_bound_a(self.base, usual=LAMP, spacing_mm=COARSE_MM) / areas_mm2))
 
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
         """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
