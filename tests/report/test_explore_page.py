@@ -477,6 +477,66 @@ def test_a_layout_of_a_kicad_board_moves_its_footprints_and_nothing_else(tab: An
     assert len(changed) == 7 and all(line.strip().startswith("(at ") for line in changed)
 
 
+def test_dies_of_a_module_move_together(tab: Any, tmp_path: Path):
+    """Expected: by a key, an angle and a mirror of one die the whole footprint, which the exported board has there, and
+    no other; a photodiode that is added beside it is none of its dies."""
+    (tmp_path / "x.kicad_pcb").write_text("""(kicad_pcb (version 20240108) (setup (aux_axis_origin 100 100))
+      (footprint "OLGA" (layer "B.Cu") (at 100.5 101 30) (property "Reference" "U1"))
+      (footprint "LED" (layer "B.Cu") (at 96 103) (property "Reference" "D1"))
+      (gr_rect (start 94.5 94.5) (end 105.5 105.5) (layer "Edge.Cuts")))""")
+    text = """schema_version = 1
+    [finger]
+    digit = "thumb"
+    [board]
+    kicad = "x.kicad_pcb"
+    barrier = false
+    parts.U1 = { module = "max30102" }
+    parts.D1 = { led = "led_660" }
+    """
+    (tmp_path / "explore.html").write_text(page(made_exploration(parse_scene(text, folder=tmp_path))), encoding="utf-8")
+    tab.goto((tmp_path / "explore.html").as_uri())
+
+    def dies() -> np.ndarray:
+        return np.array(tab.evaluate("allParts().filter(([, part]) => moduleOf(part)).map(([, { u, v }]) => [u, v])"))
+
+    before = dies()
+    tab.locator('#board .part[data-name="U1.ir"]').focus()
+    tab.keyboard.press("Shift+ArrowRight")
+    assert dies() - before == pytest.approx(np.tile([0.5, 0.0], (3, 1)), abs=1e-4)
+    tab.fill('#properties input[data-key="turn"]', str(tab.evaluate("chosenPart()[1].turn") + 45))
+    tab.press('#properties input[data-key="turn"]', "Enter")
+    tab.click("#mirror-v")
+    scene = load_scene(saved(tab, "#save-scene", tmp_path))
+    export(scene, tmp_path / "moved.kicad_pcb", folder=tmp_path)
+    was, now = ({part.ref: part for part in read_board(tmp_path / f"{n}.kicad_pcb").footprints} for n in ("x", "moved"))
+    assert now["D1"] == was["D1"] and now["U1"].position_mm != was["U1"].position_mm
+    assert scene.leds[0].position_mm != scene.leds[1].position_mm
+    tab.click("#add-photodiode")
+    assert tab.evaluate("workbench.layout.photodiodes.at(-1).reference") == "PD1"
+    tab.locator('#board .part[data-name="U1.pd"]').focus()
+    tab.keyboard.press("Delete")
+    assert not len(dies()) and tab.evaluate("allParts().length") == 2
+
+
+@on_one_page
+def test_numbers_fit_a_telephone(browser: Any, file: Path):
+    """Expected: cards and table of the three people within 390 pixels; volts without powers of ten."""
+    context = browser.new_context(viewport={"width": 390, "height": 700})
+    view = context.new_page()
+    view.goto(file.as_uri())
+    for layout in ("", "change(({ leds }) => leds.splice(1)); workbench.layout.ambient = 0; draw();"):
+        view.evaluate(layout)
+        table = view.evaluate(
+            "(({ scrollWidth, clientWidth }) => scrollWidth - clientWidth)($('people').parentElement)"
+        )
+        assert table <= 0
+        assert view.evaluate("$('cards').querySelector('.narrow').getBoundingClientRect().right") <= 390
+    assert view.evaluate("whySaturated({ amplified: 112, ambientA: 1.1e-4, element: { ohm: 1e6 } })").startswith(
+        ": 110 V"
+    )
+    context.close()
+
+
 def test_parts_that_are_added_have_references_of_their_own(shown: Any, explored: Exploration, tmp_path: Path):
     for button in ("#add-led", "#add-photodiode", "#add-photodiode"):
         shown.click(button)

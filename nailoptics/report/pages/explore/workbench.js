@@ -93,6 +93,20 @@ function step(from, to) {
   draw();
 }
 
+/** Reference of the footprint of which a part is one die of several, as U1 of U1.red; empty of others. */
+const moduleOf = ({ reference }) => (reference || "").split(".").slice(0, -1).join(".");
+const isWith = (part, other) => part.name === other.name || (moduleOf(part) !== "" && moduleOf(part) === moduleOf(other));
+
+/** Bring a part to a place and angle; dies of one module keep their places beside each other. */
+function movePart(layout, name, { u, v, turn }) {
+  const parts = [...layout.leds, ...layout.photodiodes], { ...from } = parts.find((part) => part.name === name);
+  const angle = ((turn - from.turn) * Math.PI) / 180, [c, s] = [Math.cos(angle), Math.sin(angle)];
+  for (const part of parts.filter((one) => isWith(one, from))) {
+    const [x, y] = [part.u - from.u, part.v - from.v];
+    Object.assign(part, { u: +(u + c * x - s * y).toFixed(4), v: +(v + s * x + c * y).toFixed(4), turn: (part.turn + turn - from.turn) % 360 });
+  }
+}
+
 const allParts = () => [...workbench.layout.leds.map((part) => ["led", part]), ...workbench.layout.photodiodes.map((part) => ["diode", part])];
 const chosenPart = () => allParts().find(([, part]) => part.name === workbench.chosen.part) || null;
 
@@ -198,7 +212,7 @@ function drawCards() {
 
 /** What drives the converter to its limit, and a resistor for this light. */
 function whySaturated({ amplified, ambientA, element }) {
-  const volts = (x) => `${x.toPrecision(2)} V`, fitted = fittedOhm(amplified / element.ohm);
+  const volts = (x) => `${+x.toPrecision(2)} V`, fitted = fittedOhm(amplified / element.ohm);
   const ohms = fitted >= 1e6 ? `${+(fitted / 1e6).toPrecision(2)} Mohm` : `${+(fitted / 1e3).toPrecision(2)} kohm`;
   return `: ${volts(amplified)} of ${volts(tables.stage.limitV)}, of which ${volts(ambientA * element.ohm)} from outside; ${ohms} would fit`;
 }
@@ -257,7 +271,7 @@ function drawReadings() {
     const cells = row.few ? ["", "", "", "", "", "", "", "too few photons"] : [
       `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
       (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
-      row.ambientA ? (row.ambientA * row.element.ohm).toPrecision(2) : "0", row.saturated ? "saturated" : ""];
+      row.ambientA ? String(+(row.ambientA * row.element.ohm).toPrecision(2)) : "0", row.saturated ? "saturated" : ""];
     return [`${led.name} → ${row.element.name}`, separation.toFixed(2), ...cells];
   });
   const table = $("readings");
@@ -432,7 +446,8 @@ function drawProperties() {
   if (!selected) { host.append(element("span", { class: "small" }, "Select a part to edit it.")); return; }
   const [kind, part] = selected, edit = (key, value) => change((layout) => {
     const target = [...layout.leds, ...layout.photodiodes].find((one) => one.name === part.name);
-    target[key] = value;
+    if (["u", "v", "turn"].includes(key)) movePart(layout, part.name, { ...target, [key]: value });
+    else target[key] = value;
     if (key === "elements") target.wired = null;
   });
   const number = (key, text, step, unit) => {
@@ -457,7 +472,8 @@ function drawProperties() {
   for (const axis of ["u", "v"]) {
     button(`align-${axis}`, `Align ${axis}`, `To the nearest ${axis} of another part`, () => align(part, axis));
     button(`mirror-${axis}`, `Mirror ${axis}`, `To the other side of the nail's centre line, ${axis} to −${axis}`, () => change((layout) => {
-      for (const list of [layout.leds, layout.photodiodes]) list.forEach((one, i) => { if (one.name === part.name) list[i] = mirrored(one, axis); });
+      if (moduleOf(part)) movePart(layout, part.name, mirrored(part, axis));
+      else for (const list of [layout.leds, layout.photodiodes]) list.forEach((one, i) => { if (one.name === part.name) list[i] = mirrored(one, axis); });
     }));
   }
   button("remove", "Remove", "Delete", removeChosen);
@@ -468,15 +484,15 @@ function align(part, axis) {
   const others = allParts().map(([, one]) => one[axis]).filter((x) => Math.abs(x - part[axis]) > 1e-6);
   if (!others.length) { say(`No other part has another ${axis}.`); return; }
   const nearest = others.reduce((a, b) => (Math.abs(b - part[axis]) < Math.abs(a - part[axis]) ? b : a));
-  change((layout) => { [...layout.leds, ...layout.photodiodes].find((one) => one.name === part.name)[axis] = nearest; });
+  change((layout) => movePart(layout, part.name, { ...part, [axis]: nearest }));
 }
 
 function removeChosen() {
   const selected = chosenPart();
   if (!selected) return;
   change((layout) => {
-    layout.leds = layout.leds.filter((part) => part.name !== selected[1].name);
-    layout.photodiodes = layout.photodiodes.filter((part) => part.name !== selected[1].name);
+    layout.leds = layout.leds.filter((part) => !isWith(part, selected[1]));
+    layout.photodiodes = layout.photodiodes.filter((part) => !isWith(part, selected[1]));
   });
 }
 
@@ -496,7 +512,7 @@ function addPart(kind) {
     while (names.has(`${stem}${n}`)) n += 1;
     const usual = kind === "led" ? { kind: 0, turn: 0 } : { kind: 0, turn: 0, width: 1, length: 1, elements: 1, pitch: null, wired: null };
     const made = { ...usual, ...(like ? copy(like) : { u: 0, v: 0 }), name: `${stem}${n}` };
-    made.reference = like && like.reference ? freeReference(like.reference) : null;
+    made.reference = like && like.reference ? freeReference(moduleOf(like) ? { led: "D", diode: "PD" }[kind] : like.reference) : null;
     if (kind === "diode") { made.elements = 1; made.wired = null; made.pitch = null; }
     const [uMin, uMax, vMin, vMax] = tables.board.outline, tried = [];
     // The free place that is nearest to the part that it is like.
@@ -569,9 +585,9 @@ function listenToKeys() {
     const selected = chosenPart(), far = event.shiftKey ? 0.5 : Math.max(0.05, snapMm());
     const moves = { ArrowLeft: [-far, 0], ArrowRight: [far, 0], ArrowUp: [0, far], ArrowDown: [0, -far] };
     if (!selected) return;
-    const named = (layout) => [...layout.leds, ...layout.photodiodes].find((part) => part.name === selected[1].name);
-    if (moves[event.key]) change((layout) => { const part = named(layout); part.u = +(part.u + moves[event.key][0]).toFixed(4); part.v = +(part.v + moves[event.key][1]).toFixed(4); });
-    else if (event.key.toLowerCase() === "r") change((layout) => { const part = named(layout); part.turn = (part.turn + 15) % 180; });
+    const { name, u, v, turn } = selected[1], [x, y] = moves[event.key] || [];
+    if (moves[event.key]) change((layout) => movePart(layout, name, { u: u + x, v: v + y, turn }));
+    else if (event.key.toLowerCase() === "r") change((layout) => movePart(layout, name, { u, v, turn: moduleOf(selected[1]) ? turn + 15 : (turn + 15) % 180 }));
     else if (event.key === "Delete" || event.key === "Backspace") removeChosen();
     else return;
     event.preventDefault();
@@ -601,8 +617,7 @@ function listenToDrags() {
         at = [at[0] + event.dx * perPixel(), at[1] - event.dy * perPixel()];
         const part = chosenPart()[1], [uMin, uMax, vMin, vMax] = tables.board.outline;
         const snapped = (x) => +(Math.round(x / snapMm()) * snapMm()).toFixed(2);
-        part.u = snapped(Math.min(uMax, Math.max(uMin, at[0])));
-        part.v = snapped(Math.min(vMax, Math.max(vMin, at[1])));
+        movePart(workbench.layout, part.name, { ...part, u: snapped(Math.min(uMax, Math.max(uMin, at[0]))), v: snapped(Math.min(vMax, Math.max(vMin, at[1]))) });
         workbench.dragging = true;
         if (!waiting) { waiting = true; requestAnimationFrame(() => { waiting = false; draw(); }); }
       },
