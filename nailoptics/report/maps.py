@@ -18,8 +18,9 @@ TEXTS = texts("maps")
 NAIL, LED, TISSUE = TEXTS["nail"], TEXTS["led"], TEXTS["regions"]
 BOARD, BARRIER = TISSUE["kapton"], TISSUE["barrier"]
 DECADES = 3
-# Names of parts stand so far beside the board; mean width of their letters. [mm], [inch]
-LABEL_MM, LETTER_IN = 0.45, 0.065
+# Names of parts stand so far beside the board; mean width of their letters, and from line to line; longer ones
+# than this part of the drawing are written smaller. [mm], [inch]
+LABEL_MM, LETTER_IN, LINE_IN, NAMED = 0.45, 0.065, 0.125, 0.65
 # Beside the section stand its key and the scale of the paths.
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
@@ -59,7 +60,7 @@ def draw_rectangle(axes: "style.Axes", r: Rectangle, **look: Any) -> None:
 @style.drawing()
 def top_view(scene: Scene) -> "style.Figure":
     """The board on the nail, seen from above and rolled flat: what is where, and which blood lies below."""
-    figure, axes = style.panels(6.4, 6.0, room_in=style.Room(left=0.55, top=0.1))
+    figure, axes = style.panels(4.5, 3.9, room_in=style.Room(left=0.55, top=0.1))
     draw_top_view(axes, scene)
     return figure
 
@@ -80,16 +81,21 @@ def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
         draw_rectangle(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
         draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
-    letters = _label_parts(axes, scene, half_v)
+    groups = _names_beside(scene)
+    letters = [max((len(name) for _, name in group), default=0) for group in groups]
     # Boards may be as wide as the nail, and their labels need room beside them.
     box, dpi = axes.get_window_extent(), axes.figure.dpi
     ends = np.array([layout.outline.u_min - LABEL_MM, layout.outline.u_max + LABEL_MM])
-    filled = min(LETTER_IN * (sum(letters) + 4) * dpi / box.width, 0.8)
+    letter_in = min(LETTER_IN, NAMED * box.width / dpi / (sum(letters) + 4))
+    filled = letter_in * (sum(letters) + 4) * dpi / box.width
     mm_per_in = dpi * max(np.ptp(ends) / (1 - filled) / box.width, (2 * half_v + 0.6) / box.height)
-    low, high = ends + np.multiply((-1, 1), LETTER_IN * mm_per_in * np.add(letters, 2))
+    low, high = ends + np.multiply((-1, 1), letter_in * mm_per_in * np.add(letters, 2))
     low, high = min(-half_u - 0.3, low), max(half_u + 0.3, high)
     axes.set(xlim=(low, high), ylim=(-half_v - 0.3, half_v + 0.3), aspect="equal", xlabel=ACROSS, ylabel=ALONG)
     axes.grid(False)
+    gap = min(LINE_IN * mm_per_in, 1.9 * half_v / max(map(len, groups)))
+    size = 8.0 * min(letter_in / LETTER_IN, gap / (LINE_IN * mm_per_in))
+    _label_parts(axes, layout.outline, groups, gap, max(size, 3.0))
 
 
 def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float) -> None:
@@ -110,14 +116,9 @@ def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float)
         axes.text(*at, name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
 
 
-def _label_parts(axes: "style.Axes", scene: Scene, half_v: float) -> tuple[int, int]:
-    """Names beside the parts, none on another: photodiodes on the right, the rest on the side where it lies, but where
-    the line to a name would cross another part.
-
-    Returns: the longest name on the left and on the right, in letters.
-    """
-    from matplotlib.patheffects import withStroke
-
+def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
+    """Parts with the names that stand left and right of the board: photodiodes on the right, the rest on the side where
+    it lies, but where the line to a name would cross another part."""
     layout = scene.layout
     right = [(e.area, e.name) for e in layout.photodiodes]
     middle = sum(r.center_mm[0] for r, _ in right) / len(right)
@@ -133,20 +134,29 @@ def _label_parts(axes: "style.Axes", scene: Scene, half_v: float) -> tuple[int, 
         (1 if r.center_mm[0] > middle else -1, r, name) for r, name in others
     ]
     parts = [*layout.leds, *layout.photodiode_areas]
-    left, right = (
+    return [
         [(r, name) for side, r, name in sides if way == (-side if _hidden(r, side, parts) else side)] for way in (-1, 1)
-    )
-    gap = min(0.07 * half_v, 1.9 * half_v / max(len(left), len(right)))
-    size = max(8.0 * gap / (0.07 * half_v), 3.0)
-    for group, side, bound, ha, fontsize in ((left, -1, "u_min", "right", 8.0), (right, 1, "u_max", "left", size)):
-        edge = getattr(layout.outline, bound)
+    ]
+
+
+def _label_parts(
+    axes: "style.Axes",
+    outline: Rectangle,
+    groups: Sequence[Sequence[tuple[Rectangle, str]]],
+    gap: float,
+    fontsize: float,
+) -> None:
+    """Write names left and right of the board, none on another. gap : between their lines. [mm]"""
+    from matplotlib.patheffects import withStroke
+
+    for group, side, bound, ha in zip(groups, (-1, 1), ("u_min", "u_max"), ("right", "left"), strict=True):
+        edge = getattr(outline, bound)
         look: dict[str, Any] = {"color": style.DARK_INK, "fontsize": fontsize, "ha": ha, "va": "center", "zorder": 6}
         look["path_effects"] = [withStroke(linewidth=2, foreground=NAIL)]  # where it crosses the nail's edge
         for (r, name), place in zip(group, style.spread([r.center_mm[1] for r, _ in group], gap), strict=True):
             v, u = r.center_mm[1], [getattr(r, bound), edge, edge + side * 0.37]
-            axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=6)
+            axes.plot(u, [v, v, place], color=style.DARK_INK, lw=0.6, zorder=3.5)  # behind the parts
             axes.text(edge + side * LABEL_MM, place, style.plain(name), **look)
-    return max((len(name) for _, name in left), default=0), max((len(name) for _, name in right), default=0)
 
 
 def _hidden(r: Rectangle, side: int, parts: Sequence[Rectangle]) -> bool:

@@ -4,6 +4,7 @@ import os
 import re
 from functools import partial
 from html.parser import HTMLParser
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -259,6 +260,24 @@ def test_names_of_parts_stand_within_the_drawing_of_the_board(name, width_mm):
     # The line to either name runs off to the side where no other part lies.
     middle = (frame.x0 + frame.x1) / 2
     assert boxes[name].x1 < middle < boxes[f"LED {name}, 800 nm"].x0
+
+
+def test_the_board_fits_a_telephone_and_its_names_do_not_touch():
+    """Expected: 0.79 of its natural width within the 350 pixels of a telephone's page, as the style sheet scales it; one
+    name above another, however near two parts lie, and no line of one drawn over a part."""
+    leds = [("U1.ir", -3.8, 4.0), ("U1.red", -3.8, 3.6), ("U1.green", -3.8, 3.2)]
+    text = "schema_version = 1\n[finger]\n[board]\nbarrier = false\n"
+    text += "".join(f'[[leds]]\nname = "{n}"\npart = "led_660"\nposition_mm = [{u}, {v}]\n' for n, u, v in leds)
+    for i, (u, v) in enumerate([(1.0, 4.0), (2.5, 3.9), (4.0, 4.1), (1.0, 1.4)]):
+        text += f'[[photodiodes]]\nname = "pd{i}"\nposition_mm = [{u}, {v}]\n'
+    figure = maps.top_view.__wrapped__(parse_scene(text))
+    FigureCanvasAgg(figure).draw()
+    assert 0.79 * 96 * figure.get_figwidth() <= 350
+    (axes,) = figure.axes
+    boxes = [one.get_window_extent() for one in axes.texts if "blood" not in one.get_text()]
+    assert len(boxes) == 7 and not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    names = [line for line in axes.lines if len(line.get_xdata()) == 3]
+    assert len(names) == 7 and max(line.zorder for line in names) < min(p.zorder for p in axes.patches[-7:])
 
 
 def test_where_the_light_ends_is_shown_where_it_is_known(undrawn, make):
