@@ -38,9 +38,8 @@ def main() -> None:
     for row in result.rows(computed):
         error = row["force_resolution_n_stderr"]
         print(f"  {row['rank']:2d} {row['layout']:22s} {1e3 * row['force_resolution_n']:.3f} +- {1e3 * error:.3f} mN")
-    better = result.gain(computed)
-    if better:
-        print(f"  {better[0]:.3f} +- {better[1]:.3f} times as fine as the paper's layout")
+    for name, better in result.gains(computed).items():
+        print(f"  {better[0]:.3f} +- {better[1]:.3f} times as fine as {name}")
     print(f"a further candidate    {1e3 * further(scene, computed):8.1f} ms")
     print(f"load {os.getloadavg()[0]:.1f}")
 

@@ -263,8 +263,8 @@ def test_names_of_parts_stand_within_the_drawing_of_the_board(name, width_mm):
 
 
 def test_the_board_fits_a_telephone_and_its_names_do_not_touch():
-    """Expected: 0.79 of its natural width within the 350 pixels of a telephone's page, as the style sheet scales it; one
-    name above another, however near two parts lie, and no line of one drawn over a part."""
+    """Expected: 0.79 of its natural width within the 350 pixels of a telephone's page, as the style sheet scales it;
+    one name above another, however near two parts lie, and no line of one drawn over a part."""
     leds = [("U1.ir", -3.8, 4.0), ("U1.red", -3.8, 3.6), ("U1.green", -3.8, 3.2)]
     text = "schema_version = 1\n[finger]\n[board]\nbarrier = false\n"
     text += "".join(f'[[leds]]\nname = "{n}"\npart = "led_660"\nposition_mm = [{u}, {v}]\n' for n, u, v in leds)

@@ -18,7 +18,7 @@ from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
-from ...studies.placement.result import budgets as budgets_of, chosen, gain, kicad_parts, outline, rough_words, rows
+from ...studies.placement.result import budgets as budgets_of, chosen, gains, kicad_parts, outline, rough_words, rows
 from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
 from .. import maps
 from ..files import Report, run_summary, scene_text
@@ -134,15 +134,15 @@ def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
 
 
 def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Force resolution, with the electronics' noise alone, and beside the paper's layout."""
-    first, better = ranking[0], gain(result)
+    """Force resolution, with the electronics' noise alone, and beside the user's layout or the paper's."""
+    first = ranking[0]
     cards = [(quantity(first["force_resolution_n"], "N"), "force resolution of one sample, rms")]
     if "force_error_n" in first:
         cards.insert(0, (quantity(first["force_error_n"], "N"), "error of the force over touches by a filter, rms"))
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
-    if better and first["layout"] != "paper":
-        cards.append((f"{with_error(*better)} ×", "better force resolution than the paper's layout"))
+    for name, better in [*gains(result).items()][:1]:
+        cards.append((f"{with_error(*better)} ×", f"as fine a force resolution as that of {name}"))
     return cards
 
 
@@ -363,8 +363,7 @@ def _files(result: xr.Dataset, *, negate_x_on_bottom: bool = False, scene_folder
 
 
 def summary(result: xr.Dataset) -> dict[str, Any]:
-    """The ranking of layouts, and the gain in force resolution over the paper's layout."""
-    better = gain(result)
+    """The ranking of layouts, and the gain in force resolution over those that the search did not make."""
     return {
         "warnings": _warnings(result),
         "ranking": rows(result),
@@ -374,7 +373,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "limits": [*filter(None, [_over_touches(result)]), *(why(row) for row in budgets_of(result))],
         "best_possible": {"words": _bound(result)}
         | {name: with_stderr(result, name) for name in ("bound", "above_bound") if name in result},
-        "gain_over_paper": {"value": better[0], "stderr": better[1]} if better else None,
+        "gains": {name: {"value": value, "stderr": stderr} for name, (value, stderr) in gains(result).items()},
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
         "tolerances": _tolerances(result),
@@ -390,9 +389,10 @@ def lines(summary: dict[str, Any]) -> list[str]:
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
     out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced", summary["tied"]]
     out += [line.replace("\u00a0", " ") for line in (*_people(ranking), *summary["limits"])]
-    if (better := summary["gain_over_paper"]) and ranking[0]["layout"] != "paper":
-        times = f"{better['value']:.2f} +- {better['stderr']:.2f} times"
-        out.append(f"force resolution better than the paper's layout: {times}")
+    for name, better in summary["gains"].items():
+        out.append(
+            f"The first resolves force {with_error(better['value'], better['stderr'])} times as finely as {name}."
+        )
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
     words = [summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
     words += [summary["best_possible"]["words"], summary["verified_by_mitsuba"]]

@@ -272,18 +272,16 @@ def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
     return by_layout
 
 
-def gain(result: xr.Dataset) -> tuple[float, float] | None:
-    """How many times finer the best resolves force, over touches where these rank, than the paper's layout, and its
-    standard error; None without it."""
-    names = [str(name) for name in result.layout.values]
-    if "paper" not in names:
-        return None
-    i = names.index("paper")
+def gains(result: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """How many times as finely the best resolves force, over touches where these rank, as each other layout that the
+    search did not make, the user's first; with its standard error."""
     force = "force_error_n" if "force_error_n" in result else "force_resolution_n"
     score, error = result[force].values, result[f"{force}_stderr"].values
-    ratio = score[i] / score[0]
-    spread = ratio * np.hypot(error[i] / score[i], error[0] / score[0]) if i else 0.0
-    return float(ratio), float(spread)
+    ratio = score / score[0]
+    spread = ratio * np.hypot(error / score, error[0] / score[0])
+    users_first = np.argsort(result.origin.values != "given", kind="stable")
+    others = [i for i in users_first if i and result.origin[i] != "searched"]
+    return {str(result.layout.values[i]): (float(ratio[i]), float(spread[i])) for i in others}
 
 
 def kicad_parts(scene: Scene) -> list[PlacedPart]:

@@ -185,7 +185,12 @@ def test_the_best_is_first_and_its_fresh_trace_agrees(computed):
     fresh, spread = computed.attrs["checked_resolution_n"], computed.attrs["checked_resolution_n_stderr"]
     assert abs(predicted - fresh) < 4 * np.hypot(error, spread)
     assert np.hypot(error, spread) < 0.3 * predicted
-    assert "paper" in computed.layout.values and result.gain(computed)[0] > 0
+    names, score = computed.layout.values.tolist(), computed.force_resolution_n.values
+    others = [name for name in ("near", "far", "paper") if name != names[0]]
+    assert {*result.gains(computed)} == {*others} and "paper" in names
+    assert [*result.gains(computed)][-1] == others[-1]  # the user's come first
+    for name, (ratio, stderr) in result.gains(computed).items():
+        assert ratio == pytest.approx(score[names.index(name)] / score[0]) and stderr > 0
 
 
 @pytest.mark.long

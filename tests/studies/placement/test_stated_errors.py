@@ -12,7 +12,7 @@ from nailoptics.light.walk import finger as finger_walk
 from nailoptics.scene import Priors, Scene, parse_scene
 from nailoptics.studies.placement import verification
 from nailoptics.studies.placement.place import place
-from nailoptics.studies.placement.result import gain
+from nailoptics.studies.placement.result import gains
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 SCENE = PLACEMENT.replace("size_mm = [1.0, 0.25]", "size_mm = [1.0, 0.5]").replace("photodiodes = 4", "photodiodes = 6")
@@ -103,7 +103,7 @@ def test_errors_of_the_look_at_the_best(computed, name):
 def test_the_error_of_the_gain_over_the_papers_layout(computed):
     """Expected: what other seeds scatter by; the better of the two is the same for every seed."""
     assert all(one.layout.values.tolist() == ["near", "paper"] for one in computed)
-    better = np.array([gain(one) for one in computed])
+    better = np.array([gains(one)["paper"] for one in computed])
     assert_true(better[:, [0]], better[:, [1]], "gain")
 
 
