@@ -9,6 +9,7 @@ import xarray as xr
 
 from ..errors import InputError
 from ..scene import Scene
+from ..scene.base import Point
 from ..scene.rectangles import Rectangle
 from ..tissue import BloodZones
 from . import style
@@ -50,11 +51,11 @@ def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:
     return float(x[0] - dx), float(x[-1] + dx), float(y[0] - dy), float(y[-1] + dy)
 
 
-def draw_rectangle(axes: "style.Axes", r: Rectangle, **look: Any) -> None:
-    """Draw a rectangle of the board with the tip upwards."""
+def draw_area(axes: "style.Axes", area: Rectangle | Sequence[Point], **look: Any) -> None:
+    """Draw a rectangle of the board, or what lies within corners, with the tip upwards."""
     from matplotlib.patches import Polygon
 
-    axes.add_patch(Polygon(r.corners_mm, closed=True, **look))
+    axes.add_patch(Polygon(area.corners_mm if isinstance(area, Rectangle) else area, closed=True, **look))
 
 
 @style.drawing()
@@ -70,17 +71,19 @@ def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
     layout, finger = scene.layout, scene.fingertip
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
     nail = Rectangle("nail", -half_u, half_u, -half_v, half_v)
-    draw_rectangle(axes, nail, fc=NAIL, ec=style.MUTED, lw=1.2)
+    draw_area(axes, nail, fc=NAIL, ec=style.MUTED, lw=1.2)
     _blood_zones(axes, scene, half_u, half_v)
-    draw_rectangle(axes, layout.outline, zorder=2, fc=BOARD, ec=style.DARK_INK, lw=0.8, alpha=0.9)
+    border, *holes = layout.border_mm or (layout.outline.corners_mm,)
+    for area, fill in ((border, BOARD), *((hole, NAIL) for hole in holes)):
+        draw_area(axes, area, zorder=2, fc=fill, ec=style.DARK_INK, lw=0.8, alpha=0.9)
     for wall in layout.barriers:
-        draw_rectangle(axes, wall, zorder=3, fc=BARRIER, lw=0)
+        draw_area(axes, wall, zorder=3, fc=BARRIER, lw=0)
     for element in layout.unwired:
-        draw_rectangle(axes, element, zorder=3, fc="#c9ccd0", ec="#70767d", lw=0.5)
+        draw_area(axes, element, zorder=3, fc="#c9ccd0", ec="#70767d", lw=0.5)
     for colour, j in coloured_along_nail(scene):
-        draw_rectangle(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
+        draw_area(axes, layout.photodiode_areas[j], zorder=4, fc=colour, ec=style.DARK_INK, lw=0.6)
     for led in layout.leds:
-        draw_rectangle(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
+        draw_area(axes, led, zorder=4, fc=LED, ec=style.DARK_INK, lw=0.8)
     groups = _names_beside(scene)
     letters = [max((len(name) for _, name in group), default=0) for group in groups]
     # Boards may be as wide as the nail, and their labels need room beside them.

@@ -477,6 +477,46 @@ def test_a_layout_of_a_kicad_board_moves_its_footprints_and_nothing_else(tab: An
     assert len(changed) == 7 and all(line.strip().startswith("(at ") for line in changed)
 
 
+def test_a_board_that_is_no_rectangle_is_shown_and_kept_to(tab: Any, tmp_path: Path):
+    """Expected: of random places on an L with a hole the page takes those that Python takes, and no others."""
+    corners = "[-4, -4.5], [1.8, -4.5], [1.8, -0.2], [4, 1], [4, 4.5], [-4, 4.5]"
+    text = f"""schema_version = 1
+    [finger]
+    digit = "thumb"
+    [board]
+    barrier = false
+    outline_mm = [{corners}]
+    outline_holes_mm = [[[-3.2, 2.4], [-2.2, 2.4], [-2.2, 3.4], [-3.2, 3.4]]]
+    [[leds]]
+    name = "ir"
+    part = "led_800"
+    position_mm = [3.0, 3.0]
+    [[photodiodes]]
+    name = "pd"
+    position_mm = [-1.0, 0.0]
+    size_mm = [1.6, 0.8]
+    """
+    (tmp_path / "explore.html").write_text(page(made_exploration(parse_scene(text))), encoding="utf-8")
+    tab.goto((tmp_path / "explore.html").as_uri())
+    assert tab.evaluate("document.querySelectorAll('#board .outline')[0].getAttribute('d').match(/[ML]/g).length") == 10
+    rng, taken = np.random.default_rng(0), []
+    for u, v, turn in zip(*rng.uniform([[-5], [-5.5], [0]], [[5], [5.5], [90]], (3, 150)), strict=True):
+        computed, moved = tab.evaluate(
+            """([u, v, turn]) => {
+            const layout = copy(tables.layout); Object.assign(layout.photodiodes[0], { u, v, turn });
+            return [problems(layout), smolToml.stringify(toScene(layout))]; }""",
+            [u, v, turn],
+        )
+        try:
+            parse_scene(moved)
+        except InputError as error:
+            assert computed, error
+        else:
+            assert not computed
+            taken.append((u, v))
+    assert 30 < len(taken) < 120
+
+
 def test_dies_of_a_module_move_together(tab: Any, tmp_path: Path):
     """Expected: by a key, an angle and a mirror of one die the whole footprint, which the exported board has there, and
     no other; a photodiode that is added beside it is none of its dies."""

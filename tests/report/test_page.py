@@ -262,6 +262,18 @@ def test_names_of_parts_stand_within_the_drawing_of_the_board(name, width_mm):
     assert boxes[name].x1 < middle < boxes[f"LED {name}, 800 nm"].x0
 
 
+def test_a_board_that_is_no_rectangle_is_drawn_as_it_is():
+    corners = [[-4.0, -4.5], [1.8, -4.5], [1.8, -0.2], [4.0, 1.0], [4.0, 4.5], [-4.0, 4.5]]
+    hole = [[-3.2, 2.4], [-2.2, 2.4], [-2.2, 3.4], [-3.2, 3.4]]
+    scene = parse_scene(
+        f"schema_version = 1\n[finger]\n[board]\nbarrier = false\noutline_mm = {corners}\noutline_holes_mm = [{hole}]\n"
+        '[[leds]]\nname = "ir"\npart = "led_800"\nposition_mm = [1.0, 2.0]\n'
+        '[[photodiodes]]\nname = "pd"\nposition_mm = [-1.0, 0.0]\n'
+    )
+    drawn = [patch.get_xy()[:-1].tolist() for patch in maps.top_view.__wrapped__(scene).axes[0].patches]
+    assert corners in drawn and hole in drawn
+
+
 def test_the_board_fits_a_telephone_and_its_names_do_not_touch():
     """Expected: 0.79 of its natural width within the 350 pixels of a telephone's page, as the style sheet scales it;
     one name above another, however near two parts lie, and no line of one drawn over a part."""

@@ -174,8 +174,8 @@ def _board(scene: Scene) -> dict[str, Any]:
     if scene.layout.barriers:
         w = scene.layout.barriers[0]
         wall = {"side": w.name, "uMin": w.u_min, "uMax": w.u_max, "vMin": w.v_min, "vMax": w.v_max}
-    outline = [r.u_min, r.u_max, r.v_min, r.v_max]
-    return {"outline": outline, "wall": wall, "zoneEdgeMm": scene.zone_edges_mm[0], "epoxyMm": scene.board.height_mm}
+    board = {"outline": [r.u_min, r.u_max, r.v_min, r.v_max], "border": scene.layout.border_mm, "wall": wall}
+    return board | {"zoneEdgeMm": scene.zone_edges_mm[0], "epoxyMm": scene.board.height_mm}
 
 
 EXPLORATION = Report(

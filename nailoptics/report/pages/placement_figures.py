@@ -167,12 +167,14 @@ def _draw_sites(axes: "style.Axes", result: xr.Dataset, led: str) -> None:
 
 def _parts(axes: "style.Axes", scene: Scene, lit: int) -> None:
     """Outline the layout's parts over a map; the LED that is lit is filled."""
+    for line in scene.layout.border_mm:
+        maps.draw_area(axes, line, zorder=3, fc="none", ec=style.MUTED, lw=0.8)
     for r in scene.layout.barriers:
-        maps.draw_rectangle(axes, r, zorder=3, fc=maps.BARRIER, lw=0)
+        maps.draw_area(axes, r, zorder=3, fc=maps.BARRIER, lw=0)
     for r in (*scene.layout.leds, *scene.layout.photodiode_areas):
         fill = maps.LED if r == scene.layout.leds[lit] else "none"
         for colour, width in (("#ffffff", 1.8), (style.DARK_INK, 0.8)):
-            maps.draw_rectangle(axes, r, zorder=3, fc=fill, ec=colour, lw=width)
+            maps.draw_area(axes, r, zorder=3, fc=fill, ec=colour, lw=width)
 
 
 def _smooth(values: xr.DataArray) -> xr.DataArray:

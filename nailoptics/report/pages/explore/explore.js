@@ -356,12 +356,26 @@ function resolve(rows, force, rest, ledCount, { touch } = ownFinger) {
   return resolutions;
 }
 
+const sidesOf = (line) => line.map((point, k) => [point, line[(k + 1) % line.length]]);
+
+/** Whether a part does not lie wholly on the drawn board: within its border, off its holes. */
+function crossesBorder(part) {
+  const edges = tables.board.border.flatMap(sidesOf), sides = sidesOf(corners(part));
+  if (!edges.length) return false;
+  const isOn = ([u, v]) => edges.filter(([[a, b], [c, d]]) => (b > v) !== (d > v) && u < ((c - a) * (v - b)) / (d - b) + a).length % 2 === 1;
+  const turn = ([a, b], [c, d], [e, f]) => (c - a) * (f - b) - (d - b) * (e - a);
+  const cross = ([a, b], [c, d]) => turn(a, b, c) * turn(a, b, d) < 0 && turn(c, d, a) * turn(c, d, b) < 0;
+  // A small hole may lie within the part.
+  const isIn = (point) => new Set(sides.map(([a, b]) => turn(a, b, point) > 0)).size === 1;
+  return !corners(part).every(isOn) || edges.some((edge) => isIn(edge[0]) || sides.some((side) => cross(side, edge)));
+}
+
 /** Violated constraints of a layout, in words: overlaps, edges, the wall. Empty where it can be built. */
 function problems(layout) {
   const [uMin, uMax, vMin, vMax] = tables.board.outline, violations = [];
   const parts = [...layout.leds.map(dieOf), ...layout.photodiodes.flatMap((pd) => elementsOf(pd, false))];
   for (const part of parts) {
-    if (corners(part).some(([u, v]) => u <= uMin || u >= uMax || v <= vMin || v >= vMax)) violations.push(`${part.name} reaches over the board's edge`);
+    if (corners(part).some(([u, v]) => u <= uMin || u >= uMax || v <= vMin || v >= vMax) || crossesBorder(part)) violations.push(`${part.name} reaches over the board's edge`);
   }
   for (let i = 0; i < parts.length; i++) for (let j = 0; j < i; j++) if (overlap(parts[i], parts[j])) violations.push(`${parts[j].name} and ${parts[i].name} overlap`);
   const names = [...layout.leds, ...layout.photodiodes].map((part) => part.name);

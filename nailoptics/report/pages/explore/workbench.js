@@ -128,7 +128,8 @@ function drawBoard() {
     class: "zone", x: -width / 2, y: top, width, height: bottom - top, opacity: Math.min(0.8, 0.34 * part) })));
   svg.append(clip);
   const [uMin, uMax, vMin, vMax] = tables.board.outline, wall = tables.board.wall;
-  svg.append(element("rect", { class: "outline", x: uMin, y: -vMax, width: uMax - uMin, height: vMax - vMin }));
+  const border = tables.board.border.length ? tables.board.border : [[[uMin, vMin], [uMax, vMin], [uMax, vMax], [uMin, vMax]]];
+  svg.append(element("path", { class: "outline", d: border.map((line) => `M${line.map(([u, v]) => `${u} ${-v}`).join("L")}Z`).join("") }));
   if (wall) svg.append(element("rect", { class: "wall", x: wall.uMin, y: -wall.vMax, width: wall.uMax - wall.uMin, height: wall.vMax - wall.vMin }));
   const row = workbench.result && workbench.result.rows[workbench.chosen.row];
   if (row) {
