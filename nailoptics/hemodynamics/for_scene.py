@@ -17,7 +17,7 @@ from ..variables import described, precision
 from .blood import Arterioles
 from .parameters import posture_pa, vessels, with_posture
 from .respond import Model
-from .steady import linear_response
+from .steady import linear_response, two_branches
 from .touch import TouchCourse, touch_course
 from .walls import build_walls
 from .waves import fastest_hz, pressure_lines, waves_pressure
@@ -121,9 +121,7 @@ class BloodModel:
         """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states: there the
         blood depends on whether the force has grown or fallen to what it is. [N]"""
         force_n = np.linspace(0.0, float(self.touch.force_n.max()), 101)
-        pressure_pa = self.touch.held_pa(force_n)
-        state = hemodynamics.steady_state(self.parameters, pressure_pa=pressure_pa, zones=self.zones)
-        return force_n[state.two_branches]
+        return force_n[two_branches(self.parameters, pressure_pa=self.touch.held_pa(force_n), zones=self.zones)]
 
     def by_arterial_pressure(self, frequency_hz: ArrayLike, force_n: float) -> np.ndarray:
         """Change of the blood fraction of each zone with a small wave of P_H while a force is held, (zones, F) complex.

@@ -34,14 +34,12 @@ class SteadyState:
     vein_diameter_m : S float. D_V + x_V. [m]
     capillary_pressure_pa : (N, *S) float. Blood pressure. [Pa]
     vein_pressure_pa : S float. Blood pressure. [Pa]
-    two_branches : S bool. There are two: what unloading ends in may differ from what loading led to.
     """
 
     capillary_diameter_m: np.ndarray
     vein_diameter_m: np.ndarray
     capillary_pressure_pa: np.ndarray
     vein_pressure_pa: np.ndarray
-    two_branches: np.ndarray
 
 
 def steady_state(
@@ -66,16 +64,22 @@ def steady_state(
     high, low, *touch = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
     walls, n, shape = build_walls(parameters, zones), zones.count, high.shape
     outside = zones.on_walls(np.array([pressure.ravel() for pressure in touch]))
-    solved = {name: solve_walls(walls, outside, high.ravel(), low.ravel(), branch=name) for name in _BRANCHES}
-    width, pressure = solved[branch]
-    gap = np.abs(solved["wide"][0] - solved["narrow"][0]) / walls.diameter[:, None]
+    width, pressure = solve_walls(walls, outside, high.ravel(), low.ravel(), branch=branch)
     return SteadyState(
         capillary_diameter_m=width[:n].reshape((n, *shape)),
         vein_diameter_m=width[n].reshape(shape)[()],
         capillary_pressure_pa=pressure[:n].reshape((n, *shape)),
         vein_pressure_pa=pressure[n].reshape(shape)[()],
-        two_branches=(gap.max(axis=0) > _SAME).reshape(shape)[()],
     )
+
+
+def two_branches(parameters: Parameters, *, zones: Zones = PAPER_ZONES, **pressures: Unpack[Pressures]) -> np.ndarray:
+    """Where there are two steady states, so that unloading may end in another than loading led to, S bool; arguments as
+    of `steady_state`."""
+    wide, narrow = (steady_state(parameters, zones=zones, branch=branch, **pressures) for branch in _BRANCHES)
+    listed, capillary = build_walls(parameters, zones).diameter, wide.capillary_diameter_m - narrow.capillary_diameter_m
+    capillary, vein = capillary.T / listed[:-1].T, wide.vein_diameter_m - narrow.vein_diameter_m
+    return np.asarray(np.maximum(np.abs(capillary).max(axis=-1).T, np.abs(vein / listed[-1])) > _SAME)
 
 
 def linear_response(

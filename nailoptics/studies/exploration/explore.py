@@ -16,6 +16,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, TypeAlias, Unpack
 
 import numpy as np
@@ -390,6 +391,7 @@ def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.Da
 FORCES, LEAST_REACH_N = 33, 4.0
 
 
+@lru_cache(8)
 def touch_table(scene: Scene) -> dict[str, Any]:
     """Blood of both zones in parts of that at rest, its change with both pressures, and the body's noise, by force.
 
