@@ -3,7 +3,7 @@
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -216,7 +216,7 @@ def _build(file: SweepFile, path: Path) -> Sweep:
     if math.prod(dims.values()) > MAX_SCENES:
         raise InputError(f"axes make {math.prod(dims.values())} scenes; at most {MAX_SCENES}, use fewer values.")
     given = list(points(*(axis.values for axis in axes))) if axes else [()]
-    bases = [_base(base, path) for base in file.scenes or [file.base]]
+    bases = [_base(base, path, axes) for base in file.scenes or [file.base]]
     of_finger = {"blood", "touch", "body", "board", "colour", "priors", "placement"}
     for axis in axes if all(tables.get("phantom") for _, tables, _ in bases) else ():
         if steps_of(axis.path)[0] in of_finger:
@@ -227,14 +227,17 @@ def _build(file: SweepFile, path: Path) -> Sweep:
     return Sweep(path.stem, axes, dims, scenes, file.study)
 
 
-def _base(base: Any, path: Path) -> tuple[str, dict[str, Any], Path]:
-    """Name of a base scene, its tables as the user wrote them, and the folder of its parts."""
+def _base(base: Any, path: Path, axes: Sequence[Axis]) -> tuple[str, dict[str, Any], Path]:
+    """Name of a base scene, its tables as the user wrote them, and the folder of its parts; where an axis is of a part
+    that a board's file has, what the scene is with that file read."""
     if isinstance(base, dict):
         return "base", base, path.parent
     file = path.parent / base
     if not is_there(file):
         file = shipped_scene(base) or file
-    load_scene(file)  # a fault of the base is reported as its own, before any axis touches it
+    read = load_scene(file)  # a fault of the base is reported as its own, before any axis touches it
+    if read.board.unmapped is not None and {"leds", "photodiodes"} & {steps_of(axis.path)[0] for axis in axes}:
+        return base, dict(read), file.parent
     return base, parse_toml(read_text(file, "the path of a scene file (TOML)"), str(file)), file.parent
 
 

@@ -7,6 +7,7 @@ import tomllib
 import jsonschema
 import numpy as np
 import pytest
+from small_scenes import ON_KICAD_BOARD
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
@@ -32,6 +33,23 @@ def test_a_product_has_every_pair_and_its_last_axis_varies_fastest(tmp_path):
     assert [(s.blood.so2, s.leds[0].position_mm) for s in result.scenes] == [
         (pytest.approx(so2), place) for so2, place in expected
     ]
+
+
+def test_parts_of_a_boards_file_are_varied_as_those_of_a_scene(tmp_path):
+    (tmp_path / "x.kicad_pcb").write_text("""(kicad_pcb (version 20240108) (setup (aux_axis_origin 100 100))
+      (footprint "LED" (layer "B.Cu") (at 97 99) (property "Reference" "D1"))
+      (footprint "PD" (layer "B.Cu") (at 101 101) (property "Reference" "PD1"))
+      (gr_rect (start 95.5 95.5) (end 104.5 104.5) (layer "Edge.Cuts")))""")
+    (tmp_path / "mine.toml").write_text(ON_KICAD_BOARD.format(board="", diode="", parts=""))
+    places = [(-3.0, 1.0), (-3.0, -1.0)]
+    axes = '[[axes]]\npath = "leds.D1.position_mm"\nvalues = [[-3.0, 1.0], [-3.0, -1.0]]\n'
+    axes += '[[axes]]\npath = "finger.digit"\nvalues = ["thumb", "index"]\n'
+    result = sweep(tmp_path, f'schema_version = 1\nbase = "mine.toml"\n{axes}')
+    assert [scene.leds[0].position_mm for scene in result.scenes] == [place for place in places for _ in range(2)]
+    assert result.scenes[0].finger.nail_width_mm > result.scenes[1].finger.nail_width_mm
+    turned = axes.replace('"finger.digit"\nvalues = ["thumb", "index"]', '"board.turn_deg"\nvalues = [0.0, 5.0]')
+    with pytest.raises(InputError, match="the file of the board has been read"):
+        sweep(tmp_path, f'schema_version = 1\nbase = "mine.toml"\n{turned}')
 
 
 def test_a_zip_walks_all_axes_together(tmp_path):
