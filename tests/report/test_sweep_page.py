@@ -51,6 +51,23 @@ def test_names_failures_and_titles_are_text_on_the_page():
     assert "&lt;script&gt;alert(1)" in text and "&quot;&gt;&lt;img" in text
 
 
+@pytest.mark.parametrize(
+    ("axis", "place", "values", "label"),
+    [
+        ("clear_epoxy_um", "board.clear_epoxy_um", [200.0, 400.0], "clear epoxy [µm]"),
+        ("led_position", "leds.ir.position_mm", ["[-1, 0]", "[-2, 1]"], "led position [mm]"),
+        ("parameters", "blood.parameters", ["best", "listed"], "parameters"),
+    ],
+)
+def test_an_axis_is_named_once_with_its_unit(monkeypatch, axis, place, values, label):
+    units = {"units": "µm"} if axis == "clear_epoxy_um" else {}
+    sweep = results(["a", "b"], axis=axis).assign_coords({axis: (axis, values, {"long_name": place} | units)})
+    drawn: list[Any] = []
+    monkeypatch.setattr(style, "to_svg", lambda figure, **_: drawn.append(figure) or "<svg></svg>")
+    page(sweep, failures={})
+    assert drawn[0].axes[0].get_xlabel() == label
+
+
 def test_the_axes_of_a_figure_have_names_and_units(monkeypatch):
     names = ["a", "b", "c"]
     sweep = results(names).assign_coords(base=("base", [0.0, 0.5, 1.0], {"long_name": "touch.force_n", "units": "N"}))

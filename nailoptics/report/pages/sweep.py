@@ -13,6 +13,7 @@ import xarray as xr
 from ...batch import write_table
 from ...errors import InputError
 from ...io import write_text
+from ...variables import UNITS, unit_of
 from .. import style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
@@ -126,8 +127,11 @@ def _along(results: xr.Dataset, axis: str = "") -> "style.Figure":
     unit = str(results[quantity].attrs["units"])
     of = f"{letter}{unit}" if unit != "1" else significant(scale, 1)
     axes.set_ylabel(style.plain(textwrap.fill(f"{results[quantity].attrs['long_name']} [{of}]", 34)))
-    words = name.lower().removesuffix(f"_{results[name].attrs.get('units', '').lower()}").replace("_", " ")
-    axes.set_xlabel(style.plain(f"{words} [{results[name].attrs['units']}]" if numeric else words))
+    # Of texts, such as places, the unit is that of their field.
+    unit = str(results[name].attrs.get("units", unit_of(results[name].attrs.get("long_name", ""))))
+    ends = (f"_{end}" for end, shown in UNITS.items() if shown == unit and name.endswith(f"_{end}"))
+    words = name.removesuffix(next(ends, "")).replace("_", " ")
+    axes.set_xlabel(style.plain(f"{words} [{unit}]" if numeric or unit != "1" else words))
     axes.set_title(style.plain(textwrap.fill(_held(results, name), 70)))
     if not numeric:
         axes.set_xticks(x, [style.plain(str(v)[:24]) for v in coordinate])
