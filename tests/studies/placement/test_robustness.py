@@ -88,7 +88,8 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
     *_, result = ranked
     lines = spread_summary(result)["conclusions"]
     times = int(result.best_stays_best_at)
-    assert f"near remains the best at {times} of 6 values" in lines[0] and "none of them" in lines[0]
+    assert f"near has the finest resolution of one sample at {times} of 6 values" in lines[0]
+    assert "none of them" in lines[0]
     assert "most with bloodless bed absorption" in lines[1]
     assert "bed scattering" in lines[-1] and "own_traces" in lines[-1]
     assert "Uncertainty over the priors" in spread_section(result)
