@@ -10,6 +10,7 @@ still add up one by one.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -264,6 +265,9 @@ def total_information(by_led: Iterable[Response], *, electronics_alone: bool = F
     return np.sum(informations, axis=0)
 
 
+upper_triangle = lru_cache(np.triu_indices)
+
+
 def pressure_information(information: Array) -> Array:
     """Information on the two pressures with the body's unknowns marginalised, (..., 3) float: 11, 12, 22. [Pa^-2]
 
@@ -271,7 +275,7 @@ def pressure_information(information: Array) -> Array:
     """
     if (count := math.isqrt(2 * information.shape[-1])) == 2:
         return information
-    rows, columns = np.triu_indices(count)
+    rows, columns = upper_triangle(count)
     matrix = np.empty((*information.shape[:-1], count, count))
     matrix[..., rows, columns] = matrix[..., columns, rows] = information
     for last in range(count - 1, 1, -1):

@@ -158,7 +158,7 @@ class Objective:
         if name == "force" and self.waves_left < 1 and self.points[0].body is not None:
             part = np.ones(math.isqrt(2 * information.shape[-1]))
             part[2:4] = self.waves_left  # the waves' two shapes come after the pressures
-            information = information * np.outer(part, part)[np.triu_indices(len(part))]
+            information = information * np.outer(part, part)[sensor_information.upper_triangle(len(part))]
         resolutions = [resolution(*both) for both in zip(information, self.points, strict=True)]
         return self.over(np.stack(resolutions), name)
 
