@@ -1,6 +1,7 @@
 """Light from outside: spectra with the luminous efficacy they must have, and a sky that the other engine shines."""
 
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 import colour
@@ -9,6 +10,7 @@ import pytest
 from small_scenes import finger
 from watertight import check_watertight
 
+from nailoptics import trace
 from nailoptics.assets import read_table
 from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
@@ -34,6 +36,16 @@ def covered(cover_um: int) -> str:
         leds=({"wavelength_nm": 800.0, "position_mm": [-2.5, 0.5]},),
         board={"size_mm": [7.0, 7.0], "barrier": False, "cover_um": cover_um},
     )
+
+
+def test_light_from_outside_takes_the_distances_that_the_leds_light_has(jit_backend):
+    """Expected: a command that traces both makes the grid of distances once."""
+    scene = parse_scene(covered(0))
+    built = import_module("nailoptics.light.walk.finger")._built
+    built.cache_clear()
+    trace(scene, photons=2000, store=False)
+    trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=0, photons=1000)
+    assert built.cache_info().misses == 1
 
 
 @pytest.mark.parametrize(("kelvin", "lumens_per_watt"), [(5800.0, 93.0), (2800.0, 15.0), (7000.0, 95.0)])
