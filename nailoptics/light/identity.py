@@ -18,7 +18,7 @@ def light_scene(scene: Scene) -> Scene:
     width come after it; and the fingers and boards of a search for a layout are not those of its scene.
     """
     blood = type(scene.blood)(zone_edges_mm=scene.zone_edges_mm, zone_width_mm=scene.zone_width_mm)
-    packaged = dict.fromkeys((*ROOM, "reference", "part", "package_height_um")) | {"lens": False}
+    packaged = dict.fromkeys((*ROOM, "reference", "part", "package_height_um", "price")) | {"lens": False}
     usual: dict[str, Any] = packaged | {"flux_mw": 1.0, "fwhm_nm": 0.0, "current_ma": None, "max_current_ma": None}
     leds = tuple(led.model_copy(update=usual | {"name": f"led{i}"}) for i, led in enumerate(scene.leds))
     usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL}

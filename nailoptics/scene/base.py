@@ -137,6 +137,8 @@ class Packaged(Table):
     """Height of its package above the board. [um]"""
     lens: bool = False
     """Whether its angular pattern or response is that of a lens in air, which epoxy of about its index undoes."""
+    price: Annotated[float, Field(ge=0)] | None = None
+    """Price of one, in any currency that is that of all parts; of a die of a module, its part."""
 
 
 def shifted(lines: Iterable[Polygon], by: Point) -> tuple[Polygon, ...]:

@@ -23,7 +23,7 @@ from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_M
 from .. import maps
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
-from ..numbers import ROUNDING, aligned, cells, estimated, quantity, significant, with_error, with_stderr
+from ..numbers import ROUNDING, aligned, cells, estimated, plain, quantity, significant, with_error, with_stderr
 from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from .placement_figures import SHOWN, budget_figure, front_figure, map_figure, ranking_figure
@@ -198,9 +198,11 @@ def _front(result: xr.Dataset) -> tuple[list[dict[str, Any]], str]:
     for n, power_mw in product(result.front_photodiodes.values, result.led_power_mw.values):
         at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
         points.append({"photodiodes": int(n), "led_power_mw": float(power_mw), "on_front": bool(at.on_front)})
-        points[-1] |= with_stderr(at, "front_error")
+        points[-1] |= plain(at, price="front_price") | with_stderr(at, "front_error")
         if at.on_front:
-            shown.append(f"{n} with {quantity(1e-3 * power_mw, 'W')} {estimated(at, 'front_error', factor)}{unit}")
+            cost = "" if np.isnan(at.front_price) else f" for {at.front_price:g}"
+            power, error = quantity(1e-3 * power_mw, "W"), estimated(at, "front_error", factor)
+            shown.append(f"{n}{cost} with {power} {error}{unit}")
     return points, TEXTS["front"].format(words, "; ".join(shown)) if shown else ""
 
 

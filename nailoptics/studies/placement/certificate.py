@@ -234,7 +234,7 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     score = replace(objective, filter_groups=GROUPS)
     bears = [led.max_current_ma / led.current_ma for led in full.leds if led.max_current_ma and led.current_ma]
     powers = [power for power in POWERS if power <= max(1.0, min([POWERS[-1], *bears]))]
-    counts, ranked = list[int](), list[Array]()
+    counts, ranked, prices = list[int](), list[Array](), list[float]()
     wall = (walls[0].name, full.board.barrier_gap_mm or 0.0) if walls else None
     fixed = len(places.areas) - places.free
     for n in sorted({count, *(n for n in COUNTS if fixed <= n <= 2 * count)}):
@@ -246,6 +246,8 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         scene = candidates.searched(base, rules, leds_mm, areas, wall=wall, name=f"{n} photodiodes")
         ambient_a = search.ambient_a_per_mm2 * np.array([area.area_mm2 for area in scene.layout.photodiode_areas])
         counts.append(n)
+        parts = (*scene.leds, *(element.photodiode for element in scene.layout.photodiodes))
+        prices.append(sum(np.nan if part.price is None else part.price for part in parts))
         for power in powers:
             leds = tuple(led.model_copy(update={"flux_mw": power * led.flux_mw}) for led in scene.leds)
             lit = scene.model_copy(update={"leds": leds})
@@ -259,5 +261,5 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         *others, here = table[0, : i + 1, : j + 1].ravel()
         front[i, j] = np.isfinite(here) and all(other > (1 + ALIKE) * here for other in others)
     power_mw = [power * sum(led.flux_mw for led in full.leds) for power in powers]
-    axes = {"front_photodiodes": counts, "led_power_mw": power_mw}
-    return xr.Dataset(described(__package__, front_error=jackknifed(table), on_front=front, **axes))
+    costs = {"front_photodiodes": counts, "front_price": np.array(prices), "led_power_mw": power_mw}
+    return xr.Dataset(described(__package__, front_error=jackknifed(table), on_front=front, **costs))

@@ -27,11 +27,13 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
     condition = place.finger_condition(base, FingerCase(name="one"), rules)
     cache, objective = photon_map_cache([condition], seed=0, stream=1, blocks=16), Objective(rules, [condition.point])
     pd = requested.photodiodes[0]
-    driven = base.leds[0].model_copy(update={"current_ma": 20.0, "max_current_ma": 50.0})
+    driven = base.leds[0].model_copy(update={"current_ma": 20.0, "max_current_ma": 50.0, "price": 1.5})
     drawn = base.model_copy(
         update={
             "leds": (driven,),
-            "photodiodes": tuple(pd.model_copy(update={"name": f"p{v}", "position_mm": (1.0, v)}) for v in (-2.0, 2.0)),
+            "photodiodes": tuple(
+                pd.model_copy(update={"name": f"p{v}", "position_mm": (1.0, v), "price": 0.25}) for v in (-2.0, 2.0)
+            ),
         }
     )
     layout = candidates.candidate("mine", drawn, "given")
@@ -46,6 +48,7 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
     monkeypatch.setattr(candidates, "searched", spied)
     data = certificate.pareto_front(layout, cache, objective)
     assert cache.photons == before and data.front_photodiodes.values.tolist() == [2, 4]
+    assert data.front_price.values == pytest.approx([2.0, 2.5])
     assert data.led_power_mw.values == pytest.approx(np.array([1 / 64, 1 / 8, 1]) * driven.flux_mw)
     areas = search.Search(base, objective, cache).sites.photodiode_places(layout.scene.layout.barriers, {}).areas
     first, second = (cache.on_fingers(part) for part in (slice(None, 8), slice(8, None)))
