@@ -1,5 +1,6 @@
 """A layout in its designer's board: its parts moved, all else byte for byte; without one, a new board with pads."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,7 @@ import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.exports import kicad_board
 from nailoptics.scene import load_scene, parse_scene, to_toml
-from nailoptics.scene.importers.kicad import read_board
+from nailoptics.scene.importers.kicad import _parsed, read_board
 from nailoptics.studies.placement import boards
 
 BOARD = """(kicad_pcb (version 20240108)
@@ -86,6 +87,54 @@ def test_a_further_part_is_added_and_a_missing_one_stays_with_a_word(tmp_path, c
     before, after = ({p.ref: p for p in read_board(tmp_path / f"{n}.kicad_pcb").footprints} for n in "xy")
     assert {*after} == {*before, "PD2", "other"} and {ref: after[ref] for ref in before} == before
     assert after["PD2"].side == "bottom" and after["PD2"].pads_middle_mm == (0.0, 0.0)
+
+
+# What KiCad 5.1 reads within a part and what is in it (parseMODULE and what it calls); at anything else it stops.
+IN_KICAD_5 = {
+    "module": "locked placed layer tedit tstamp at descr tags path attr fp_text fp_line fp_circle fp_arc pad model",
+    "fp_text": "at layer hide effects",
+    "fp_line": "start end layer width tstamp status",
+    "pad": "at size drill layers net",
+    "effects": "font justify hide",
+    "font": "size thickness bold italic",
+}
+
+
+def of_no_old_kicad(item):
+    """What of a part KiCad 5 does not read, and of its identifiers those that are no 8 hexadecimal digits."""
+    for inner in (one for one in item if isinstance(one, list)):
+        if inner[0] not in IN_KICAD_5.get(item[0], inner[0]).split():
+            yield f"{item[0]} {inner[0]}"
+        elif inner[0] == "tstamp" and not re.fullmatch("[0-9a-fA-F]{8}", inner[1]):
+            yield f"tstamp {inner[1]}"
+        yield from of_no_old_kicad(inner)
+
+
+@pytest.mark.parametrize(
+    ("version", "kind"), [(4, "module"), (20171130, "module"), (20211014, "footprint"), (20240108, "footprint")]
+)
+def test_a_further_part_is_written_as_the_boards_own_kicad_has_parts(tmp_path, version, kind):
+    """Expected: of KiCad 4 and 5 modules of nothing that these do not know, elsewhere footprints; all read alike."""
+    scene, old = written(tmp_path), version < 20201115
+    text = BOARD.format(side="B.Cu", held="").replace("20240108", str(version))
+    if old:
+        text = text.replace("(footprint ", "(module ")
+        text = re.sub(r'\(property "(Reference|Value)"', lambda word: f"(fp_text {word[1].lower()}", text)
+    (tmp_path / "x.kicad_pcb").write_text(text)
+    one, (u, v) = scene.photodiodes[0], scene.photodiodes[0].position_mm
+    boxes = {"body_mm": (-0.7, -0.4, 0.7, 0.4), "courtyard_mm": (-0.9, -0.6, 0.9, 0.6)}
+    new = one.model_copy(update={"name": "new", "reference": None, "position_mm": (u, v + 2)} | boxes)
+    (tmp_path / "y.toml").write_text(to_toml(scene.model_copy(update={"photodiodes": (one, new)})))
+    nail.export(load_scene(tmp_path / "y.toml"), tmp_path / "y.kicad_pcb", folder=tmp_path)
+    *kept, added = [
+        item for item in _parsed((tmp_path / "y.kicad_pcb").read_text()) if item[0] in ("module", "footprint")
+    ]
+    assert [item[0] for item in (*kept, added)] == [kind] * 4 and added[1].startswith("nailoptics:PD_")
+    assert not old or [*of_no_old_kicad(added)] == []
+    part = next(part for part in read_board(tmp_path / "y.kicad_pcb").footprints if part.ref == "new")
+    assert (part.side, part.body_mm, part.courtyard_mm) == ("bottom", *(pytest.approx(box) for box in boxes.values()))
+    x, y = next(part.position_mm for part in read_board(tmp_path / "x.kicad_pcb").footprints if part.ref == "PD1")
+    assert part.position_mm[1] - y == pytest.approx(2.0, abs=0.5) and abs(part.position_mm[0] - x) < 0.5
 
 
 def test_what_cannot_move_is_refused_in_one_line(tmp_path):

@@ -1,6 +1,7 @@
 """KiCad boards, versions 5 to 9: parts, outline and origins read; parts moved; a layout as a new one."""
 
 import cmath
+import json
 import math
 import re
 import uuid
@@ -14,7 +15,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...io import write_text
-from ..base import Box, Point, Polygon
+from ..base import Box, Point, Polygon, shifted
 from ..rectangles import turned
 from ..text_files import read_text
 from .outlines import FLAT_MM, Outline, around, middle
@@ -32,6 +33,8 @@ CURVE_POINTS = 33
 PAGE_CENTER_MM = (100.0, 100.0)
 # A footprint that moves and turns by less stays as it is. [mm], [deg]
 LEAST_MOVE_MM, LEAST_TURN_DEG = 2e-6, 2e-3
+# Version of the format in which KiCad's modules became footprints.
+FOOTPRINTS_SINCE = 20201115
 # Part of a die's longer side that each of its two pads takes.
 PAD_SHARE = 0.4
 
@@ -252,7 +255,8 @@ def moved_board(path: Path, places: Mapping[str, tuple[Point, float]], new: Sequ
         for one in _all(item, "pad", "fp_text", "property") if turn_deg else ():
             edits |= _edit(text, one, turn_deg)
     end = text.rindex(")")
-    edits[end, end] = "".join(_footprint(part, size, _place(part.position_mm)) for part, size in new)
+    old = [*_numbers(tree, "version"), math.inf][0] < FOOTPRINTS_SINCE
+    edits[end, end] = "".join(_footprint(part, size, part.position_mm, old=old) for part, size in new)
     for (start, stop), words in sorted(edits.items(), reverse=True):
         text = text[:start] + words + text[stop:]
     return text
@@ -287,15 +291,10 @@ def write_board(
     thickness_mm : Of the board's film.
     """
     ox, oy = PAGE_CENTER_MM
-
-    def place(point: Point) -> str:
-        return _place((point[0] + ox, point[1] - oy))
-
-    items = [_footprint(part, size, place(part.position_mm)) for part, size in zip(parts, sizes_mm, strict=True)]
-    for polygon in (outline.corners_mm, *outline.holes_mm):
-        for k, (a, b) in enumerate(zip(polygon, (*polygon[1:], polygon[0]), strict=True)):
-            ends = f"(start {place(a)}) (end {place(b)})"
-            items.append(f'  (gr_line {ends} (layer "{EDGE}") (width 0.05) {_stamp(a, k)})\n')
+    on_page = tuple(part.position_mm for part in parts), outline.corners_mm, *outline.holes_mm
+    places, *lines = shifted(on_page, (ox, -oy))
+    items = [_footprint(*of_part) for of_part in zip(parts, sizes_mm, places, strict=True)]
+    items += [f"{_drawn('gr', line, EDGE, 0.05)}\n" for line in lines]
     board = {"thickness": f"{thickness_mm:.9g}", "origin": f"{ox:g} {oy:g}", "items": "".join(items)}
     write_text(path, _filled("board.kicad", board))
 
@@ -304,29 +303,29 @@ def _filled(template: str, fields: Mapping[str, str]) -> str:
     return Template(Path(__file__).with_name(template).read_text(encoding="utf-8")).substitute(fields)
 
 
-def _footprint(part: PlacedPart, size_mm: Point, place: str) -> str:
+def _drawn(kind: str, line: Sequence[Point], layer: str, width_mm: float) -> str:
+    """A closed line on a layer, of a board (gr) or a part (fp)."""
+    ends = [f"(start {_place(a)}) (end {_place(b)})" for a, b in zip(line, (*line[1:], line[0]), strict=True)]
+    return "\n".join(f'    ({kind}_line {both} (layer "{layer}") (width {width_mm:g}))' for both in ends)
+
+
+def _footprint(part: PlacedPart, size_mm: Point, place_mm: Point, *, old: bool = False) -> str:
+    """A part with two pads at a place in the file, in words of KiCad 6, or those of KiCad 4 and 5."""
     side, (u, v) = ("B" if part.side == "bottom" else "F"), (size_mm[0] / 2, size_mm[1] / 2)
     body = part.body_mm or (-u, -v, u, v)
     # Its two pads lie along its longer side.
     along, across = (1 - PAD_SHARE) * max(u, v), PAD_SHARE * 2 * max(u, v)
-    fields = {name: _quoted(getattr(part, name)) for name in ("package", "ref", "value")}
-    fields |= {f"tstamp_{name}": _stamp(part.ref, name) for name in ("reference", "value", "Fab", "CrtYd", 1, 2)}
-    fields |= {"tstamp": _stamp(part.ref), "side": side, "place": place, "angle": f"{part.rotation_deg:.9g}"}
+    fields = {name: json.dumps(getattr(part, name), ensure_ascii=False)[1:-1] for name in ("package", "ref", "value")}
+    # An identifier that is the same whenever the same part is written.
+    stamp = str(uuid.uuid5(uuid.NAMESPACE_URL, part.ref))
+    fields |= {"kind": "module", "tstamp": stamp[:8]} if old else {"kind": "footprint", "tstamp": stamp}
+    fields |= {"side": side, "place": _place(place_mm), "angle": f"{part.rotation_deg:.9g}"}
     fields["font"] = f"(effects (font (size 0.3 0.3) (thickness 0.05)){' (justify mirror)' if side == 'B' else ''})"
-    for layer, box in (("body", body), ("courtyard", part.courtyard_mm or body)):
-        fields[layer] = f"(start {_place(box[:2])}) (end {_place(box[2:])})"
+    for layer, (a, b, c, d) in (("Fab", body), ("CrtYd", part.courtyard_mm or body)):
+        fields[layer] = _drawn("fp", ((a, b), (c, b), (c, d), (a, d)), f"{side}.{layer}", 0.02)
     fields["first"], fields["second"], fields["pad"] = (
         (f"0 {-along:.9g}", f"0 {along:.9g}", f"{2 * u:.9g} {across:.9g}")
         if v > u
         else (f"{-along:.9g} 0", f"{along:.9g} 0", f"{across:.9g} {2 * v:.9g}")
     )
     return _filled("footprint.kicad", fields)
-
-
-def _quoted(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\r", "\\r")
-
-
-def _stamp(*of: object) -> str:
-    """An identifier that is the same whenever the same thing is written."""
-    return f"(tstamp {uuid.uuid5(uuid.NAMESPACE_URL, repr(of))})"
