@@ -18,7 +18,7 @@ from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
 from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
-from ...studies.placement.result import budgets as budgets_of, chosen, gains, kicad_parts, outline, rough_words, rows
+from ...studies.placement.result import ROUGH, budgets as budgets_of, chosen, gains, kicad_parts, outline, rows
 from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
 from .. import maps
 from ..files import Report, run_summary, scene_text
@@ -169,6 +169,13 @@ def _people(ranking: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def rough_words(ranking: list[dict[str, Any]]) -> str:
+    """A warning with the layouts that were evaluated with too few photons; empty if there is none."""
+    what = "Resolution by electronics alone" if "electronics_rank" in ranking[0] else "Resolution"
+    rough = ", ".join(row["layout"] for row in ranking if row["roughly_known"])
+    return TEXTS["rough"].format(what, 100 * ROUGH, rough) if rough else ""
+
+
 def _bound(result: xr.Dataset) -> str:
     """How near the best searched layout comes to what none on the search's grid reaches; empty without a search."""
     if "bound" not in result:
@@ -246,13 +253,13 @@ def _over_touches(result: xr.Dataset) -> str:
 
 
 def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
-    """For board, photodiodes and LEDs of the best layout the change with each of their tolerances; None of no room."""
+    """For board, photodiodes and LEDs of the best layout the change with each of their tolerances, or why none."""
     parts = []
     for name in result.toleranced_part.values:
         row: dict[str, Any] = {"part": str(name)}
         for kind in (*MOVED, *(TURNED if name == "board" else POWERED if name in result.led.values else ())):
             at = result.sel(toleranced_part=name, deviation=kind)
-            row[kind] = with_stderr(at, "tolerance_ranking") if at.tolerance_ranking.notnull() else None
+            row[kind] = at.tolerance_missing.item() or with_stderr(at, "tolerance_ranking")
         parts.append(row)
     return parts
 
@@ -262,10 +269,10 @@ def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
     return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in KINDS} for p in parts]
 
 
-def _change(change: dict[str, float] | None) -> str:
-    """A change with its standard error; of what has no room or saturates, in words."""
-    if change is None:
-        return "no room or time"
+def _change(change: dict[str, float] | str) -> str:
+    """A change with its standard error; of what has no room or time, or saturates, in words."""
+    if isinstance(change, str):
+        return change
     percent, stderr = 100 * change["value"], 100 * change["stderr"]
     return "over ten times" if percent > MOST_PERCENT else with_error(percent, stderr, sign=True, scale=NONE_OF)
 

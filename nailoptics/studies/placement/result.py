@@ -202,24 +202,11 @@ def chosen(result: xr.Dataset) -> Scene:
     return scene.model_copy(update={"accuracy": scene.accuracy.model_copy(update={"max_seconds": None})})
 
 
-def rough_words(ranking: Sequence[dict[str, Any]]) -> str:
-    """A warning with the layouts, of `rows`, that were evaluated with too few photons; empty if there is none."""
-    rough = [row["layout"] for row in ranking if row["roughly_known"]]
-    if not rough:
-        return ""
-    what = "Resolution by electronics alone" if "electronics_rank" in ranking[0] else "Resolution"
-    return (
-        f"{what} with a relative error of {100 * ROUGH:.0f} % or more: {', '.join(rough)}. With so few photons it "
-        "is biased low (too optimistic); trace more photons."
-    )
-
-
 def outline(requested: Scene, layout: Scene) -> Outline:
     """The board's outline, as a scene requests it or as a layout has it."""
     if (placement := rules(requested)).outline_mm is not None:
         return Outline(placement.outline_mm, placement.outline_holes_mm)
-    r = layout.layout.outline
-    return Outline(((r.u_min, r.v_min), (r.u_max, r.v_min), (r.u_max, r.v_max), (r.u_min, r.v_max)))
+    return Outline(layout.layout.outline.corners_mm)
 
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ from ...scene import FingerCase, Placement, Prior, Scene
 from ...scene.priors import size_priors
 from ...scene.rectangles import turned
 from ...sensor import information as sensor_information
-from ...statistics import Z95, Array, jackknife, left_out
+from ...statistics import Z95, jackknife, left_out
 from ...variables import described, jackknifed
 from .. import prior_uncertainty as uncertainty
 from . import boards, candidates
@@ -205,7 +205,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
         an LED is traced; all else is read by the same light.
 
     Returns: Dataset over toleranced_part (board, photodiodes, LEDs) and deviation, NaN of what is no tolerance of a
-        part, has no room, or was not traced.
+        part, has no room, or was not traced, and which of the two.
     """
     objective = replace(objective, filter_groups=GROUPS)
     scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
@@ -213,8 +213,12 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
     photons = min(MOST_PHOTONS, cache.most_photons or MOST_PHOTONS)
     elsewhere = replace(cache, conditions=fingers, distance_mm=COARSE_MM, batch_photons=photons)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
-    leds, changes = {led.name for led in scene.leds}, dict[tuple[str, str], Array]()
+    leds, photodiodes = ([part.name for part in parts] for parts in (scene.leds, scene.photodiodes))
+    parts = ["board", *photodiodes, *leds]
+    table = np.full((len(ranked), len(parts), len(KINDS)), np.nan)
+    missing = np.full(table.shape[1:], "", "<U7")
     for part, kind, vary in _varied(scene):
+        at = parts.index(part), KINDS.index(kind)
         try:
             if part == "board" or (kind in MOVED and part in leds):
                 moved, light = candidates.candidate(layout.name, boards.cut_to(vary(), room), ""), elsewhere
@@ -223,13 +227,12 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
                 moved, light = replace(layout, scene=vary()), cache
                 candidates.check(moved.scene, layout.name)
             if light.of(moved.board).photons:
-                changes[part, kind] = score_layout(moved, light, objective).ranked / ranked - 1
+                table[:, *at] = score_layout(moved, light, objective).ranked / ranked - 1
+            else:
+                missing[at] = "no time"
         except InputError:
-            continue
-    parts = ["board", *(part.name for part in (*scene.photodiodes, *scene.leds))]
-    none = np.full_like(ranked, np.nan)
-    table = np.array([[changes.get((part, kind), none) for kind in KINDS] for part in parts])
-    data = described(__package__, tolerance_ranking=jackknifed(np.moveaxis(table, -1, 0)))
+            missing[at] = "no room"
+    data = described(__package__, tolerance_ranking=jackknifed(table), tolerance_missing=missing)
     return xr.Dataset(data, coords={"toleranced_part": parts, "deviation": list(KINDS)})
 
 

@@ -11,9 +11,10 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import as_far_as_reached
 from nailoptics.light.board_map import BoardTracer
 from nailoptics.light.walk import finger as finger_walk
+from nailoptics.report.pages.placement import rough_words
 from nailoptics.scene import Candidate, Placement, Priors, Scene
 from nailoptics.studies.placement import place
-from nailoptics.studies.placement.result import rough_words, rows
+from nailoptics.studies.placement.result import rows
 
 pytestmark = [pytest.mark.slow, pytest.mark.jit]
 PHOTONS, SEEDS = 1 << 17, range(20)

@@ -19,7 +19,7 @@ from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.placement import PLACEMENT, _change
+from nailoptics.report.pages.placement import PLACEMENT, _change, _tolerance_rows, _tolerances
 from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -278,6 +278,11 @@ def test_a_moved_photodiode_is_scored_as_a_layout_with_it_there(jit_backend):
     assert no_room.values.tolist() == [True, False]
     # Without time, another place of the board or of the LED is not traced.
     assert np.isnan(data.tolerance_ranking.sel(toleranced_part="board")).all()
+    # Each says why it is not known, on the page, too.
+    assert second.tolerance_missing.sel(deviation=["proximal", "distal"]).values.tolist() == ["no room", ""]
+    by_part = {row["Part"]: row for row in _tolerance_rows(_tolerances(data.assign_coords(led=["ir"])))}
+    assert {by_part["board"][kind] for kind in MOVED} == {"no time"}
+    assert by_part[second.toleranced_part.item()]["proximal"] == "no room"
     of_led = data.tolerance_ranking.sel(toleranced_part="ir")
     assert np.isnan(of_led.sel(deviation=[*MOVED])).all() and of_led.sel(deviation="dimmer") > -1
 
