@@ -9,9 +9,11 @@ from pydantic import Field, ValidationError
 from ..errors import InputError
 from .base import Box, Fraction, Name, NonNegative, Packaged, Point, Polygon, Positive, Size, Table
 from .catalogue import Angle, LedPart, ModulePart, PhotodiodeElements, PhotodiodePart, check_pattern, load_part
-from .importers.board_files import FILM_UM
+from .importers.board_files import FILM_UM, USUAL_FILM_UM
 from .importers.positions import BottomRotation, FileUnit
 
+# Deeper than any part's face may protrude, and than packages with wires, such as the BPW34 of 3.2 mm. [um]
+DEEPEST_EPOXY_UM = 5000
 Wavelength = Annotated[float, Field(ge=200, le=3000)]
 Rotation = Annotated[float, Field(ge=-360, le=360)]
 # What a written scene gives of every LED and photodiode, so that it needs no part any more.
@@ -254,9 +256,9 @@ class Board(BoardFile):
     """Corners of the outline, from the board's origin; filled from kicad. [mm]"""
     outline_holes_mm: tuple[Polygon, ...] = ()
     """Corners of each hole in it; filled from kicad. [mm]"""
-    kapton_um: Annotated[float, Field(ge=FILM_UM[0], le=FILM_UM[1])] = 25.0
+    kapton_um: Annotated[float, Field(ge=FILM_UM[0], le=FILM_UM[1])] = USUAL_FILM_UM
     """Thickness of the Kapton film; of a flexible board from kicad that of its stackup. [um]"""
-    clear_epoxy_um: Annotated[float, Field(ge=20, le=3000)] = 400.0
+    clear_epoxy_um: Annotated[float, Field(ge=20, le=DEEPEST_EPOXY_UM)] = 400.0
     """Thickness of the clear epoxy under the board. [um]"""
     adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
     """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""

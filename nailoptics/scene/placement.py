@@ -49,7 +49,8 @@ class Candidate(BoardFile, Table):
             return data
         if data.get("parts") or data.get("kicad") is not None:
             try:
-                board = read_board_file(data, folder)
+                # The film is the scene's.
+                board = read_board_file(data | {"kapton_um": None}, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
             filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes, "parts": None}

@@ -190,15 +190,23 @@ STACK = '(layer "F.Cu" (type "copper") (thickness 0.018)) (layer "dielectric 1" 
         ("(general (thickness 0.11))", f"(stackup {STACK})", "", 50),
         ("(general (thickness 0.11))", "", "kapton_um = 75.0", 75),
         ("(general (thickness 1.6))", "", "", 25),
+        ("(general (thickness 1.6))", "", "kapton_um = 75.0", 75),
     ],
 )
-def test_the_film_is_as_thick_as_the_board_of_the_file(tmp_path, general, setup, more, film_um):
+def test_the_film_is_as_thick_as_the_board_of_the_file(tmp_path, caplog, general, setup, more, film_um):
     path, board = write(tmp_path, more=more), tmp_path / "x.kicad_pcb"
     board.write_text(board.read_text().replace("(setup", f"{general}\n(setup {setup}"))
     scene = load_scene(path)
     assert scene.board.kapton_um == film_um
-    # What the file does not say is assumed.
-    assert ("kapton_um" in scene.board.model_fields_set) == (film_um != 25)
+    # What the file does not say is assumed; of what it says and no nail bears, a word, once.
+    assert ("kapton_um" in scene.board.model_fields_set) == bool(general)
+    text = "x.kicad_pcb: the board is 1600 um thick, one that bends onto a nail 5 to 500: a film of 25 um is taken"
+    assert caplog.text.count(text) == caplog.text.count("thick") == ("1.6" in general and not more)
+    assert parse_scene(to_toml(scene)).board == scene.board
+    candidate = '[placement]\nsearch = false\n[[placement.candidates]]\nname = "drawn"\nkicad = "x.kicad_pcb"\n'
+    path.write_text(path.read_text() + candidate)
+    said = caplog.text.count("thick")
+    assert load_scene(path).placement.candidates[0].leds and caplog.text.count("thick") == 2 * said
 
 
 @pytest.mark.parametrize(("corner", "lies_on"), [("97 96", True), ("99 96", False)])
@@ -259,8 +267,13 @@ def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, caps
 
 
 def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys, shared_light):
-    assert run(["check", str(write(tmp_path)), "--json"]) == 0
+    path, board = write(tmp_path), tmp_path / "x.kicad_pcb"
+    board.write_text(board.read_text().replace("(setup", "(general (thickness 1.6))\n(setup"))
+    assert run(["check", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
+    # The thickness is said, and is none of a film.
+    assert "kapton_um" not in report["assumed"]
+    assert [line for line in report["warnings"] if "1600 um thick" in line and "film of 25 um" in line]
     assert report["assumed"]["clear_epoxy_um"] == 400.0 and "barrier" not in report["assumed"]
     assert [diode["rotation_deg"] for diode in report["photodiodes"]] == [30.0]
 

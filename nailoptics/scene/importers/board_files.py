@@ -29,8 +29,8 @@ NEAR_NM = 15.0
 # A footprint's position is its body's middle, or the first pin of one with wires: farther from its pads' middle than
 # this, the pads count. [mm]
 ANCHOR_MM = 0.5
-# Thickness of boards that bend onto a nail, as a scene's kapton_um. [um]
-FILM_UM = (5, 500)
+# Thickness of boards that bend onto a nail, as a scene's kapton_um, and that of other boards' film. [um]
+FILM_UM, USUAL_FILM_UM = (5, 500), 25.0
 # No nail reaches farther from the origin: beyond this, a file's coordinates are those of a page. [mm]
 NAIL_REACH_MM = 20.0
 
@@ -124,8 +124,11 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
         border, *holes = (tuple(map(view.place, line)) for line in (whole.corners_mm, *whole.holes_mm))
         own |= {"outline_mm": border, "outline_holes_mm": tuple(holes)}
     film_um = 0.0 if board is None else round(1e3 * board.thickness_mm, 6)
-    if FILM_UM[0] <= film_um <= FILM_UM[1] and "kapton_um" not in table:
-        own["kapton_um"] = film_um
+    if film_um and "kapton_um" not in table:
+        own["kapton_um"] = film_um if FILM_UM[0] <= film_um <= FILM_UM[1] else USUAL_FILM_UM
+        if own["kapton_um"] != film_um:
+            text = f"one that bends onto a nail {FILM_UM[0]} to {FILM_UM[1]}: a film of {USUAL_FILM_UM:g} um is taken"
+            log.warning("%s: the board is %g um thick, %s; or give board.kapton_um.", name, film_um, text)
     return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), own)
 
 
@@ -295,13 +298,8 @@ def _pads_middle(part: PlacedPart) -> Point:
     """Where a part's body is, from its position: the middle of its pads where these lie aside. [mm]"""
     if (aside_mm := math.hypot(*part.pads_middle_mm)) <= ANCHOR_MM:
         return 0.0, 0.0
-    log.warning(
-        "%s: the middle of its pads lies %.2f mm from its footprint's position, and is taken; "
-        "parts.%s.offset_mm = [0, 0] takes the position.",
-        part.ref,
-        aside_mm,
-        part.ref,
-    )
+    why = f"and is taken; parts.{part.ref}.offset_mm = [0, 0] takes the position"
+    log.warning("%s: the middle of its pads lies %.2f mm from its footprint's position, %s.", part.ref, aside_mm, why)
     return part.pads_middle_mm
 
 

@@ -16,7 +16,7 @@ from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
 from ...scene.importers.outlines import has_room
 from ...scene.layout import SIDES, lay_elements, room_of
-from ...scene.parts import ROOM, check_one_response
+from ...scene.parts import DEEPEST_EPOXY_UM, ROOM, check_one_response
 from ...scene.rectangles import Rectangle
 from ..prior_uncertainty import at_value, draw_people
 
@@ -261,7 +261,9 @@ def misfits(scene: Scene) -> list[str]:
     for part in (*scene.leds, *scene.photodiodes):
         if (tall_um := part.package_height_um or 0.0) > room_um:
             text = f"{tall_um:g} um high, and {room_um:g} um are between board and nail: it cannot lie as drawn"
-            lines.append(f"package of {part.footprint} is {text}; raise board.clear_epoxy_um")
+            deep_um = scene.board.clear_epoxy_um + tall_um - room_um
+            cure = f"give board.clear_epoxy_um = {deep_um:g}" if deep_um <= DEEPEST_EPOXY_UM else "take a lower part"
+            lines.append(f"package of {part.footprint} is {text}; {cure}")
         shape = "pattern" if isinstance(part, Led) else "angular_response"
         if part.lens and getattr(part, shape) not in ("lambertian", None):
             cure = 'set it to "lambertian"' if isinstance(part, Led) else "copy its part without it"

@@ -219,9 +219,13 @@ def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(tmp_path)
         "package of high is 3200 um high, and 450 um are between board and nail",
     ]
     assert {*lines} <= {*scene_check.check(both)["warnings"]} and not boards.misfits(scene)
-    deep = both.board.model_copy(update={"clear_epoxy_um": 3000.0, "adhesive_um": 200.0})
+    # What is advised is done as it stands, and helps.
     bare = Led.model_validate(table | lens | {"pattern": "lambertian"})
-    assert not boards.misfits(both.model_copy(update={"board": deep, "leds": (bare, leds[1])}))
+    field, value = re.search(r"give board\.(\w+) = ([0-9.]+)$", lines[1]).groups()
+    followed = both.with_(board={field: float(value)}).model_copy(update={"leds": (bare, leds[1])})
+    assert not boards.misfits(followed) and not {*lines} & {*scene_check.check(followed)["warnings"]}
+    highest = photodiodes[0].model_copy(update={"package_height_um": 2e4})
+    assert boards.misfits(followed.model_copy(update={"photodiodes": (highest,)}))[0].endswith("; take a lower part")
     assert light_digest(both.model_copy(update={"leds": (bare, leds[1])})) == light_digest(
         both.model_copy(update={"leds": (bare.model_copy(update={"lens": False}), leds[1])})
     )
