@@ -16,7 +16,7 @@ from nailoptics.studies.placement import boards, candidates, search
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
 from nailoptics.studies.placement.row_design import STARTS, RowDesign, SearchedSite
-from nailoptics.studies.placement.sites import LedRow
+from nailoptics.studies.placement.sites import LedRow, Sites
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT
@@ -260,3 +260,17 @@ def test_weights_are_a_mean_of_logarithms_and_a_word_is_a_weight():
     objective = Objective(rules, [AT])
     force, share = (one(per_pa2[0], AT) for one in (information.force_resolution_n, information.share_resolution))
     assert objective.score(per_pa2) == pytest.approx(force**0.25 * share**0.75)
+
+
+@pytest.mark.parametrize("barrier", [True, False])
+def test_a_coarse_grid_on_a_narrow_board_has_the_leds_as_drawn(barrier: bool) -> None:
+    """Rationale: of 5 mm two steps of 2 mm are in the middle alone, where a wall along the nail leaves no room."""
+    text = PLACEMENT.replace("9.0, 9.0", "5.0, 9.0").replace("-3.0, 0.0", "-1.6, 0.3").replace("search = false\n", "")
+    scene = parse_scene(text.replace("[board]\n", f"[board]\nbarrier = {str(barrier).lower()}\n"))
+    rules = boards.rules(scene)
+    sites = Sites(boards.searchable_board(boards.base_board(scene), rules), rules)
+    rows = [row for row, (places,) in sites.rows(2.0).items() if (-1.6, 0.3) in places]
+    assert {row.side for row in rows} >= ({"left"} if barrier else {None})
+    for row in rows:
+        walls = sites.board_at(0, (-1.6, 0.3), row).layout.barriers
+        assert sites.photodiode_places(walls, {0: (-1.6, 0.3)}).free
