@@ -76,10 +76,10 @@ def steady_state(
 def two_branches(parameters: Parameters, *, zones: Zones = PAPER_ZONES, **pressures: Unpack[Pressures]) -> np.ndarray:
     """Where there are two steady states, so that unloading may end in another than loading led to, S bool; arguments as
     of `steady_state`."""
-    wide, narrow = (steady_state(parameters, zones=zones, branch=branch, **pressures) for branch in _BRANCHES)
-    listed, capillary = build_walls(parameters, zones).diameter, wide.capillary_diameter_m - narrow.capillary_diameter_m
-    capillary, vein = capillary.T / listed[:-1].T, wide.vein_diameter_m - narrow.vein_diameter_m
-    return np.asarray(np.maximum(np.abs(capillary).max(axis=-1).T, np.abs(vein / listed[-1])) > _SAME)
+    states = [steady_state(parameters, zones=zones, branch=branch, **pressures) for branch in _BRANCHES]
+    wide, narrow = (np.stack([*state.capillary_diameter_m, state.vein_diameter_m]) for state in states)
+    gap = np.abs(wide - narrow).T / build_walls(parameters, zones).diameter
+    return np.asarray(gap.max(axis=-1).T > _SAME)
 
 
 def linear_response(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -105,14 +104,14 @@ def trace_ambient(
     return result
 
 
-def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None, **how: Any) -> Array:
+def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None, spacing_mm: float = SPACING_MM) -> Array:
     """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either; how : as of `trace_ambient`. [A]"""
+    where it has none, (photodiodes,) float; 0 without either. [A] spacing_mm : as of `BoardTracer`."""
     source = scene.ambient or usual
     if source is None:
         return np.zeros(len(scene.layout.photodiodes))
-    current_a, stderr_a = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS, **how)[:2, 0]
-    return np.asarray(current_a + Z95 * stderr_a)
+    traced = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS, spacing_mm=spacing_mm)
+    return np.asarray(traced[0, 0] + Z95 * traced[1, 0])
 
 
 def scene_ambient_a(scene: Scene, options: TraceOptions) -> Array | None:
