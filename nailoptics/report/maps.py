@@ -19,9 +19,9 @@ TEXTS = texts("maps")
 NAIL, LED, TISSUE = TEXTS["nail"], TEXTS["led"], TEXTS["regions"]
 BOARD, BARRIER = TISSUE["kapton"], TISSUE["barrier"]
 DECADES = 3
-# Names of parts stand so far beside the board; mean width of their letters, and from line to line; longer ones
-# than this part of the drawing are written smaller. [mm], [inch]
-LABEL_MM, LETTER_IN, LINE_IN, NAMED = 0.45, 0.065, 0.125, 0.65
+# Names of parts stand so far beside the board; mean width of their letters, and from line to line; names that take
+# more than this part of the drawing's width are written smaller. [mm], [inch], [1]
+LABEL_MM, LETTER_IN, LINE_IN, MOST_NAMES_PART = 0.45, 0.065, 0.125, 0.65
 # Beside the section stand its key and the scale of the paths.
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)
 LAYERS = ("plate", "bed", "bone")
@@ -89,7 +89,7 @@ def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
     # Boards may be as wide as the nail, and their labels need room beside them.
     box, dpi = axes.get_window_extent(), axes.figure.dpi
     ends = np.array([layout.outline.u_min - LABEL_MM, layout.outline.u_max + LABEL_MM])
-    letter_in = min(LETTER_IN, NAMED * box.width / dpi / (sum(letters) + 4))
+    letter_in = min(LETTER_IN, MOST_NAMES_PART * box.width / dpi / (sum(letters) + 4))
     filled = letter_in * (sum(letters) + 4) * dpi / box.width
     mm_per_in = dpi * max(np.ptp(ends) / (1 - filled) / box.width, (2 * half_v + 0.6) / box.height)
     low, high = ends + np.multiply((-1, 1), letter_in * mm_per_in * np.add(letters, 2))

@@ -265,7 +265,7 @@ def total_information(by_led: Iterable[Response], *, electronics_alone: bool = F
     return np.sum(informations, axis=0)
 
 
-upper_triangle = lru_cache(np.triu_indices)
+upper_triangle = lru_cache(np.triu_indices)  # of so many rows: asked for thousands of times
 
 
 def pressure_information(information: Array) -> Array:

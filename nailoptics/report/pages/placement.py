@@ -34,8 +34,8 @@ TEXTS = texts("placement")
 NOTHING_MN = 1e3
 # A change beyond this is that to a saturated photodiode. [%]
 MOST_PERCENT = 900.0
-# Beside this a change is none: a thousandth of a percent. [%]
-NONE_OF = 1e-3 / ROUNDING
+# What changes are rounded beside, so that less than a thousandth of a percent is 0. [%]
+CHANGE_SCALE = 1e-3 / ROUNDING
 TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
@@ -274,7 +274,7 @@ def _change(change: dict[str, float] | str) -> str:
     if isinstance(change, str):
         return change
     percent, stderr = 100 * change["value"], 100 * change["stderr"]
-    return "over ten times" if percent > MOST_PERCENT else with_error(percent, stderr, sign=True, scale=NONE_OF)
+    return "over ten times" if percent > MOST_PERCENT else with_error(percent, stderr, sign=True, scale=CHANGE_SCALE)
 
 
 def why(row: dict[str, Any]) -> str:
