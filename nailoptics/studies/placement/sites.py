@@ -186,11 +186,12 @@ class Sites:
         return u, v
 
     def rows(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:
-        """Rows on a grid and through the LEDs as drawn, as the grid may miss sides of a small board; each with every
-        LED's places in it. Blood zones follow each other along the nail: walls along it promise most and come first."""
+        """Rows on a grid and through the first LED as drawn, as the grid may miss sides of a small board, with all
+        LEDs' places. Walls along the nail, where blood zones follow each other, promise most and come first."""
         count = len(self.base.leds)
-        own = np.array([self.place_of(i) for i, fixed in enumerate(self.is_fixed) if not fixed]).reshape(-1, 2).round(4)
-        us, vs = map(np.union1d, self.grid(step_mm), own.T) if len(own) else own.T
+        us, vs = np.empty((2, 0))
+        if False in self.is_fixed:
+            us, vs = map(np.union1d, self.grid(step_mm), np.round(self.place_of(self.is_fixed.index(False)), 4))
         special = self.rules.outline_mm is not None or self.rules.keep_out_mm or self.rules.fixed or self.rules.wire
         # A layout and its mirror image are one; of several LEDs only all together have a mirror image.
         is_symmetric = not special and abs(self.outline.u_min + self.outline.u_max) < 1e-6
