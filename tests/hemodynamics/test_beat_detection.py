@@ -43,6 +43,14 @@ def test_the_rate_follows_a_heart_that_quickens():
     assert abs(result.rate_at(15.0, 8.0) - 60.0) < 1.0 and abs(result.rate_at(45.0, 8.0) - 75.0) < 1.0
 
 
+def test_beats_lie_between_samples_where_the_wave_is_at_its_most():
+    """A sine of which 20 samples in a second hold no peak: parabolas find it to a fiftieth of a sample."""
+    time_s, rate_hz = np.arange(0.0, 30.0, 0.05), 1.37
+    peak_s = find_beats(time_s, np.cos(2 * np.pi * rate_hz * time_s)).peak_s[3:-3]
+    assert peak_s == pytest.approx(np.round(peak_s * rate_hz) / rate_hz, abs=0.001)
+    assert np.abs(peak_s - time_s[np.searchsorted(time_s, peak_s)]).max() > 0.02
+
+
 @pytest.mark.parametrize(
     ("time_s", "signal", "words"),
     [

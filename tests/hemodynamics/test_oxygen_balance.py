@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import solve_ivp
 from small_scenes import SMALL_FINGER_BEST
 
@@ -9,7 +10,8 @@ from nailoptics import tissue
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import saturation_over_time
 from nailoptics.hemodynamics.for_scene import blood_over_touch
-from nailoptics.light import optics
+from nailoptics.light import DetectedLight, optics
+from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Blood, parse_scene
 
 BLOOD = Blood(so2=0.97, venous_so2=0.89, oxygen_balance=True, exchange_s=40.0)
@@ -95,6 +97,20 @@ def test_equivalent_blood_absorbs_as_blood_of_another_saturation() -> None:
     )
     assert mu_a - empty == pytest.approx(fraction * tissue.blood_mu_a_per_mm(led.wavelength_nm, so2), rel=1e-9)
     assert equal[0, 1] == pytest.approx(0.03)
+
+
+def test_every_led_is_read_with_the_blood_that_absorbs_as_much_to_it() -> None:
+    scene = scene_with('[[leds]]\nname = "red"\npart = "led_660"\nposition_mm = [-3.2, 0.0]\n')
+    fraction, so2 = np.array([[0.01, 0.03], [0.05, 0.06]]), np.array([[0.5, 0.93], [0.97, 0.6]])
+    course = xr.Dataset({"blood_fraction": (("zone", "time"), fraction), "so2": (("zone", "time"), so2)})
+
+    def states_as_readings(states: np.ndarray) -> ReadingSeries:
+        return ReadingSeries(*np.broadcast_to(states.T, (4, len(scene.leds), *states.T.shape)))
+
+    read = DetectedLight(states_as_readings, np.zeros(0), np.zeros(0), (), {}).over(scene, course)
+    for led, blood in zip(scene.leds, read.fraction, strict=True):
+        assert np.array_equal(blood, optics.equivalent_blood(scene, led, fraction, so2))
+    assert np.abs(read.fraction[0] - read.fraction[1]).max() > 0.005
 
 
 def test_a_second_wavelength_parts_a_held_touch_from_an_arterial_rise(tmp_path) -> None:

@@ -9,10 +9,12 @@ from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
 from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.light.walk.finger import FingerTracer
+from nailoptics.light.walk.interfaces import ZoneEdges
 from nailoptics.light.walk.tallies import Section
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Led, Scene, load_scene
 from nailoptics.statistics import seed_of
+from nailoptics.tissue import BloodZones
 
 
 def prototype(*, index_steps: bool = True, elements: tuple[tuple[int, ...], tuple[int, ...]] | None = None) -> Scene:
@@ -194,6 +196,17 @@ def test_a_bed_that_absorbs_more_dims_both_engines_alike(jit_backend):
     ratio = (trace.weight @ left) / trace.weight.sum()
     own = np.linalg.norm(np.bincount(trace.photon, trace.weight * (left - ratio))) / trace.weight.sum()
     assert abs(ratio - result.ratio[0, 1]) < 3 * np.hypot(own, result.ratio_stderr[0, 1]) < 0.5 * (1 - ratio)
+
+
+@pytest.mark.jit
+def test_paths_are_divided_among_zones_by_the_weights_at_their_middle(jit_backend):
+    """Expected: what lies beyond each edge, less what lies beyond the next one, is the zone's weight of the path."""
+    import mitsuba as mi
+
+    zones, v_mm = BloodZones((-2.0, 1.5), 2.5), np.linspace(-5.0, 5.0, 101)
+    beyond = ZoneEdges(zones).beyond(mi.Float(v_mm), mi.Float(3.0))
+    by_zone = -np.diff([np.full_like(v_mm, 3.0), *map(np.array, beyond), np.zeros_like(v_mm)], axis=0).T
+    assert by_zone == pytest.approx(3.0 * zones.weights(v_mm), abs=1e-5)
 
 
 @pytest.mark.jit

@@ -1,11 +1,21 @@
 """Photons split near a photodiode: the same readings, paths and energy as plain walks, with less noise."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from nailoptics import geometry
 from nailoptics.assets import data_dir
-from nailoptics.light.walk.splitting import CELL_MM, REACH_MM, STRIDE_CELL_MM, STRIDE_MM, near_photodiodes, strides_made
+from nailoptics.light.walk.splitting import (
+    CELL_MM,
+    REACH_MM,
+    STRIDE_CELL_MM,
+    STRIDE_MM,
+    Splitting,
+    near_photodiodes,
+    strides_made,
+)
 from nailoptics.scene import load_scene
 from nailoptics.statistics import stderr_of_mean
 
@@ -58,6 +68,23 @@ def test_no_strides_near_photodiodes_or_in_direct_light(prototype):
     for scene in (prototype.model_copy(update={"photodiodes": near}), with_led_at(prototype, -3.2, barrier=False)):
         _, strides, _ = strides_of(scene)
         assert strides.size == 0
+
+
+@pytest.mark.jit
+def test_a_photon_has_the_weight_of_its_copies_and_the_path_of_one_drawn_by_weight(jit_backend):
+    """Three copies of each photon reach one photodiode, and one another photodiode."""
+    import mitsuba as mi
+
+    photons, weights = 1 << 12, np.array([1.0, 2.0, 5.0, 0.5])
+    splitting = Splitting(SimpleNamespace(arrivals=4.0), photons, paths=1)
+    splitting.count, splitting.photon = mi.UInt32(4 * photons), mi.UInt32(np.repeat(np.arange(photons), 4))
+    splitting.photodiode = mi.UInt32(np.tile([3, 3, 3, 1], photons))
+    splitting.weight, splitting.path = mi.Float(np.tile(weights, photons)), [mi.Float(np.tile(np.arange(4), photons))]
+    photon, photodiode, weight, (path,) = splitting.records(seed=1)
+    assert np.array_equal(photon, np.repeat(np.arange(photons), 2))
+    assert np.array_equal(photodiode, np.tile([1, 3], photons)) and np.array_equal(weight, np.tile([0.5, 8.0], photons))
+    drawn, part = np.bincount(path[1::2].astype(int), minlength=3) / photons, weights[:3] / 8.0
+    assert np.all(np.abs(drawn - part) < 4 * np.sqrt(part * (1 - part) / photons)) and np.all(path[::2] == 3)
 
 
 @pytest.mark.long

@@ -1,5 +1,7 @@
 """The fluence under the nail: cells hold what the paths hold."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_scenes import finger
@@ -37,3 +39,15 @@ def test_fluence_in_the_bed_is_what_its_absorption_takes(chosen_jit):
     total, square = tracer.batch(0, photons=PHOTONS, seed=2).absorbed["bed"]
     by_weights, error = total / PHOTONS, np.sqrt(square) / PHOTONS
     assert abs(by_fluence - by_weights) < 4 * np.sqrt(2) * error and error < 0.01 * by_weights
+
+
+@pytest.mark.jit
+def test_cells_of_the_fluence_fill_a_shell_around_the_nails_axis(jit_backend):
+    """Expected: as many as there are across and along take the volume between two cylinders, over the nail's angle."""
+    scene = parse_scene(SCENE)
+    finger = scene.fingertip
+    shape = SimpleNamespace(nail_radius_mm=finger.nail_radius_mm, board_radius_mm=finger.nail_radius_mm + 0.5)
+    tally = FluenceTally(scene, shape)
+    outer, inner = finger.nail_radius_mm - tally.edges_mm[2][[0, -1]]
+    shell_mm3 = finger.nail_width_mm / finger.nail_radius_mm * (outer**2 - inner**2) / 2 * finger.nail_length_mm
+    assert np.prod(tally.shape[:2]) * tally.volume_mm3.sum() == pytest.approx(shell_mm3, rel=1e-9)

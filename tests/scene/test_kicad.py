@@ -91,6 +91,15 @@ def test_parts_and_outline_are_read_alike_of_every_version(tmp_path, text):
     assert area_mm2(drilled) == pytest.approx(math.pi / 4, abs=0.01)
 
 
+@pytest.mark.parametrize("angle", [0, 30, 90])
+def test_pads_keep_their_place_in_a_footprint_that_is_turned(tmp_path, angle):
+    """Their angles in the file are those on the board: the second lies across the first."""
+    pads = "".join(f"(pad 1 smd rect (at {x} 0 {angle + a}) (size 0.8 0.6))" for x, a in ((-0.7, 0), (0.7, 90)))
+    result = board(tmp_path, f'(kicad_pcb (footprint "x" (layer "F.Cu") (at 3 2 {angle}) {pads}))')
+    assert result.footprints[0].body_mm == pytest.approx((-1.1, -0.4, 1.0, 0.4))
+    assert result.footprints[0].pads_middle_mm == pytest.approx((-0.05, 0.0))
+
+
 @pytest.mark.parametrize(
     ("shape", "area"),
     [
