@@ -7,6 +7,7 @@ from small_scenes import finger
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, map_dataset, readings
+from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.transfer.series import readings_over_states
 from nailoptics.scene import parse_scene, to_toml
 from nailoptics.scene.rectangles import Rectangle
@@ -199,6 +200,25 @@ def test_map_as_a_dataset_integrates_to_the_light_on_the_board(scene, chosen_jit
     assert 0.1 < float(result.irradiance.sum()) * 0.25 < 1
     assert bool((result.direct <= result.irradiance + 1e-12).all())
     assert one.photons == 1 << 17 and parse_scene(to_toml(scene)) == scene
+
+
+def test_a_photon_counts_once_in_each_rectangle_as_it_first_arrived_there():
+    """Expected: of four photons, two of which arrive again, weights that a photodiode would have taken of each."""
+    u = np.array([0.1, 0.2, 1.5, 0.5, 1.6, 0.3])
+    place, weight = np.column_stack([u, 0 * u]), np.array([1.0, 0.5, 0.2, 3.0, 7.0, 11.0])
+    one = Arrivals(4, np.array([0, 0, 0, 1, 1, 3]), place, weight, np.zeros((6, 1), np.float32), np.zeros(1))
+    rectangles = [Rectangle("a", 0, 1, -1, 1), Rectangle("b", 1, 2, -1, 1)]
+    mean, error = readings(one, weight[:, None], rectangles)
+    taken = np.array([[1.0, 3.0, 0.0, 11.0], [0.2, 7.0, 0.0, 0.0]])
+    assert mean[0, :, 0] == pytest.approx(taken.mean(1))
+    assert error[:, 0] == pytest.approx(taken.std(1, ddof=1) / 2)
+
+
+def test_stored_light_is_that_of_its_blood(scene, chosen_jit, tmp_path):
+    tracer = BoardTracer(scene, spacing_mm=0.4, stores=[LightStore(tmp_path)])
+    few, much = (blood_point(scene, 0, blood_fraction=[part, part]) for part in (0.01, 0.05))
+    pale, red, again = (tracer.detected(0, point, photons=1 << 12, seed=1)[:, 0] for point in (few, much, few))
+    assert np.array_equal(pale, again) and (red < pale).all()
 
 
 def test_a_map_without_a_jit_backend_is_refused_in_one_line(scene):

@@ -12,13 +12,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_scenes import phantom
+from small_scenes import SMALL_FINGER, phantom
 
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
 from nailoptics.light.tracing import store as store_module, trace_scene, trigger
 from nailoptics.light.tracing.store import LightStore, made_of, user_folder
+from nailoptics.light.tracing.trace_scene import LedSource, LightEngine
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
 
@@ -208,6 +209,19 @@ def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeyp
     assert len({store.light(one).folder for one in (made, *others)}) == 7
     for same in (slab(layer="x"), slab(flux=4.0), slab(x=0.7)):
         assert store.light(made_of(same, 0, seed=1, backend="llvm")).folder == store.light(made).folder
+
+
+def test_walks_that_go_otherwise_have_lights_of_their_own(tmp_path):
+    """Those on other faces or cells, or that record more; a part that is there has its faces anyway."""
+    finger = parse_scene(SMALL_FINGER + '[light]\nleft_out = ["bone"]\n')
+    ways = [(finger, how) for how in ({}, {"with_faces": ("bone",)}, {"spacing_mm": 0.4}, {"with_faces": ("kapton",)})]
+    ways += [(slab(), {}), (slab(), {"escaping": True})]
+    sources = [
+        LedSource(scene, 0, LightEngine(scene, SimpleNamespace(name="llvm"), **how), [LightStore(tmp_path)], seed=1)
+        for scene, how in ways
+    ]
+    folders = [source.stored[0].folder for source in sources]
+    assert folders[3] == folders[0] and len({*folders}) == 5
 
 
 def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_path):

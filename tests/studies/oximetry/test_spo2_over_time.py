@@ -11,8 +11,8 @@ from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.pages.oximeter import recording_summary
-from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv
-from nailoptics.studies.oximetry.recording import read_for, spo2_csv, spo2_over_time
+from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv, read_oximeter_recording
+from nailoptics.studies.oximetry.recording import read_for, slope_of_two, spo2_csv, spo2_over_time
 from nailoptics.variables import variable
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
@@ -43,6 +43,22 @@ def recorded(
         volts = volts * (1 + 0.05 * ((time_s > 18.0) & (time_s < 19.0)))
     volts = volts + 0.2 + LEVEL_V[:, :, None] * noise * rng.standard_normal(volts.shape)
     return OximeterRecording("made", NAMES, time_s, volts, np.full(volts.shape[1:], 0.2))
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.4])
+def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
+    """A pulse of variance 1/2 in 60 values, red over infrared 0.6, each with noise of its own: 2000 recordings."""
+    rng, pulse, ratio = np.random.default_rng(2), np.sin(np.arange(60)), 0.6
+    variance = np.array([(2 * noise) ** 2, noise**2])
+    slopes, errors = np.transpose(
+        [
+            slope_of_two(*((ratio, 1.0) * pulse[:, None] + drawn).T, variance, values=60)
+            for drawn in np.sqrt(variance) * rng.standard_normal((2000, 60, 2))
+        ]
+    )
+    middle = np.median(slopes)
+    scatter = np.median(np.abs(slopes - middle)) / 0.6745
+    assert middle == pytest.approx(ratio, abs=0.02) and np.median(errors) == pytest.approx(scatter, rel=0.04)
 
 
 @pytest.mark.long
@@ -80,6 +96,24 @@ def test_times_of_a_clock_keep_all_their_digits():
     assert [
         float(row.split(",")[0]) for row in spo2_csv(estimates).splitlines()[1:]
     ] == 2 * estimates.time.values.tolist()
+
+
+def test_slots_are_read_at_the_times_of_the_red_one(tmp_path):
+    """Light that changes evenly with time: what a later slot read is what it was so much before."""
+    time_s, later_s = np.arange(0.0, 4.0, 0.01), {"red": 0.0, "ir": 0.003, "dark": 0.006}
+    readings = {
+        light: slope * (time_s + later_s[light]) for light, slope in (("red", 0.3), ("ir", 0.2), ("dark", 0.01))
+    }
+    volts = np.stack([readings["red"], readings["ir"]])[:, None]
+    path = tmp_path / "slots.csv"
+    path.write_text(
+        oximeter_csv(OximeterRecording("made", ("p",), time_s, volts, readings["dark"][None]), ("red", "ir"))
+    )
+    how = {"leds": ("red", "ir"), "photodiodes": ["p"], "frame_hz": 100.0}
+    read = read_oximeter_recording(path, delays_s=later_s, **how)
+    inner = slice(1, -1)
+    assert read.volts[1, 0, inner] == pytest.approx(0.2 * read.time_s[inner], abs=1e-7)
+    assert read.dark_v[0, inner] == pytest.approx(0.01 * read.time_s[inner], abs=1e-7)
 
 
 def test_motion_is_marked_where_it_was_and_nowhere_else():
