@@ -280,7 +280,7 @@ class FingerWalk:
             reflectance, cos_out, eta = sampling.fresnel(cos_in, n_in=n_in, n_out=n_out)
             if self.board is not None:
                 arrives = (photon.region == regions.epoxy) & dr.gather(mi.Bool, regions.on_board, there)
-                self.board.add(photon, cos_in, arrives & (photon.tau <= photon.absorption_optical_depth))
+                self.board.add(photon, cos_in, arrives)
                 photon.arrivals += dr.select(arrives, mi.UInt32(1), mi.UInt32(0))
             opaque = dr.gather(mi.Bool, regions.opaque, there)
             reflected = u < dr.select(opaque, dr.gather(F, regions.reflectance, there), reflectance)
