@@ -358,6 +358,16 @@ def test_more_accuracy_later_continues_and_gives_the_bits_of_a_fresh_run(jit_bac
     assert len(run_batch(sweep, tmp_path / "b", workers=1).kept) == 1
 
 
+def test_a_scene_that_failed_for_a_rival_alone_counts_as_failed_no_more(jit_backend, tmp_path):
+    """Expected: even once its result is damaged, it is left to do, not given up."""
+    sweep, settings = phantoms(tmp_path, 1), Settings(tmp_path / "b", TraceOptions(backend=jit_backend.name))
+    folder, [job] = Folder(settings.folder), jobs_of(sweep, settings)
+    folder.write_failure(job.digest, "its worker was killed")
+    assert done_here(sweep, settings) == [("done", "")] and status(settings.folder).done == 1
+    folder.result(job.digest).write_bytes(b"")
+    assert status(settings.folder).corrupt == status(settings.folder).left == 1
+
+
 def test_shards_are_all_scenes_once_and_never_split_a_light(fingers, tmp_path):
     settings = Settings(tmp_path, TraceOptions(backend="llvm"))
     jobs = jobs_of(phantoms(tmp_path, 11), settings)

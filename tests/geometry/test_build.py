@@ -184,6 +184,14 @@ def test_dies_lie_where_the_scene_puts_them(geometry):
     assert depth == pytest.approx(-0.45 + 0.25**2 / 8 / 9.35, abs=1e-6)
 
 
+def test_rolled_flat_the_board_has_its_photodiodes_where_the_scene_puts_them(sensor):
+    scene = sensor(position_mm=[1.5, 0.5])
+    for face, area in zip((built := build(scene)).photodiodes, scene.layout.photodiode_areas, strict=True):
+        u, v = built.on_board(face.quads.reshape(-1, 3)).T
+        edges = area.u_min, area.u_max, area.v_min, area.v_max
+        assert (u.min(), u.max(), v.min(), v.max()) == pytest.approx(edges, abs=1e-6)
+
+
 @pytest.mark.parametrize("digit", DIGITS)
 def test_the_nails_facets_lie_within_2_um_of_its_cylinder(sensor, digit):
     geometry = build(sensor(finger=f'digit = "{digit}"'))
