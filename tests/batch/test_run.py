@@ -313,6 +313,19 @@ def test_what_reached_its_own_accuracy_is_not_run_again(key):
     assert not meets(header | {"reached": False}, Accuracy(relative_error=0.01))
 
 
+def test_a_result_as_accurate_as_required_is_not_run_again():
+    header = {"reached": True, "relative_error": 0.015, "photons_per_led": 700, "required": {"photons": 700}}
+    for accuracy, met in (
+        (Accuracy(relative_error=0.015), True),
+        (Accuracy(relative_error=0.0149), False),
+        (Accuracy(photons=700, max_seconds=60.0), True),
+        (Accuracy(photons=701), False),
+        (Accuracy(max_seconds=60.0), True),
+    ):
+        assert meets(header, accuracy) == met
+    assert not meets(header | {"relative_error": None}, Accuracy(relative_error=1.0))
+
+
 def test_a_full_disk_ends_the_run_and_the_next_one_goes_on(jit_backend, here, tmp_path):
     """A limit on the size of files stands in for a full disk."""
     import resource

@@ -52,6 +52,8 @@ def test_errors_are_true(scene, shared):
     # Of n values the standard deviation is known to 1 / sqrt(2 n): five of its errors of a thousand values at most.
     assert np.std(apart) == pytest.approx(1, abs=0.06)
     assert np.abs(apart.mean(axis=0)).max() < 4 / math.sqrt(len(result))
+    ratio, stderr = np.array([pair.ratio for row in pairs for pair in row[:9]]).T
+    assert np.std((ratio - 1) / stderr) == pytest.approx(1, abs=0.08)
     assert np.mean([f.chi2 for f in result]) == pytest.approx(8, abs=4 * math.sqrt(16 / len(result)))
     p = np.sort([f.p_value for f in result])
     assert np.abs(p - (np.arange(len(p)) + 0.5) / len(p)).max() < 1.63 / math.sqrt(len(p))

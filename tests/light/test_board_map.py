@@ -216,6 +216,16 @@ def test_a_photon_counts_once_in_each_rectangle_as_it_first_arrived_there():
     assert error[:, 0] == pytest.approx(taken.std(1, ddof=1) / 2)
 
 
+def test_batches_together_count_every_photon_by_itself():
+    u, place = np.linspace(-0.9, 0.9, 10), np.zeros((10, 2))
+    place[:, 0] = u
+    batch = Arrivals(20, np.arange(10), place, np.ones(10), np.zeros((10, 1), np.float32), np.zeros(1))
+    both = Arrivals.joined([batch, batch.reweighted(3.0)])
+    (mean,), error = readings(both, both.weight[:, None], [Rectangle("all", -1, 1, -1, 1)])
+    assert both.photons == 40 and mean == pytest.approx(1.0)
+    assert error == pytest.approx(np.repeat([1.0, 0.0, 3.0, 0.0], 10).std(ddof=1) / np.sqrt(40))
+
+
 def test_stored_light_is_that_of_its_blood(scene, chosen_jit, tmp_path):
     tracer = BoardTracer(scene, spacing_mm=0.4, stores=[LightStore(tmp_path)])
     few, much = (blood_point(scene, 0, blood_fraction=[part, part]) for part in (0.01, 0.05))

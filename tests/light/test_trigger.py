@@ -51,6 +51,18 @@ def test_stopping_biases_by_a_small_part_of_the_standard_error(spread, bias):
     assert 0.93 < np.mean(np.abs(off) < Z95 * error) < 0.97
 
 
+def test_the_photodiode_that_is_known_worst_decides():
+    """Of 10 000 photons 6400 reach one photodiode and 900 the other: relative errors of 0.0075 and 0.0318."""
+    scene = parse_scene(phantom({"g": 0.5}, photodiodes=[{}, {"name": "far", "position_mm": [5.0, 0.0]}]))
+    where = np.repeat(np.array([0, 1], np.uint16), [6400, 900])
+    weight, path_mm = np.ones(7300), np.zeros((7300, 1), np.float32)
+    batch = LedTrace(10_000, np.full(1, 0.05), np.arange(7300), where, weight, path_mm, {}, (0,))
+    for target, met in ((0.03, False), (0.033, True)):
+        trigger = LedStoppingCriterion(scene, 0, Accuracy(relative_error=target), full=10_000)
+        trigger.add(batch)
+        assert trigger.error == pytest.approx(math.sqrt(0.91 / 900), rel=1e-3) and trigger.met == met
+
+
 def test_two_rounds_at_a_tolerance_bias_nothing():
     """Batches twice as skewed as those of a finger: the mean stays right to a tenth of the error that was requested."""
     rng, trigger, means = np.random.default_rng(3), Trigger(target=0.1, first=30, margin=1.05, growth=3), []

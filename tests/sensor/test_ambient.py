@@ -93,6 +93,29 @@ def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, m
     assert (current < bare).all()
 
 
+def test_a_face_in_a_denser_medium_collects_what_falls_on_its_area():
+    """Of a Lambertian face's light in a medium of index 2 a quarter leaves, through the cone that no face reflects, and
+    by the same cone all that falls on its area comes to it."""
+    left = Arrivals(1000, np.arange(250), np.zeros((250, 2)), np.ones(250), np.zeros((250, 1), np.float32), np.zeros(1))
+    each = left.from_outside(np.array([[0.3, 0.1]]), np.zeros((2, 1)), area_mm2=1.5, n=2.0)
+    assert each.shape == (1, 250) and each.sum() == pytest.approx(1.5 * 0.4)
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_light_of_which_few_photons_are_known_has_the_error_of_one_at_least(jit_backend, monkeypatch, count):
+    scene = parse_scene(covered(0))
+    no_path = np.zeros((count, len(optics.absorbers(scene))), np.float32)
+    left = Arrivals(1000, np.arange(count), np.zeros((count, 2)), np.ones(count), no_path, np.zeros(no_path.shape[1]))
+    monkeypatch.setattr(BoardTracer, "leaving", lambda *_, **__: left)
+    traced = trace_ambient(scene, SOURCES, TraceOptions(store=False), seed=0, photons=1000)
+    current, error, bare = traced[..., 0]
+    if count == 0:
+        assert (current == 0).all() and error == pytest.approx(bare / 1000)
+    else:
+        expected = current / count * max(np.sqrt(count * (1 - count / 1000)), 1.0)
+        assert error == pytest.approx(expected, rel=1e-6)
+
+
 def test_silicon_in_the_open_gives_the_short_circuit_current_of_full_sun():
     """A photodiode of 1 mm^2 in air whose light all leaves collects 1 mm^2 of sky.
 
