@@ -108,18 +108,14 @@ def vasomotion_pressure(
     rng = np.random.default_rng(seed_of(seed, _SLOW_WAVES))
     low, high = band_hz
     frequencies = low + (high - low) * (np.arange(_SINES) + rng.random(_SINES)) / _SINES
-    waves = np.zeros_like(time)
-    for frequency, phase in zip(frequencies, rng.random(_SINES), strict=True):
-        waves += np.sin(2.0 * np.pi * (frequency * time + phase))
-    return amplitude_pa * np.sqrt(2.0 / _SINES) * waves
+    sines = (np.sin(2.0 * np.pi * (f * time + phase)) for f, phase in zip(frequencies, rng.random(_SINES), strict=True))
+    return amplitude_pa * np.sqrt(2.0 / _SINES) * np.asarray(sum(sines))
 
 
 def _beat(phase: np.ndarray) -> np.ndarray:
     """The pulse before it is scaled, from the phase in beats."""
-    waves = np.zeros_like(phase)
-    for height, at, sharp in _PULSE_COMPONENTS:
-        waves += height * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0))
-    return waves
+    bumps = (h * np.exp(sharp * (np.cos(2.0 * np.pi * (phase - at)) - 1.0)) for h, at, sharp in _PULSE_COMPONENTS)
+    return np.asarray(sum(bumps))
 
 
 Lines = tuple[Array, Array]
@@ -281,28 +277,21 @@ class CardiacOscillator:
         Each harmonic turns, and its height r returns to the usual one h, a limit cycle: dr/dt = r (1 - r^2/h^2) / 2 t,
         solved over the step, so that none is ever thrown further off.
         """
-        order = np.arange(1, len(self.rms_pa) + 1)
-        before, height2 = state[1:].reshape(-1, 2), 2.0 * np.square(self.rms_pa)
+        order, height2 = np.arange(1, len(self.rms_pa) + 1), 2.0 * np.square(self.rms_pa)
         turn = 2 * np.pi * self.rate_hz * np.exp(state[0]) * step_s * order
-        cos, sin = np.cos(turn), np.sin(turn)
-        rotation = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), -1, 0)
-        forgotten, part = -np.expm1(-step_s / HEIGHT_MEMORY_S), (before**2).sum(1) / height2
+        rotation, before = np.exp(1j * turn), state[1::2] + 1j * state[2::2]
+        forgotten, part = -np.expm1(-step_s / HEIGHT_MEMORY_S), np.abs(before) ** 2 / height2
         growth = 1.0 / np.sqrt(1.0 + (part - 1.0) * forgotten)
-        after = np.einsum("kij,kj->ki", rotation, growth[:, None] * before)
-        inner = (
-            growth[:, None, None] * np.eye(2)
-            - (growth**3 * forgotten / height2)[:, None, None] * before[:, :, None] * before[:, None, :]
-        )
+        turned, shrunk = rotation * growth, rotation * growth**3 * forgotten / height2 * before
         jacobian, first = np.zeros((self.size, self.size)), 1 + 2 * np.arange(len(order))
         jacobian[0, 0] = decay = np.exp(-step_s / RATE_MEMORY_S)
-        block = rotation @ inner
-        for i, j in np.ndindex(2, 2):
-            jacobian[first + i, first + j] = block[:, i, j]
-        across = np.column_stack([-after[:, 1], after[:, 0]])
-        jacobian[1:, 0] = (turn[:, None] * across).ravel()
+        for j, column in enumerate((turned - shrunk * before.real, 1j * turned - shrunk * before.imag)):
+            jacobian[first, first + j], jacobian[first + 1, first + j] = column.real, column.imag
+        after, across = (turned * before).view(float), (1j * turned * before).view(float)
+        jacobian[1:, 0] = np.repeat(turn, 2) * across
         # All harmonics belong to one beat: when it is late, all are.
-        late = np.concatenate([[0.0], (order[:, None] * across).ravel()])
+        late = np.concatenate([[0.0], np.repeat(order, 2) * across])
         phase_variance = (2 * np.pi * INTERVAL_SPREAD) ** 2 * self.rate_hz * step_s
         added = np.concatenate([[(1 - decay**2) * RATE_SPREAD**2], np.repeat(forgotten * self.spread**2 * height2, 2)])
         noise = phase_variance * np.outer(late, late) + np.diag(added)
-        return np.concatenate([[decay * state[0]], after.ravel()]), jacobian, noise
+        return np.concatenate([[decay * state[0]], after]), jacobian, noise

@@ -172,10 +172,8 @@ class LedTrace:
         mu_a : (q, r) float. Absorption over the line. [mm^-1]
         share : (q,) float. Weights of the line.
         """
-        factor = np.zeros(len(self.path_mm))
-        for mu, part in zip(mu_a - self.mu_a, share, strict=True):
-            factor += part * attenuation(self.path_mm, mu)
-        return self.weight * factor
+        parts = (part * attenuation(self.path_mm, mu) for mu, part in zip(mu_a - self.mu_a, share, strict=True))
+        return self.weight * np.asarray(sum(parts))
 
     def moments(self, mu_a: np.ndarray, share: np.ndarray, *, count: int) -> Moments:
         """Sums over the photons of `count` photodiodes at a state, as `weight_at` takes it."""

@@ -21,9 +21,7 @@ KINDS = {"unknown of the finger": style.VEIN, "in the scene": style.ZONES[0], "l
 def page(result: Explanation) -> str:
     """The page of an explanation."""
     known = [effect for effect in result.effects if math.isfinite(effect.change)]
-    required: list[str] = []
-    for text, lines in _requires(result):
-        required += [text, preformatted(lines) if lines else ""]
+    required = [part for text, lines in _requires(result) for part in (text, preformatted(lines) if lines else "")]
     drawing = figure(draw(result), TEXTS["caption"]) if known else ""
     effects = table(_rows(result), kind="effects dense")
     return document(

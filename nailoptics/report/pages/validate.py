@@ -20,8 +20,7 @@ def page(result: Validation) -> str:
     cards = [(f"{n} of {count}", f"{words} quantities agree") for words, (n, count) in result.counts().items()]
     compared, missing = table(list(map(row, ranked)), kind="compared"), (f"No data: {name}." for name in result.no_data)
     body = [section("All quantities, what disagrees first", compared, small(TEXTS["note"]), *missing)]
-    for quantity in ranked:
-        body.append(section(quantity["quantity"], figure_of(quantity), small(quantity.get("remark", ""))))
+    body += [section(one["quantity"], figure_of(one), small(one.get("remark", ""))) for one in ranked]
     return document(**TEXTS["page"], lead=TEXTS["lead"], cards=cards, body=body, attributes=result.attributes)
 
 

@@ -286,9 +286,9 @@ def _faults(recording: Recording) -> Iterator[str]:
 
 
 def _touches(recording: Recording, side: float) -> list[slice]:
-    """The samples of each touch of a side, by its number in `site`, from rest to rest; even touches are of both."""
-    force_n, site = np.asarray(recording.force_n), np.asarray(recording.site)
-    touched = (force_n >= REST_FORCE_N) & (np.isnan(site) | (site == side))
+    """The samples of each touch of a side alone, by its number in `site`, from rest to rest."""
+    force_n = np.asarray(recording.force_n)
+    touched = (force_n >= REST_FORCE_N) & (recording.site == side)
     return [slice(start, stop) for start, stop in runs(touched) if force_n[start:stop].max() >= TOUCHED_N]
 
 

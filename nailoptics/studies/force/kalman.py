@@ -83,7 +83,8 @@ class StateSpace:
         # One network for each of the steps of the Jacobian.
         self._many = subject.scene.person(np.repeat(subject.factors_ln[:, None], 3 + 2 * WALL_STATES, axis=1))
         self._closed_m = self._many.walls.with_axes(2).closed
-        self._linear_process_of = lru_cache(2)(self._linear_process)
+        self._drift_jacobian = np.pad(np.diag(subject.rest_v), [(0, 0), (self.drift.start, 0)])
+        self._linear_process_of = lru_cache(8)(self._linear_process)
 
     def initial(self) -> tuple[Array, Array]:
         """State and covariance of an untouched finger, as far as is known."""
@@ -170,11 +171,10 @@ class StateSpace:
         beat_pa, blood = self.beat_weights @ state, self.person.blood(width)
         volts, by_blood = subject.light.slopes(blood * (1.0 + pulsatile * beat_pa))
         by_blood = calibrated.gain[:, None] * by_blood
-        jacobian, readings = np.zeros((len(volts), self.size)), np.arange(len(volts))
+        jacobian = self._drift_jacobian.copy()
         jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / width)
         jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS_N_PER_CM2)
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
-        jacobian[readings, self.drift.start + readings] = subject.rest_v
         return calibrated.offset_v + calibrated.gain * volts + subject.rest_v * state[self.drift], jacobian
 
     def bound_touch(self, state: Array, covariance: Array) -> Array:
@@ -263,8 +263,11 @@ def mode_transition(since_s: float) -> Array:
 
 def rest_odds(touch: Array, covariance: Array) -> Array:
     """Odds (...) of rest over touch, for estimates (..., 2) with covariances (..., 2, 2)."""
-    mahalanobis2 = np.einsum("...i,...ij,...j->...", touch, np.linalg.inv(covariance), touch)
-    density = np.exp(-0.5 * mahalanobis2) / (2 * np.pi * np.sqrt(np.linalg.det(covariance)))
+    x, y = touch[..., 0], touch[..., 1]
+    xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    determinant = xx * yy - xy**2
+    mahalanobis2 = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / determinant
+    density = np.exp(-0.5 * mahalanobis2) / (2 * np.pi * np.sqrt(determinant))
     return np.asarray(TOUCH_RANGE_N_PER_CM2**2 * density)
 
 
@@ -372,7 +375,7 @@ class KalmanFilter:
                 # Outliers count for less.
                 measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER_GATE))
             innovation_covariance = innovation_covariance + measurement_noise
-            gain = np.moveaxis(np.linalg.solve(innovation_covariance, innovation_by_state), 1, 2)
+            gain = np.linalg.solve(innovation_covariance, innovation_by_state).swapaxes(1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
             updated = predicted + probability @ corrections
             nearest = np.maximum(updated[TOUCH], predicted[TOUCH] - farthest)
@@ -384,8 +387,8 @@ class KalmanFilter:
                 break
         # Joseph form, which stays positive for any gain; merged with the spread of the modes' means.
         identity_less_gain = np.eye(self.model.size) - gain @ jacobian
-        covariance = identity_less_gain @ self.mode_covariance @ np.moveaxis(identity_less_gain, 1, 2)
-        covariance = covariance + gain @ measurement_noise @ np.moveaxis(gain, 1, 2)
+        covariance = identity_less_gain @ self.mode_covariance @ identity_less_gain.swapaxes(1, 2)
+        covariance = covariance + gain @ measurement_noise @ gain.swapaxes(1, 2)
         from_mean = corrections - probability @ corrections
         self.mode_probability = probability
         self.covariance = np.einsum("m,mij->ij", probability, covariance) + (probability * from_mean.T) @ from_mean

@@ -166,11 +166,10 @@ class Person:
 
     def force(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Force [N] and its proximal share from both pressures (2, ...): the inverse of `pressures_n_per_cm2`."""
-        pressure_n_per_cm2 = np.stack([pressure_n_per_cm2[0] * self.proximal_area, pressure_n_per_cm2[1]])
-        larger = pressure_n_per_cm2.max(0)
+        proximal, distal = pressure_n_per_cm2[0] * self.proximal_area, pressure_n_per_cm2[1]
+        larger = np.maximum(proximal, distal)
         with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.where(larger > 0, pressure_n_per_cm2.min(0) / larger, 1.0)
-        proximal, distal = pressure_n_per_cm2
+            ratio = np.where(larger > 0, np.minimum(proximal, distal) / larger, 1.0)
         return self.area_cm2 * larger, np.where(proximal >= distal, 1.0 - ratio / 2.0, ratio / 2.0)
 
     def steady_widths(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
@@ -294,7 +293,7 @@ def touch_on_walls(pressure_n_per_cm2: Array, distal_reach: Array | float) -> Ar
 
     distal_reach : part of P_F2 that acts on the proximal capillaries.
     """
-    return N_PER_CM2 * np.stack([distal_reach * pressure_n_per_cm2[1], pressure_n_per_cm2[1], pressure_n_per_cm2[0]])
+    return N_PER_CM2 * np.array([distal_reach * pressure_n_per_cm2[1], pressure_n_per_cm2[1], pressure_n_per_cm2[0]])
 
 
 class PulsatileGain:

@@ -1,5 +1,6 @@
 """A calibrated person as a file: everything that estimating force from volts takes, readable, in TOML."""
 
+import hashlib
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -249,7 +250,13 @@ def subject_toml(subject: Subject) -> str:
 
     tables = FILE.dump_python(subject, exclude_none=True)
     tables["light"]["powers"] = POWERS
-    return tomli_w.dumps(tables | {"factors": subject.factor_table(), "readings": subject.reading_table()})
+    text = tomli_w.dumps(tables | {"factors": subject.factor_table(), "readings": subject.reading_table()})
+    return f'digest = "{_digest(parse_toml(text, "subject"))}"\n{text}'
+
+
+def _digest(tables: dict[str, Any]) -> str:
+    """SHA-256 of a file's tables, which tells whether a number was changed."""
+    return hashlib.sha256(repr(tables).encode()).hexdigest()
 
 
 def load_subject(path: str | Path) -> Subject:
@@ -258,10 +265,14 @@ def load_subject(path: str | Path) -> Subject:
 
 
 def parse_subject(text: str, *, name: str = "subject") -> Subject:
-    """Read a subject from the text of its file."""
+    """Read a subject from the text of its file, which has a digest but in version 0.2."""
     tables = parse_toml(text, name)
+    written = tables.pop("digest", None)
     try:
-        return FILE.validate_python(tables)
+        subject = FILE.validate_python(tables)
     except (ValidationError, InputError, KeyError, TypeError, OverflowError) as error:
         why = explain(error, BaseModel).args[0]
         raise InputError(f"{name}: is not a valid subject file: {why} Calibrate again.") from None
+    if written not in (None, _digest(tables)):
+        raise InputError(f"{name}: was changed after calibrate wrote it; calibrate again.")
+    return subject

@@ -236,9 +236,10 @@ def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
 
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
     """Coefficients (2, k) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
-    error_n, by_side = np.abs(held_out_n - samples.force_n), []
+    error_n, touched, by_side = np.abs(held_out_n - samples.force_n), at & (samples.force_n >= TOUCH_N), []
     for wider, side in zip(ANOTHER_RECORDING, (samples.is_proximal, ~samples.is_proximal), strict=True):
-        of_side = at & side & (samples.force_n >= TOUCH_N)
+        # Of a side without touches it is that of all.
+        of_side = next(some for some in (touched & side, touched, at) if some.any())
         usual_n = np.maximum(nnls(terms[:, of_side].T, error_n[of_side])[0], 1e-6)
         ratio = error_n[of_side] / (usual_n @ terms[:, of_side])
         by_side.append(wider * usual_n * float(np.quantile(ratio, COVERED)))

@@ -108,6 +108,17 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
     assert memory.with_memory(over_rest, np.zeros((2, 4)), since_s)[:, 2:] == pytest.approx(again)
 
 
+def test_one_touch_of_a_side_calibrates():
+    """While it is held out, the interval of its side is that of all touches."""
+    force_n = np.tile(made_sensor.touches(), 2)
+    site = np.where(made_sensor.STEP_S * np.arange(force_n.size) < 3.2, 1.0, 0.0)
+    recording = made_sensor.record(force_n, site, seed=4)
+    result = calibrate_with(made_sensor.scene(), made_sensor.table(), [recording])
+    known = parse_subject(result.attrs["subject"])
+    assert known.ensemble is not None and (known.ensemble.half_width_n.sum(1) > 0).all()
+    assert "proximal touches lack touches (1 of 6)" in result.attrs["warnings"][0]
+
+
 @pytest.mark.parametrize("site", ["proximal", "distal"])
 def test_a_step_of_force_within_one_sample_is_not_overestimated(site):
     time_s = made_sensor.STEP_S * np.arange(150)

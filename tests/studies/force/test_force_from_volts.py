@@ -356,7 +356,7 @@ def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -
 def test_a_subject_file_of_version_0_2_is_read(subject: Subject) -> None:
     """It has a correction, regressions and a factor on intervals, which are not used any more, and no ensemble."""
     subject = replace(subject, comparisons={}, quality=replace(subject.quality, touches={}))
-    text = subject_toml(subject)
+    text = subject_toml(subject).partition("\n")[2]
     curve = "told_n_per_cm2 = [0.0, 1.0]\npressed_n_per_cm2 = [0.0, 1.1]\n"
     text += f"[correction.proximal]\n{curve}[correction.distal]\n{curve}"
     text += "[baselines.linear]\nintercept_n = 0.1\nweights_n_per_v = [1.0]\n"
@@ -388,6 +388,18 @@ def test_a_number_that_no_calibration_gives_is_named(subject: Subject, line: str
     with pytest.raises(InputError) as caught:
         parse_subject(text, name="me.toml")
     assert str(caught.value) == f"me.toml: is not a valid subject file: {message} Calibrate again."
+
+
+def test_a_changed_number_of_a_subject_file_is_refused(subject: Subject) -> None:
+    """Files without a digest, as of version 0.2, are read; comments and other ends of lines change nothing."""
+    text = subject_toml(subject)
+    area = re.search(r"\[factors.contact_area]\nvalue = (.*)", text)
+    assert area is not None
+    changed = text.replace(area[0], f"[factors.contact_area]\nvalue = {1.001 * float(area[1])}")
+    with pytest.raises(InputError, match=r"^me.toml: was changed after calibrate wrote it; calibrate again.$"):
+        parse_subject(changed, name="me.toml")
+    for same in (changed.partition("\n")[2], "# Anna\r\n" + text.replace("\n", "\r\n")):
+        assert isinstance(parse_subject(same), Subject)
 
 
 def test_a_damaged_subject_file_is_refused(subject: Subject) -> None:
