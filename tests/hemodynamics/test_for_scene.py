@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from equal_zones import equal_zones
 from small_scenes import SMALL_FINGER_BEST
 
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, steady_blood
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, hold_end, rest_beat, steady_blood
 from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.hemodynamics.touch import largest_force_n, touch_course
+from nailoptics.hemodynamics.waves import pressure_lines
 from nailoptics.hemodynamics.zones import capillary_zones
 from nailoptics.light.identity import light_digest
 from nailoptics.scene import parse_scene
@@ -297,3 +299,27 @@ def test_a_creeping_touch_ends_as_a_lighter_one():
     assert float(blood_over_touch(creeping).proximal_pressure_pa[-1]) == pytest.approx(4e3, rel=1e-3)
     assert float(blood_over_touch(creeping).force_n[-1]) == 0.5
     assert steady_blood(creeping, [0.5]) == pytest.approx(steady_blood(lighter, [0.4]))
+
+
+def test_waves_move_the_blood_by_the_squares_of_their_gains():
+    """Expected: of the covariance the diagonal is the sum of lines, and no combination of zones has less than none."""
+    scene = scene_with("[body.heartbeat]\n[body.vasomotion]\namplitude_pa = 300.0\n")
+    model, (frequency_hz, variance_pa2) = blood_model(scene), pressure_lines(scene.body)
+    gain = model.by_arterial_pressure(frequency_hz, 0.5)
+    assert np.abs(np.angle(gain[0, frequency_hz > 1])).max() > 0.2
+    covariance = model.covariance(scene.body, 0.5, bandwidth_hz=1e3)
+    assert np.diagonal(covariance) == pytest.approx(np.abs(gain) ** 2 @ variance_pa2)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12 * covariance.max()
+
+
+def test_a_beat_is_from_the_least_blood_to_the_most():
+    beat = rest_beat(scene_with("[body.heartbeat]\n"))
+    least, most = beat.extremes.sum(1) + beat.resting.sum()
+    assert (least, most) == pytest.approx((beat.blood_fraction.sum(0).min(), beat.blood_fraction.sum(0).max()))
+
+
+@pytest.mark.parametrize(
+    ("force_n", "end"), [([0.0, 0.5, 1.0, 0.999, 1.0, 0.4, 0.0], 4), ([1.0, 0.2, 0.2, 1.0], 2), ([0.0, 0.0, 0.0], 2)]
+)
+def test_the_hold_ends_with_the_last_sample_that_is_farthest_from_the_first(force_n, end):
+    assert hold_end(xr.Dataset({"force_n": ("time", force_n)})) == end

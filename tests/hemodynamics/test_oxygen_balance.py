@@ -8,8 +8,8 @@ from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics import tissue
 from nailoptics.errors import InputError
-from nailoptics.hemodynamics import saturation_over_time
-from nailoptics.hemodynamics.for_scene import blood_over_touch
+from nailoptics.hemodynamics import saturation_over_time, steady_state
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
 from nailoptics.light import DetectedLight, optics
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Blood, parse_scene
@@ -144,3 +144,20 @@ def test_a_touch_from_the_first_sample_begins_with_the_saturation_at_rest() -> N
     assert first.so2.values[:, 0] == pytest.approx(BLOOD.rest_so2, abs=1e-9)
     after = later.so2.sel(time=first.time[:-150].values + 1.0, method="nearest").values
     assert first.so2.values[:, :-150] == pytest.approx(after, abs=1e-3)
+
+
+def test_a_steady_flow_has_the_saturation_of_its_extraction() -> None:
+    """Under a higher arterial pressure vessels are wider, and what flows in, by the fourth power of their diameter, is
+    what flows out through the venules: the same oxygen is taken from more blood."""
+    model = blood_model(scene_with(""))
+    high = model.parameters.replace(arterial_pressure_pa=1.3 * model.parameters.arterial_pressure_pa)
+    rest, now = (steady_state(one, zones=model.zones) for one in (model.rest, high))
+    time_s = np.linspace(0.0, 10.0, 11)
+    ends = {name: ("time", np.full(11, getattr(high, name))) for name in ("arterial_pressure_pa", "venous_pressure_pa")}
+    within = {name: np.asarray(getattr(now, name))[..., None] + 0 * time_s for name in vars(now)}
+    units = {name: (("zone", "time"), within[name]) for name in ("capillary_diameter_m", "capillary_pressure_pa")}
+    run = xr.Dataset({"vein_pressure_pa": ("time", within["vein_pressure_pa"])} | ends | units, {"time": time_s})
+    flow = (now.capillary_pressure_pa - now.vein_pressure_pa) / (rest.capillary_pressure_pa - rest.vein_pressure_pa)
+    so2 = model.capillary_saturation(run, np.full((2, 11), 0.03))
+    assert (flow > 1.1).all() and (now.capillary_diameter_m > 1.02 * rest.capillary_diameter_m).all()
+    assert so2 == pytest.approx(np.repeat(0.97 - 0.08 / (2 * flow[:, None]), 11, axis=1), abs=1e-6)

@@ -65,6 +65,24 @@ def test_the_dermis_is_chosen_by_finger_or_case(scene):
 DERMIS = ("jacques_baseline", "salomatina")
 
 
+def test_the_plates_absorption_goes_with_a_power_of_the_wavelength(scene):
+    column, wavelength = optics.absorbers(scene).index("plate"), np.array([500.0, 1000.0])
+    usual, sloped = (
+        optics.absorption(with_finger(scene, plate_absorption_slope=slope), wavelength)[:, column]
+        for slope in (0.0, 1.5)
+    )
+    assert sloped / usual == pytest.approx([1.0, 2.0**1.5])
+
+
+def test_a_line_has_its_width_at_half_of_its_height(scene):
+    """Of a Gaussian the standard deviation is the full width over 2.3548, the fourth moment three of its squares."""
+    led = scene.leds[0].model_copy(update={"wavelength_nm": 800.0, "fwhm_nm": 40.0})
+    wavelength, weight = optics.spectrum(led)
+    variance, fourth = (weight @ (wavelength - 800.0) ** power for power in (2, 4))
+    assert weight.sum() == pytest.approx(1.0) and weight @ wavelength == pytest.approx(800.0)
+    assert variance == pytest.approx((40.0 / 2.3548) ** 2, rel=1e-4) and fourth == pytest.approx(3 * variance**2)
+
+
 @pytest.mark.parametrize("field", ABSORBING)
 def test_absorption_leaves_a_trace_as_it_is(scene, field):
     value = "shimojo" if field == "dermis" else 0.5

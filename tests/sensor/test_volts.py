@@ -1,13 +1,17 @@
 """Drift and motion of the worn sensor: as strong as the scene says, the same for one seed, and traced."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from small_scenes import SMALL_FINGER
 
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import blood_over_touch
+from nailoptics.light import DetectedLight, optics
 from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.scene import Body, Drift, Motion, parse_scene
-from nailoptics.sensor.volts import drift_and_motion, motion_artefact, moved_boards
+from nailoptics.sensor.volts import WornLight, drift_and_motion, motion_artefact, moved_boards, read_volts
 from nailoptics.studies.simulate import simulate
 
 
@@ -83,6 +87,31 @@ def test_readings_go_with_the_distance_as_the_moved_light_says():
     assert data["lift_per_um_stderr"][1] == pytest.approx(np.hypot(0.01, 0.0125) / 40.0)
     with pytest.raises(InputError, match="traced by simulate alone"):
         motion_artefact(course, here, {}, np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("distance_um", [250.0, -250.0])
+def test_a_slide_of_either_sign_is_that_of_the_moved_light(distance_um):
+    """Light that falls by a tenth in 250 um one way, and a sensor that slides the same way or the other."""
+    scene, time_s = worn(1, motion=Motion(lift_um=0.0)), np.arange(4.0)
+    ones, zero = np.ones((1, 1, 4)), np.zeros((1, 1, 4))
+    there = SimpleNamespace(readings_at=lambda blood: ReadingSeries(0.9 * ones, 0.01 * ones, zero, zero))
+    course = drift_and_motion(scene, time_s)
+    here = ReadingSeries(ones, 0.01 * ones, zero, zero)
+    factor, _ = motion_artefact(course, here, {"slide": (distance_um, there)}, np.zeros((4, 2)))
+    assert factor[0, 0] == pytest.approx(0.9 ** (course.sensor_slide_um.values / distance_um))
+
+
+def test_the_error_of_a_change_has_that_of_the_reading_as_far_as_drift_scales_it():
+    """Light of a relative error of 2 % that never changes: what drift makes of it is known to 2 %, to first order."""
+    scene = worn(3, drift=Drift(led_per_rt_min=0.1, reading_per_rt_min=0.0)).with_({"electronics.feedback_ohm": 1e5})
+    course = blood_over_touch(scene.model_copy(update={"body": None}))
+    ones = np.ones((1, 1, course.sizes["time"]))
+    series = [part * 1e-3 * ones for part in (1.0, 0.02, 0.0, 0.0)]
+    none = np.full((1, 1, len(optics.absorbers(scene))), np.nan)
+    light = DetectedLight(lambda states: ReadingSeries(*map(np.copy, series)), none, none, optics.absorbers(scene), {})
+    result = read_volts(WornLight(scene, light, None), course)
+    change_v, stderr_v = result.volts_change.values[0, 0], result.volts_change_stderr.values[0, 0]
+    assert np.abs(change_v[1:]).min() > 0 and stderr_v == pytest.approx(0.02 * np.abs(change_v), rel=0.03)
 
 
 @pytest.mark.jit

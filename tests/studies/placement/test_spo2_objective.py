@@ -1,5 +1,7 @@
 """Layouts ranked by what they tell of oxygen: against an oximeter's own error, and in a placement."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -51,6 +53,8 @@ def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
     assert error_percent(twice) == pytest.approx(stderr_percent / np.sqrt(2))
     blind = [response([v, 0.0], noise, np.vstack([z, 0 * z])) for v, z in zip(volts, zone, strict=True)]
     assert error_percent(blind) == pytest.approx(stderr_percent)
+    full = [replace(read, unsaturated=np.zeros(1)) for read in by_led]
+    assert np.isinf(error_percent(full)).all()
     # By hand from 0.171 and 1.728, 0.650 and 0.371 per mm of blood with and without oxygen, at 97 %.
     assert rule.log_ratio_per_percent == pytest.approx(0.01557 / 0.2177 + 0.0028 / 0.6416, rel=0.05)
 
