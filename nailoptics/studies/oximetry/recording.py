@@ -142,7 +142,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     pulse = band(both, rate_hz, low_hz, high_hz)
     moved = _motion(recording, j, even_s, pulse)
     moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
-    noise = _noise_variance(both, rate_hz, high_hz - low_hz)
+    noise = _noise_density(both, rate_hz)
     length_s = float(even_s[-1] - even_s[0])
     centres = np.array([(even_s[0] + even_s[-1]) / 2])
     if length_s > AVERAGE_S:
@@ -180,7 +180,7 @@ def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) ->
     """Slope of red over infrared and its standard error, where both have noise.
 
     red, infrared : (n,) float, of mean 0 or nearly.
-    noise : (2,) float. Variance of their noise: its ratio keeps the slope unbiased (Deming).
+    noise : (2,) float. Variance of their noise, in any unit: its ratio keeps the slope unbiased (Deming).
     values : how many of them are independent, as filtered noise is correlated.
 
     References: Fuller 1987, Measurement Error Models, ch. 1.3.
@@ -199,8 +199,8 @@ def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) ->
     return float(ratio), float(np.sqrt(variance))
 
 
-def _noise_variance(both: Array, rate_hz: float, width_hz: float) -> Array:
-    """Variance of each LED's noise in the pulse's band, (2,) float, from what lies above all pulses."""
+def _noise_density(both: Array, rate_hz: float) -> Array:
+    """Median spectral density of each LED's noise, (2,) float, from what lies above all pulses; 1 if nothing does."""
     from scipy.signal import periodogram
 
     top_hz = 0.5 * rate_hz
@@ -208,8 +208,8 @@ def _noise_variance(both: Array, rate_hz: float, width_hz: float) -> Array:
         return np.ones(2)
     frequency, density = periodogram(both, rate_hz)
     above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
-    # The median of an exponential distribution is ln 2 of its mean; motion's few lines do not move it.
-    return np.asarray(np.maximum(np.median(above, axis=1) / np.log(2) * width_hz, np.finfo(float).tiny))
+    # Motion's few lines do not move the median.
+    return np.asarray(np.maximum(np.median(above, axis=1), np.finfo(float).tiny))
 
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:
