@@ -594,6 +594,8 @@ def predict(
     if readings == "-":
         if json_ or output is not None:
             raise InputError("predict -: answers line by line on stdout; leave out --json and -o, or give a recording.")
+        if calibrated.quality.fault:
+            say(calibrated.quality.fault)
         with suppress(KeyboardInterrupt):
             for line in live(calibrated, terminal.text_lines(sys.stdin)):
                 print(line, flush=True)

@@ -38,8 +38,8 @@ MOST_N = 1.0
 LEFT_AT_CLOSURE, MOST_SEARCHED_N = 0.05, 4.0
 # An interval that covers so much covers.
 COVERED = 0.9
-# Rest is recorded with so many samples a second; pairs of people are read with no more. [Hz]
-REST_RATE_HZ, PAIR_RATE_HZ = 10.0, 25.0
+# Pairs of people are read with no more samples a second than this. [Hz]
+PAIR_RATE_HZ = 25.0
 
 
 def _updated(part: Any, **fields: Any) -> dict[str, Any]:
@@ -203,7 +203,7 @@ def thinned(recording: Recording, rate_hz: float) -> Recording:
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:
     """Presses that the virtual switch tells while nobody touches."""
     corners = (np.array([0.0, rest_s]), np.zeros(2))
-    untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=REST_RATE_HZ)
+    untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=person.rate_hz)
     still = record.record_touch(person.scene, person.light, untouched, seed=77)
     return sum(str(kind) == "press" for kind in predict(subject, still).event_kind.values)
 

@@ -255,9 +255,7 @@ def main() -> None:
     requested.add_argument("--people", nargs="*", default=record.people(), choices=record.people())
     requested.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to find; all if not given")
     requested.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
-    requested.add_argument(
-        "--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings of touches [Hz]"
-    )
+    requested.add_argument("--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings [Hz]")
     requested.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
     requested.add_argument(
         "--calibration", choices=tuple(CALIBRATIONS), default="protocol", help="touches to calibrate on"

@@ -144,12 +144,12 @@ def _subject(scene: Scene, fit: Fit, fitted: Fitted) -> Subject:
 
 def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
-    warnings, quality = lacking(recordings), subject.quality
+    warnings, quality = [*lacking(recordings)], subject.quality
     factors = subject.factor_table()
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
         unknown = "the refill rate of the vessels is not identifiable"
         warnings.append(f"{unknown}, estimates of quick touches rely on priors.")
-    if quality.is_wrong:
+    if quality.fault:
         held_out = "held-out touches" if quality.is_held_out else "own touches"
         off = f"{1e3 * quality.rms_n:.0f} mN off (rms), {quality.relative_error:.0%} of their size"
         cure = "check scene, sites and units, and record the touches of `nailoptics protocol`"
@@ -308,15 +308,13 @@ def _faults_together(recordings: Sequence[Recording]) -> Iterator[str]:
         yield f"{sum(counts)} touches were recorded; record {more}."
 
 
-def lacking(recordings: Sequence[Recording]) -> list[str]:
+def lacking(recordings: Sequence[Recording]) -> Iterator[str]:
     """What recordings lack of the protocol, by what was measured: a sentence for each side, and for the rest."""
-    sentences = []
     for side, number in zip(SIDES, (1.0, 0.0), strict=True):
         if parts := _lacking(recordings, number):
-            sentences.append(f"{side} touches lack {', '.join(parts)}: record those of `nailoptics protocol`, too.")
+            yield f"{side} touches lack {', '.join(parts)}: record those of `nailoptics protocol`, too."
     if (least_s := min(map(_first_rest_s, recordings))) < ENOUGH * FIRST_REST_S:
-        sentences.append(f"a recording begins with {least_s:.2g} s of rest: begin with {FIRST_REST_S:g} s.")
-    return sentences
+        yield f"a recording begins with {least_s:.2g} s of rest: begin with {FIRST_REST_S:g} s."
 
 
 def _first_rest_s(recording: Recording) -> float:

@@ -63,9 +63,7 @@ def predict(
     )
     above_n = estimator.open_above_n
     by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
-    if subject.quality.is_wrong:
-        off = f"{1e3 * subject.quality.rms_n:.0f} mN off on its own touches (rms)"
-        warnings.insert(0, f"the calibration itself was {off}: calibrate again.")
+    warnings = [*filter(None, [subject.quality.fault]), *warnings]
     if (is_open := result.attrs["touch_open_above"]) > 0.5:
         no_bound = f"{is_open:.0%} of the touches' intervals have no upper bound"
         warnings.append(f"{no_bound}: that they cover the force says little.")

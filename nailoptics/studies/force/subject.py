@@ -62,9 +62,11 @@ class Quality:
         return self.touches.get("all", {}).get("relative_error", float("nan"))
 
     @property
-    def is_wrong(self) -> bool:
-        """Whether the force of the calibration's own touches came out so far off that others will, too."""
-        return self.relative_error > MOST_ERROR if self.touches else self.rms_n > MOST_RMS_N
+    def fault(self) -> str:
+        """That the force of the calibration's own touches came out so far off that others will, too; else empty."""
+        is_wrong = self.relative_error > MOST_ERROR if self.touches else self.rms_n > MOST_RMS_N
+        off = f"{1e3 * self.rms_n:.0f} mN off on its own touches (rms)"
+        return f"the calibration itself was {off}: calibrate again." if is_wrong else ""
 
 
 @dataclass(frozen=True, config=TABLE)

@@ -238,7 +238,7 @@ def test_what_the_protocol_has_and_a_recording_lacks_is_reported() -> None:
     drawn = protocol(1)
     at_s = np.arange(0.0, drawn.time_s[-1], 0.04)
     followed, site = np.interp(at_s, drawn.time_s, drawn.force_n), np.round(np.interp(at_s, *drawn[::2]))
-    assert not lacking([Recording("made", (), at_s, np.zeros((0, at_s.size)), followed, site)])
+    assert not [*lacking([Recording("made", (), at_s, np.zeros((0, at_s.size)), followed, site)])]
 
 
 def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject: Subject, table: ReadingTable) -> None:

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ import made_sensor
 import numpy as np
 import pytest
 
+from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.sensor_recordings import recording_csv
 from nailoptics.studies.force.predict import csv_rows, live, predict, predict_live
-from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 from nailoptics.terminal import text_lines
 
 NAMES = made_sensor.table().names
@@ -202,6 +204,18 @@ def test_ctrl_c_ends_a_running_command_cleanly(folder: Path, lines: list[str]) -
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 0
         assert running.stdout.read() == running.stderr.read() == b""
+
+
+def test_a_calibration_that_was_wrong_is_said_at_once(
+    subject: Subject, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = replace(subject, quality=replace(subject.quality, rms_n=0.3, touches={}))
+    (tmp_path / "me.toml").write_text(subject_toml(wrong))
+    monkeypatch.setattr("sys.stdin", StringIO("time_s," + ",".join(NAMES) + "\n"))
+    assert run(["predict", str(tmp_path / "me.toml"), "-"]) == 0
+    said = capsys.readouterr()
+    off = "the calibration itself was 300 mN off on its own touches (rms): calibrate again."
+    assert said.err == f"nailoptics: {off}\n" and said.out.startswith("time_s,force_n")
 
 
 @pytest.mark.long
