@@ -279,6 +279,12 @@ def test_four_processes_at_once_share_a_store_and_all_have_the_same_bits(jit_bac
     assert not list(store.rglob("*.part"))
 
 
+@pytest.mark.parametrize(("free", "most"), [(1e9, 2.5e8), (1e12, 2e9)])
+def test_the_store_takes_a_part_of_what_is_free_and_no_more_than_its_bound(monkeypatch, store, free, most):
+    monkeypatch.setattr("nailoptics.light.tracing.store.shutil.disk_usage", lambda path: SimpleNamespace(free=free))
+    assert LightStore.of_user().most_bytes == most
+
+
 def test_where_the_store_lies(monkeypatch, tmp_path):
     monkeypatch.setenv("NAILOPTICS_STORE", "off")
     assert user_folder() is None and LightStore.of_user() is None

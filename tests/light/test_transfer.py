@@ -12,6 +12,7 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import InputError
 from nailoptics.light import ReweightWarning, Transfer, optics
+from nailoptics.light.transfer import mean_of_leds
 from nailoptics.light.transfer.records import LedTrace, joined
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
@@ -383,3 +384,8 @@ def test_datasets_carry_units_errors_and_their_scene(traced):
         assert seen[f"{name}_stderr"].attrs["long_name"].startswith("standard error")
     assert parse_scene(seen.attrs["scene"]) == traced.scene
     assert seen.attrs["Conventions"].startswith("CF-") and seen.attrs["photons"] == traced.photons
+
+
+def test_parts_of_the_light_of_several_leds_have_the_error_of_a_mean():
+    by_led = [{"lost": (0.2, 0.03)}, {"lost": (0.4, 0.04)}]
+    assert mean_of_leds(by_led)["lost"] == {"value": pytest.approx(0.3), "stderr": pytest.approx(0.025)}

@@ -233,6 +233,22 @@ def test_limits_and_their_intervals():
     assert formula_errors.crossing(setting, error + 1, 0.5) == (0.0, True)
 
 
+def test_limits_in_a_measure_that_is_traced_have_its_error_too():
+    """An error that grows to 10 % over ten points, where alpha D^2 is known to 0.03."""
+    points, shape = np.arange(11.0), (len(formula_errors.WAYS), len(formula_errors.MODELS), 11)
+    alpha, error = 0.2 * points, np.full(11, 0.03)
+    errors = {"range_error": np.broadcast_to(0.01 * points, shape), "range_error_stderr": np.full(shape, 0.01 / Z95)}
+    errors |= {"alpha_d2": alpha, "alpha_d2_stderr": error, "bed_alpha_d2": alpha, "bed_alpha_d2_stderr": 0 * error}
+    sweep = formula_errors.StateSweep("blood", points, np.repeat(points[:, None], 2, 1), np.ones(11))
+    limits = formula_errors._limits(errors, sweep, 0)
+    at = 0, 0, formula_errors.TOLERANCES.index(0.05)
+    assert [limits[f"limit{end}"][at] for end in ("", "_low", "_high")] == pytest.approx([5.0, 4.0, 6.0])
+    spread = Z95 * 0.03
+    expected = [1.0, 0.8 - spread, 1.2 + spread]
+    assert [limits[f"limit_alpha_d2{end}"][at] for end in ("", "_low", "_high")] == pytest.approx(expected)
+    assert limits["limit_bed_alpha_d2_high"][at] == pytest.approx(1.2)
+
+
 @pytest.mark.parametrize(("tolerance", "outcome"), [(0.5, "met"), (1e-6, "missed")])
 def test_the_verdict_needs_all_readings(tolerance, outcome):
     draw = np.random.default_rng(5).gamma(2.0, 2.0, (2, 3000))

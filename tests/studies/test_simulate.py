@@ -6,6 +6,7 @@ import sys
 import tracemalloc
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from small_scenes import phantom
 from nailoptics import variables
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError, NotReachedError
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch
+from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, hold_end
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
+from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
 from nailoptics.sensor.volts import WornLight
 from nailoptics.studies.exploration.explore import explore
@@ -486,3 +488,22 @@ def test_the_course_of_the_blood_starts_at_rest_and_parts_under_force():
     assert blood.sel(zone="distal").min() < 0.027
     assert set(course.data_vars) >= {"force_n", "capillary_diameter_m", "vein_diameter_m", "proximal_pressure_pa"}
     assert float(course.force_n.max()) == 1.0
+
+
+def test_over_priors_of_the_blood_at_rest_the_course_is_that_of_its_own_touch(monkeypatch):
+    """Eq. (7): blood goes with the blood at rest, so that another one needs no other course."""
+    scene, asked = prototype(duration_s=1.0, release_s=0.9), []
+    course = blood_over_touch(scene)
+
+    def ask(transfer, states, **how):
+        for rest in (0.01, 0.03, 0.05):
+            varied = scene.with_({"blood.rest_blood_fraction": rest})
+            asked.append((states(varied), blood_over_touch(varied).blood_fraction.values[:, [0, hold_end(course)]].T))
+        return SimpleNamespace(dataset=lambda scene: xr.Dataset())
+
+    module = import_module("nailoptics.studies.simulate")
+    monkeypatch.setattr(module, "readings_over_priors", ask)
+    module._spread(course, SimpleNamespace(scene=scene), TraceOptions(), None, False)
+    for states, own in asked:
+        assert states == pytest.approx(own, rel=1e-6)
+    assert asked[0][0][0] == pytest.approx(0.01) and np.ptp(asked[2][0][:, 0]) > 1e-3

@@ -1,5 +1,6 @@
 """Reflectance to colour, against what the CIE says of white, grey and black."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,11 +9,20 @@ import pytest
 from nailoptics.hemodynamics import white_band_mm
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.transfer.series import ChebyshevBox
+from nailoptics.light.walk.nail_reflectance import ReflectedLight
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Viewing
 from nailoptics.studies.colour import nail_colour as adaptive_sampling
 from nailoptics.studies.colour.nail_colour import _redness_left, stderr_of_colour
-from nailoptics.studies.colour.reflectance import NODES, NODES_NM, WAVELENGTHS_NM, WEIGHTS, Viewer, delta_e_2000
+from nailoptics.studies.colour.reflectance import (
+    NODES,
+    NODES_NM,
+    WAVELENGTHS_NM,
+    WEIGHTS,
+    Viewer,
+    _weighted,
+    delta_e_2000,
+)
 
 
 @pytest.mark.parametrize("illuminant", ["D65", "A", "LED-B3"])
@@ -120,3 +130,14 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     parts.clear()
     rays, why = sampled(3 * adaptive_sampling.MOST_AT_ONCE)
     assert rays.photons == 3 * adaptive_sampling.MOST_AT_ONCE and len(parts) == 3 and why == ""
+
+
+@pytest.mark.parametrize("lit_by", ["sky", "lamp"])
+def test_a_white_surface_that_scatters_evenly_has_a_reflectance_of_1(lit_by):
+    """Of a Lambertian surface's rays the squared cosines are spread evenly, and gloss is none of them."""
+    count = 40_000
+    cosine = np.sqrt((np.arange(count) + 0.5) / count).astype(np.float32)
+    none, ones = np.zeros(count, int), np.ones(count, np.float32)
+    rays = ReflectedLight(np.array([count]), none, none, ones, np.zeros((count, 1)), np.zeros(1), cosine, none > 0)
+    assert _weighted(rays, Viewing(lit_by=lit_by)).weight.sum() / count == pytest.approx(1.0, abs=1e-3)
+    assert _weighted(replace(rays, gloss=none == 0), Viewing(lit_by=lit_by)).weight.sum() == 0

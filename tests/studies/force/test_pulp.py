@@ -12,6 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import relaxing_pressure, spreading_pressure
 from nailoptics.studies.force import person
 from nailoptics.studies.force.calibrate import calibrate_with
+from nailoptics.studies.force.kalman import TOUCH, StateSpace
 from nailoptics.studies.force.person import USUAL_PULP, Pulp
 from nailoptics.studies.force.subject import parse_subject
 
@@ -76,3 +77,15 @@ def test_pieces_of_time_walked_side_by_side_are_one_walk(monkeypatch: pytest.Mon
     whole = who.widths_over(time_s, pressure)
     assert np.ptp(whole) > 0.3
     np.testing.assert_allclose(pieces, whole, rtol=3 * person.MET)
+
+
+def test_the_filters_pulp_relaxes_to_the_pressure_within_its_time() -> None:
+    """Expected: nothing in no time, all but 1 / e of the way in its time constant, and two steps are one."""
+    model = StateSpace(parse_subject(made_sensor.subject()))
+    state, before, touch = np.zeros(model.size), np.array([0.1, 0.5]), np.array([1.0, 2.0])
+    state[TOUCH] = touch
+    creep_s = float(np.ravel(model.person.creep_s)[0])
+    assert model.relax(state, before, 0.0) == pytest.approx(before)
+    assert model.relax(state, before, creep_s) == pytest.approx(touch + (before - touch) / np.e, abs=1e-4)
+    half = model.relax(state, before, creep_s / 2)
+    assert model.relax(state, half, creep_s / 2) == pytest.approx(model.relax(state, before, creep_s))

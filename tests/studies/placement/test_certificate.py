@@ -1,6 +1,7 @@
 """The bound of the relaxed design: below every layout there is, and near the best of them."""
 
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from nailoptics.report.pages.placement import PLACEMENT as report
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
+from nailoptics.statistics import jackknife, left_out
 from nailoptics.studies.placement import place
-from nailoptics.studies.placement.certificate import _tangents, lower_bound
+from nailoptics.studies.placement.certificate import _tangents, beside_the_bound, lower_bound
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.sites import PhotodiodePlaces
 from nailoptics.tissue import BloodZones
@@ -95,3 +97,13 @@ def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, untr
     words = report.summary(result)["best_possible"]["words"]
     assert "no 4 photodiodes on the 0.5 mm grid" in words and words in (tmp_path / "place.html").read_text("utf-8")
     assert words in report.lines(result, report.summary(result))
+
+
+def test_the_distance_from_the_bound_has_the_errors_of_both():
+    replicates = np.exp(left_out(np.log(0.06) + 0.2 * np.random.default_rng(4).standard_normal(32)))
+    objective = SimpleNamespace(points=[None], total=lambda responses: None, score=lambda total: replicates)
+    layout, score = SimpleNamespace(origin="searched"), SimpleNamespace(responses=[None])
+    above = beside_the_bound((0.05, 0.002), [layout], [score], objective, sites=7)
+    ratio, relative = replicates[0] / 0.05, np.hypot(float(jackknife(np.log(replicates))), 0.04)
+    assert float(above.above_bound) == pytest.approx(ratio - 1)
+    assert float(above.above_bound_stderr) == pytest.approx(ratio * relative) and int(above.bounded_sites) == 7
