@@ -191,8 +191,8 @@ def _site_probabilities(share: Array, spread: Array, error: Array) -> Array:
 class ForceEstimator:
     """A subject's force from the filter's estimates and the readings of samples that come one after another.
 
-    It is the ensemble's where there is one, else the filter's. Readings over rest, and all memory, begin with the first
-    sample, which is taken for one of an untouched finger.
+    It is the ensemble's where there is one, else the filter's; where that may be 0, so may it. Readings over rest, and
+    all memory, begin with the first sample, which is taken for one of an untouched finger.
     """
 
     def __init__(self, subject: Subject) -> None:
@@ -216,6 +216,7 @@ class ForceEstimator:
             features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
             force_n = self._ensemble.force_n(features, by_filter.force_n, by_filter.proximal_share)
             low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
+            low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
             force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
         # Where there may be no touch, none of the sides is any more likely.
         may_rest = force.force_low_n <= 0.0

@@ -144,14 +144,13 @@ def _subject(given: Subject | xr.Dataset | str | Path) -> Subject:
     return given if isinstance(given, Subject) else load_subject(given)
 
 
-def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> list[tuple[float, str]]:
+def events(time_s: Array, force_n: Array, *, press_n: float, release_n: float) -> Iterator[tuple[float, str]]:
     """Times at which a switch with hysteresis closes and opens."""
-    switched, closed = [], False
+    closed = False
     for time, force in zip(time_s.tolist(), force_n, strict=True):
         if force < release_n if closed else force > press_n:
             closed = not closed
-            switched.append((time, "press" if closed else "release"))
-    return switched
+            yield time, "press" if closed else "release"
 
 
 # What is estimated of each sample, in the order of predict.csv and of `ForceEstimate`.
@@ -224,7 +223,7 @@ def _dataset(
 
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
     """When the switch acts on the estimated force, and how long after it would on the known one, below 0 before."""
-    switched, true = (events(time_s, series, **thresholds_n) for series in (force_n, np.nan_to_num(known_n)))
+    switched, true = ([*events(time_s, series, **thresholds_n)] for series in (force_n, np.nan_to_num(known_n)))
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
     late_s = [min((at - t for t, kind in true if kind == key), key=abs, default=np.nan) for at, key in switched]
     return described(__package__, event_time_s=at_s, event_kind=kinds, event_latency_s=np.array(late_s, float))

@@ -108,6 +108,16 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
     assert memory.with_memory(over_rest, np.zeros((2, 4)), since_s)[:, 2:] == pytest.approx(again)
 
 
+def test_intervals_hold_rest_where_the_filter_may_be_at_rest():
+    """Whatever the ensemble says, whose narrow interval holds no 0 here."""
+    ensemble = subject().ensemble
+    assert ensemble is not None
+    moved = replace(ensemble, intercept_n=ensemble.intercept_n + 0.3, half_width_n=np.full((2, 4), 1e-6))
+    rest = unlike(made_sensor.record(np.zeros(150), "proximal", seed=7))
+    estimated = predict(replace(subject(), ensemble=moved), rest)
+    assert estimated.force_n.median() > 0.2 and (estimated.force_low_n == 0.0).all()
+
+
 def test_one_touch_of_a_side_calibrates():
     """While it is held out, the interval of its side is that of all touches."""
     force_n = np.tile(made_sensor.touches(), 2)

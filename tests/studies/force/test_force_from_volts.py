@@ -296,7 +296,7 @@ def test_a_line_that_is_none_ends_live_reading_with_one_line(subject: Subject, l
 
 def test_the_virtual_switch_has_hysteresis() -> None:
     time_s, force_n = np.arange(7.0), np.array([0, 0.6, 0.4, 0.6, 0.2, 0.4, 0.7])
-    computed = events(time_s, force_n, press_n=0.5, release_n=0.3)
+    computed = [*events(time_s, force_n, press_n=0.5, release_n=0.3)]
     assert computed == [(1.0, "press"), (4.0, "release"), (6.0, "press")]
 
 
