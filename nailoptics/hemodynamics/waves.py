@@ -186,8 +186,7 @@ NO_WAVE = {"mean_pressure_pa", "arterial_pulse_pressure_pa", "arteriolar_blood_f
 
 def waves_of(body: Body) -> list[tuple[Wave, dict[str, Any]]]:
     """The waves that a scene's body has, each with the fields of its table."""
-    tables = body.waves
-    return [(wave, tables[wave.name].model_dump(exclude=NO_WAVE)) for wave in WAVES if wave.name in tables]
+    return [(wave, body.waves[wave.name].model_dump(exclude=NO_WAVE)) for wave in WAVES if wave.name in body.waves]
 
 
 def fastest_hz(body: Body) -> float:

@@ -222,7 +222,7 @@ def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None
 
 
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
-    """Raise InputError for readings that are constant, empty, or counts of a converter."""
+    """Raise InputError for readings that are constant, empty, of the wrong sign, or counts of a converter."""
     for title, values in zip(names, volts, strict=True):
         known = values[np.isfinite(values)]
         if not known.size:
@@ -233,6 +233,8 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
         if known.size > 2 and np.ptp(known) == 0:
             why = "check its wiring, or lower the LED's power if the converter ends there."
             raise InputError(f"{label}: column {title!r} is constant at {known[0]:g} V; {why}")
+        if np.median(known) < 0.0:
+            raise InputError(f"{label}: column {title!r} is mostly below 0 V; change its sign.")
 
 
 def samples_by_line(lines: Iterable[str], titles: Callable[[list[str]], Sequence[str]]) -> Iterator[dict[str, float]]:

@@ -164,8 +164,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     share_error = rms(off[at & (series.site == 1.0)]), rms(off[at & (series.site == 0.0)])
     quality = replace(subject.quality, share_error=share_error if np.isfinite(share_error).all() else None)
     subject = replace(subject, comparisons=compared(subject, series), quality=quality)
-    trained = train(subject, series)
-    if trained is not None:
+    if trained := train(subject, series):
         ensemble, touches = trained
         quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)
         return replace(subject, ensemble=ensemble, quality=quality)

@@ -92,6 +92,7 @@ EITHER = [
     (lambda text: text.replace("\n0.02,", "\n0,02,"), "write numbers with a decimal point"),
     (_column(FIRST, lambda cell, k: "0.5"), "is constant at 0.5 V; check its wiring"),
     (_column(FIRST, lambda cell, k: ""), "is empty; leave it out or record it"),
+    (_column(FIRST, lambda cell, k: f"-{cell}"), "is mostly below 0 V; change its sign"),
     (_column(FIRST, lambda cell, k: "4.9999" if k % 2 else "5"), "is saturated"),
     (_column(FIRST, lambda cell, k: "nan" if k == 7 else cell), f"line 9: {FIRST} = 'nan' is no finite number"),
     (_column(FIRST, lambda cell, k: "-inf" if k == 7 else cell), f"line 9: {FIRST} = '-inf' is no finite number"),
