@@ -3,9 +3,9 @@
     python tests/benchmarks/bench_mutations.py [--only TEXT] [--tests PATH ...]
 
 A mutation is a file of nailoptics, a text that stands in it once, and what a mistake would have made of it. Each is
-applied to a copy of package, assets, scenes and tests of its own, in which the tests named beside it run up to the
-first that fails, long ones included; without any mutation they must pass, which is tried first. Printed: killed, where
-one failed, or survived, and the part of killed ones.
+applied to a copy of the repository of its own, in which the tests named beside it run up to the first that fails, long
+ones included; without any mutation they must pass, which is tried first. Printed: killed, where one failed, or
+survived, and the part of killed ones.
 
 --only : mutations whose file or mistake has this text. --tests : these in place of the tests that are named.
 """
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-COPIED = ("nailoptics", "assets", "scenes", "tests", "pyproject.toml")
+COPIED = ("nailoptics", "assets", "scenes", "tests", "docs", "pyproject.toml", "README.md")
 
 
 class Mutation(NamedTuple):
