@@ -17,7 +17,7 @@ References: Boyd, Vandenberghe 2004, Convex Optimization, sec. 7.5; Joshi, Boyd 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,17 +49,6 @@ MOST_PLACES = 4000
 COUNTS, POWERS = (2, 4, 8, 12, 16, 24, 32), (1 / 64, 1 / 8, 1.0, 4.0)
 # Groups of photons for the error of the front.
 GROUPS = 4
-
-
-@dataclass(frozen=True)
-class Bound:
-    """The bound for LEDs at one site.
-
-    log : logarithm of what no layout falls below. weights : (free places,) float, of the relaxed design.
-    """
-
-    log: float
-    weights: Array
 
 
 def _tangents(objective: Objective, total: Array, information: Array) -> list[tuple[float, Array, Array]]:
@@ -96,8 +85,9 @@ def lower_bound(
     given: Array,
     allowed: Array | None = None,
     enough: float = np.inf,
-) -> Bound:
-    """The bound of the score's logarithm over all as many photodiodes as are chosen on the free places.
+) -> tuple[float, Array]:
+    """The bound of the score's logarithm over all as many photodiodes as are chosen on the free places, and weights
+    (m,) of the relaxed design.
 
     information : (fingers, m, n) float. Of a photodiode at each place. given : (fingers, n) float. Of those that stay.
     chosen : a layout, from which it begins. allowed : (m,) bool. Places that may be taken; all if not given.
@@ -106,13 +96,13 @@ def lower_bound(
     free = places.free
     most = np.ones(free) if allowed is None else allowed.astype(float)
     weights = np.bincount(chosen, minlength=free).astype(float)
-    designs, mixture, best, windows = [weights], np.ones(1), Bound(-np.inf, weights), places.windows
+    designs, mixture, best, windows = [weights], np.ones(1), (-np.inf, weights), places.windows
     for _ in range(PROGRAMMES):
         total = given + np.einsum("m,fmn->fn", weights, information)
         log_bound, design = _least_tangent(_tangents(objective, total, information), weights, windows, most)
-        if log_bound > best.log:
-            best = Bound(log_bound, weights)
-        if np.log(objective.score(total)) - best.log < GAP or best.log > enough:
+        if log_bound > best[0]:
+            best = log_bound, weights
+        if np.log(objective.score(total)) - best[0] < GAP or best[0] > enough:
             break
         designs, mixture = [*designs, design], np.append(0.7 * mixture, 0.3)
         of_designs = np.einsum("dm,fmn->fdn", np.array(designs), information)
@@ -147,8 +137,10 @@ def _least_tangent(
     return (float(solution.fun), solution.x[:free]) if solution.success else (-np.inf, weights)
 
 
-def _site_bound(design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf) -> Bound:
-    """The bound for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
+def _site_bound(
+    design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf
+) -> tuple[float, Array]:
+    """The `lower_bound` for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
     places, allowed = design.places, design.allowed(site.places_mm)
     free, staying = information[:, : places.free], information[:, places.free :].sum(1)
     chosen = design.numbers(site)[: design.count]
@@ -163,17 +155,17 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
     is traced further until no other is lower, or `TRACED` were.
     """
     sites, objective = search.ranked, replace(search.objective, waves_left=1.0)
-    bounds, enough = dict[SearchedSite, Bound](), np.inf
+    logs, enough = dict[SearchedSite, float](), np.inf
     for site in sites:
         design = replace(search.designs[site.row], objective=objective)
         if report_progress.is_over(SEARCH_SHARE) or design.places.free > MOST_PLACES:
             return None
         information = design.information(site.places_mm)
         enough = min(enough, float(np.log(objective.score(information[:, design.numbers(site)].sum(1)))))
-        bounds[site] = _site_bound(design, site, information, enough)
+        logs[site], _ = _site_bound(design, site, information, enough)
     again, errors = Search(search.base, objective, replace(search.cache, blocks=BLOCKS)), dict[SearchedSite, float]()
     for k in range(TRACED + 1):
-        site = min(bounds, key=lambda site: bounds[site].log)
+        site = min(logs, key=lambda site: logs[site])
         if site in errors:
             break
         photons = SEARCH_PHOTONS if k < TRACED else search.designs[site.row].photons
@@ -181,14 +173,14 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
         if further is None:
             return None
         replicates = further.information(site.places_mm)
-        bounds[site] = bound = _site_bound(further, site, replicates[:, 0])
-        weights = np.append(bound.weights, np.ones(replicates.shape[2] - len(bound.weights)))
+        logs[site], free = _site_bound(further, site, replicates[:, 0])
+        weights = np.append(free, np.ones(replicates.shape[2] - len(free)))
         scores = objective.score(np.einsum("m,fbmn->fbn", weights, replicates))
         errors[site] = float(jackknife(np.log(scores)))
     search.cache.photons += again.cache.photons
-    if not np.isfinite(bounds[site].log):
+    if not np.isfinite(logs[site]):
         return None
-    least = np.exp(bounds[site].log)
+    least = np.exp(logs[site])
     return float(least), float(least * errors[site])
 
 
