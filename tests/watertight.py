@@ -49,15 +49,15 @@ def check_watertight(geometry: Geometry, *, crossings: int = 1_000_000, seed: in
         low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
         # The average ray crosses about seven interfaces.
         rays = int(min(RAYS, max(100, (crossings - checked) / 6)))
-        met = cast(vertices, geometry.triangles, low + random.random((rays, 2)) * (high - low))
-        below, above = geometry.below[met.triangle], geometry.above[met.triangle]
-        before, after = np.where(met.forward, below, above), np.where(met.forward, above, below)
-        first = np.r_[True, met.ray[1:] != met.ray[:-1]]
+        ray, z, triangle, forward = cast(vertices, geometry.triangles, low + random.random((rays, 2)) * (high - low))
+        below, above = geometry.below[triangle], geometry.above[triangle]
+        before, after = np.where(forward, below, above), np.where(forward, above, below)
+        first = np.r_[True, ray[1:] != ray[:-1]]
         # Two crossings at the same place to the last digits have no order that could be wrong.
-        ordered = first | np.r_[True, np.diff(met.z) > SHORT_MM]
+        ordered = first | np.r_[True, np.diff(z) > SHORT_MM]
         medium = np.where(first, AIR, np.roll(after, 1))
         disagreements += int(((medium != before) & ordered).sum()) + int((after[np.r_[first[1:], True]] != AIR).sum())
-        checked += len(met.ray)
+        checked += len(ray)
     return WatertightReport(checked, disagreements, _volume_error(geometry))
 
 

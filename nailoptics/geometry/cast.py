@@ -1,7 +1,5 @@
 """Parallel rays through a geometry: every crossing of every ray, exact at edges."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,27 +11,14 @@ Indices = NDArray[np.int32]
 RAYS_AT_ONCE = 20_000  # keep the work arrays small
 
 
-@dataclass(frozen=True)
-class Crossings:
-    """Where rays along +z cross triangles, sorted by ray and then by z.
-
-    ray : (n,) int. Index of the ray.
-    z : (n,) float. Place of the crossing. [mm]
-    triangle : (n,) int. Index of the triangle.
-    forward : (n,) bool. Whether the ray goes along the triangle's normal.
-    """
-
-    ray: NDArray[np.int64]
-    z: Array
-    triangle: Indices
-    forward: NDArray[np.bool_]
-
-
-def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
+def cast(vertices: Array, triangles: Indices, rays: Array) -> tuple[Integers, Array, Indices, NDArray[np.bool_]]:
     """Cross a mesh with all rays (r, 2) at x, y along +z.
 
     Which side of an edge a ray passes is decided once for the edge, whichever triangle asks, so that a ray never slips
     between two triangles that share one, nor meets both.
+
+    Returns: of each crossing, sorted by ray and then by z, the index of the ray, z [mm], the index of the triangle and
+    whether the ray goes along its normal, (n,) each.
     """
     a, b, c = (vertices[triangles[:, i], :2] for i in range(3))
     least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -59,7 +44,7 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> Crossings:
         crossings.append((ray, x * height[:, 2] + y * height[:, 0] + z * height[:, 1], triangle, forward))
     ray, z, triangle, forward = (np.concatenate([part[i] for part in crossings]) for i in range(4))
     order = np.lexsort((z, ray))
-    return Crossings(ray[order], z[order], triangle[order], forward[order])
+    return ray[order], z[order], triangle[order], forward[order]
 
 
 def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[Indices, Integers]:

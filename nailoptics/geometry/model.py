@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Crossings, cast
+from .cast import Integers, cast
 from .grid import Array, Grid, Indices
 
 
@@ -78,26 +78,27 @@ class Geometry:
     def region_at(self, points: Array) -> Indices:
         """Region at each point (k, 3) [mm], from the triangles below it, (k,) int; on an interface either side."""
         points = np.asarray(points, float).reshape(-1, 3)
-        crossings, step = self._crossings(points[:, :2])
-        below = crossings.z < points[crossings.ray, 2]
-        return np.bincount(crossings.ray[below], step[below], len(points)).astype(np.int32)
+        ray, z, step = self._crossings(points[:, :2])
+        below = z < points[ray, 2]
+        return np.bincount(ray[below], step[below], len(points)).astype(np.int32)
 
     def columns(self, places_mm: Array, z_mm: Array) -> NDArray[np.int16]:
         """Region at places (r, 2) in x and y and at heights (k,), which rise, (r, k) int."""
-        crossings, step = self._crossings(places_mm)
+        ray, z, step = self._crossings(places_mm)
         steps = np.zeros((len(places_mm), len(z_mm) + 1), np.int16)
-        np.add.at(steps, (crossings.ray, np.searchsorted(z_mm, crossings.z)), step)
+        np.add.at(steps, (ray, np.searchsorted(z_mm, z)), step)
         return np.cumsum(steps, axis=1, dtype=np.int16)[:, :-1]
 
     def section(self, y_mm: Array, z_mm: Array) -> NDArray[np.int16]:
         """Region on the lengthwise section at x = 0, (y, z) int, at places along the axes, which rise. [mm]"""
         return self.columns(np.column_stack([np.zeros_like(y_mm), y_mm]), z_mm)
 
-    def _crossings(self, places_mm: Array) -> tuple[Crossings, Indices]:
-        """Crossings of rays upwards, and by how much each changes the number of the region, from air on."""
-        crossings = cast(self.vertices, self.triangles, places_mm)
-        below, above = self.below[crossings.triangle], self.above[crossings.triangle]
-        return crossings, np.where(crossings.forward, above - below, below - above)
+    def _crossings(self, places_mm: Array) -> tuple[Integers, Array, Indices]:
+        """Ray and z of the crossings of rays upwards, and by how much each changes the number of the region, from air
+        on."""
+        ray, z, triangle, forward = cast(self.vertices, self.triangles, places_mm)
+        below, above = self.below[triangle], self.above[triangle]
+        return ray, z, np.where(forward, above - below, below - above)
 
     def interfaces(self) -> dict[tuple[int, int], Indices]:
         """Triangles (k, 3) of each interface by its regions (below, above), the lower index below, turned round where

@@ -65,10 +65,10 @@ def test_rays_through_edges_and_corners_cross_once():
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     place = np.linspace(0, 1, 33)[1:-1]
-    result = cast(vertices, triangles, np.column_stack([place, place]))
-    assert (result.ray == np.arange(31)).all() and result.forward.all()
+    ray, _, _, forward = cast(vertices, triangles, np.column_stack([place, place]))
+    assert (ray == np.arange(31)).all() and forward.all()
     # A closed fan around a vertex, rays exactly on it: in and out come in pairs.
     corners = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, -1]])
     fan = np.array([[0, i, i % 4 + 1] for i in range(1, 5)] + [[5, i % 4 + 1, i] for i in range(1, 5)], np.int32)
-    result = cast(corners, fan, np.zeros((1, 2)))
-    assert result.forward.tolist() == [False, True] and result.z.tolist() == [-1.0, 1.0]
+    _, z, _, forward = cast(corners, fan, np.zeros((1, 2)))
+    assert forward.tolist() == [False, True] and z.tolist() == [-1.0, 1.0]
