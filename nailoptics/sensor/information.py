@@ -125,17 +125,6 @@ class Response:
     noise: electronics.NoiseBudget | None = None
 
     @property
-    def by_all_photons(self) -> "Response":
-        """That by all photons of a response with replicates, whose first axis they are."""
-        first = {
-            name: value[0] if np.ndim(value) > 1 else value for name, value in vars(self).items() if name != "noise"
-        }
-        if self.noise is not None:
-            noise = (np.asarray(v2) for v2 in self.noise)
-            first["noise"] = electronics.NoiseBudget(*(v2[0] if v2.ndim > 1 else v2 for v2 in noise))
-        return Response(**first)
-
-    @property
     def noise_v(self) -> Array:
         """Noise of the electronics in one sample, rms. [V]"""
         return np.sqrt(self.noise_v2)
@@ -221,19 +210,21 @@ def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[st
 
     by_led : of the photodiodes under each LED, with replicates (1 + blocks, photodiodes).
     """
-    by_led = [read.by_all_photons for read in by_led]
+    # By all photons, the first of the replicates.
     body, causes = point.body, [noise_by_cause(read, None) for read in by_led]
-    slope = np.concatenate([read.slope_v_per_pa for read in by_led])
-    noise_v2 = np.concatenate([read.noise_v2 + read.independent_v2 for read in by_led])
-    shared_v = np.concatenate([read.slope_v_per_pa[:, :0] if read.body_v is None else read.body_v for read in by_led])
+    slope = np.concatenate([read.slope_v_per_pa[0] for read in by_led])
+    noise_v2 = np.concatenate([(read.noise_v2 + read.independent_v2)[0] for read in by_led])
+    shared_v = np.concatenate(
+        [read.slope_v_per_pa[0, :, :0] if read.body_v is None else read.body_v[0] for read in by_led]
+    )
     solved = np.linalg.solve(np.diag(noise_v2) + shared_v @ shared_v.T, slope)
     weights = solved @ np.linalg.solve(slope.T @ solved + np.eye(2) / PRIOR_PA**2, point.force_per_pa)
-    parts_n = {name: weights * np.concatenate([cause[name] for cause in causes]) for name in causes[0]}
+    parts_n = {name: weights * np.concatenate([cause[name][0] for cause in causes]) for name in causes[0]}
     parts_n["split"] = PRIOR_PA * (point.force_per_pa - weights @ slope)
     if body is not None:
-        light_n = weights * np.concatenate([np.sqrt(read.unsaturated) * read.light_v for read in by_led])
+        light_n = weights * np.concatenate([(np.sqrt(read.unsaturated) * read.light_v)[0] for read in by_led])
         by_led_n = light_n.reshape(len(by_led), -1).sum(1)
-        own_n = weights * np.concatenate([body.reading_gain * read.light_v for read in by_led])
+        own_n = weights * np.concatenate([np.multiply(body.reading_gain, read.light_v)[0] for read in by_led])
         parts_n["drift"] = np.concatenate([body.led_drift * by_led_n, own_n])
         parts_n |= {"lift": body.lift * by_led_n.sum(), "waves": weights @ shared_v[:, :2]}
     return {name: float(np.linalg.norm(part_n)) for name, part_n in parts_n.items()}
