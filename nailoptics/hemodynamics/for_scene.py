@@ -18,7 +18,7 @@ from .blood import Arterioles
 from .parameters import posture_pa, vessels, with_posture
 from .respond import Model
 from .steady import linear_response, two_branches
-from .touch import TouchCourse, touch_course
+from .touch import Contact, TouchCourse, touch_course
 from .walls import build_walls
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
@@ -422,7 +422,7 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
         force_n=force_n,
         duration_s=60.0 / rate,
         sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
-        **scene.touch.contact(),
+        **vars(Contact.of(scene.touch)),
     )
     return _beat(scene.model_copy(update={"touch": held, "body": even, "placement": None}))
 

@@ -1,7 +1,7 @@
 """From a force on the fingertip to the pressures on both sides of the finger, over time: contact, shear and creep."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypedDict
 
 import numpy as np
@@ -53,6 +53,12 @@ class Contact:
         for name in ("contact_area_mm2", "proximal_area_mm2", "distal_area_mm2", "contact_force_n"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
+
+    @staticmethod
+    def of(touch: Touch) -> "Contact":
+        """Where a scene's touch presses, as stated."""
+        stated = {field.name: getattr(touch, field.name) for field in fields(Contact)}
+        return Contact(**stated | {"distal_onset_n": touch.distal_onset_n or 0.0})
 
     def side_areas_mm2(self, proximal_share: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Areas on which the touch presses the proximal and the distal pulp, by another share if given. [mm^2]"""
@@ -240,10 +246,10 @@ class TouchCourse:
 
 def touch_course(touch: Touch) -> TouchCourse:
     """A scene's touch over time."""
-    samples_s, (time_s, force_n), where = touch.times_s(), touch.corners(), touch.contact()
+    samples_s, (time_s, force_n) = touch.times_s(), touch.corners()
     columns = {name: getattr(touch, f"recorded_{name}") for name in BESIDE_FORCE}
-    beside = {name: np.array(column) for name, column in columns.items() if column is not None}
-    contact, recorded_pa = Contact(**where), (touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa)
+    beside: dict[str, Any] = {name: np.array(column) for name, column in columns.items() if column is not None}
+    contact, recorded_pa = Contact.of(touch), (touch.recorded_proximal_pressure_pa, touch.recorded_distal_pressure_pa)
     if recorded_pa[0] is None:
         courses = [force_n, *beside.values()]
         # When the force passes what its pressures bend at between corners.
@@ -254,7 +260,7 @@ def touch_course(touch: Touch) -> TouchCourse:
         bends_s = time_s[before] + part * np.diff(time_s)[before]
         time_s, (force_n, *finer) = _with_knots(time_s, courses, bends_s)
         beside = dict(zip(beside, finer, strict=True))
-        moving = Contact(**where | {name: beside[name] for name in beside.keys() - {"shear_n"}})
+        moving = replace(contact, **{name: beside[name] for name in beside.keys() - {"shear_n"}})
         rows = np.array(moving.pressures(force_n))
     else:
         rows = np.array(recorded_pa)

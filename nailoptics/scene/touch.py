@@ -33,15 +33,6 @@ Force = Annotated[float, Field(ge=0, json_schema_extra={"maximum": MOST_FORCE_N}
 Area = Annotated[float, Field(ge=LEAST_AREA_MM2)]
 # Columns that may stand beside a recorded force.
 BESIDE_FORCE = ("shear_n", "contact_area_mm2", "proximal_share")
-# Fields that say where a force presses, by the names that `hemodynamics.Contact` has for them.
-CONTACT = (
-    "contact_area_mm2",
-    "proximal_share",
-    "proximal_area_mm2",
-    "distal_area_mm2",
-    "contact_force_n",
-    "distal_onset_n",
-)
 
 
 class ForceStep(Table):
@@ -189,10 +180,6 @@ class Touch(Table):
             raise ValueError(f"{rate} takes {self.intervals:g} samples of the touch; at most 1e7")
         if self.times_s().size < 2:
             raise ValueError(f"{rate} gives one sample of the touch; raise it, or touch longer")
-
-    def contact(self) -> dict[str, Any]:
-        """Where a force presses, as `hemodynamics.Contact` takes it."""
-        return {name: getattr(self, name) for name in CONTACT} | {"distal_onset_n": self.distal_onset_n or 0.0}
 
     @property
     def intervals(self) -> float:
