@@ -186,14 +186,6 @@ def check_one_response(photodiodes: Iterable[Photodiode]) -> None:
             raise InputError(f'photodiodes "{first.name}" and "{other.name}" differ in angular_response, {why}')
 
 
-def check_flat(photodiodes: Iterable[Photodiode], what: str) -> None:
-    """Raise InputError for a photodiode with an angular response, where light of all angles is counted alike."""
-    for photodiode in photodiodes:
-        if photodiode.angular_response is not None:
-            why = "leave it out, or use trace or simulate on a backend that compiles kernels."
-            raise InputError(f'photodiode "{photodiode.name}": angular_response is not known to {what}; {why}')
-
-
 class BoardFile(Table):
     """A layout program's file that places the parts of a board, and how it is read."""
 

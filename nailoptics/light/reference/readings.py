@@ -23,7 +23,6 @@ from ...errors import InputError
 from ...geometry import Geometry, build
 from ...options import TraceOptions
 from ...scene import Scene
-from ...scene.parts import check_flat
 from ...statistics import seed_of
 from .. import optics
 from ..backend import NAMES, Backend, Name, activate, choose
@@ -329,7 +328,10 @@ def check_readable(scene: Scene) -> None:
     """Raise InputError for an LED with a measured pattern, or a photodiode with an angular response."""
     for led in scene.leds:
         mitsuba_scene.check_pattern(led)
-    check_flat(scene.photodiodes, "volpath")
+    for photodiode in scene.photodiodes:
+        if photodiode.angular_response is not None:
+            why = "leave it out, or use trace or simulate on a backend that compiles kernels."
+            raise InputError(f'photodiode "{photodiode.name}": angular_response is not known to volpath; {why}')
 
 
 def phantom_readings(
