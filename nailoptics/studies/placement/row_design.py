@@ -186,11 +186,9 @@ class RowDesign:
 
     def allowed(self, leds: LedPlaces) -> np.ndarray | None:
         """Which free places the LEDs leave, (free,) bool; all where they lie behind a wall."""
-        return (
-            None
-            if self.row.side
-            else self.sites.are_beside(self.places.areas[: self.places.free], dict(enumerate(leds)))
-        )
+        if self.row.side:
+            return None
+        return self.sites.are_beside(self.places.areas[: self.places.free], dict(enumerate(leds)))
 
     def _site(self, leds: LedPlaces, chosen: list[int], total: np.ndarray) -> SearchedSite:
         """LEDs with chosen photodiodes, which together have this information."""
