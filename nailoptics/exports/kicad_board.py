@@ -53,7 +53,7 @@ def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:
     """
     path, view = folder / str(scene.board.kicad), View.of_kicad(scene.board)
     try:
-        drawn = read_board_file(scene.board.model_dump(exclude_none=True), folder)
+        leds, photodiodes, _ = read_board_file(scene.board.model_dump(exclude_none=True), folder)
     except ValueError as error:
         raise InputError(f"{path}: {error}.") from None
     footprints = {part.ref: part for part in read_board(path).footprints}
@@ -61,7 +61,7 @@ def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:
     both: tuple[Led | Photodiode, ...] = (*scene.leds, *scene.photodiodes)
     parts = {part.reference: part for part in both}
     places: dict[str, tuple[Point, float]] = {}
-    for table in (*drawn.leds, *drawn.photodiodes):
+    for table in (*leds, *photodiodes):
         # Dies of a module are called by its reference and their own name.
         ref = next(ref for ref in (table["reference"], table["reference"].rpartition(".")[0]) if ref in footprints)
         if (part := parts.get(table["reference"])) is None:

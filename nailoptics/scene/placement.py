@@ -50,11 +50,11 @@ class Candidate(BoardFile, Table):
         if data.get("parts") or data.get("kicad") is not None:
             try:
                 # The film is the scene's.
-                board = read_board_file(data | {"kapton_um": None}, folder)
+                leds, photodiodes, own = read_board_file(data | {"kapton_um": None}, folder)
             except InputError as error:
                 raise ValueError(str(error).rstrip(".")) from None
-            filled: dict[str, object] = {"leds": board.leds, "photodiodes": board.photodiodes, "parts": None}
-            return data | filled | {"unmapped": board.board["unmapped"]}
+            filled: dict[str, object] = {"leds": leds, "photodiodes": photodiodes, "parts": None}
+            return data | filled | {"unmapped": own["unmapped"]}
         path = Path(folder or Path()) / str(data["positions"])
         parts = read_positions(path, **{name: data[name] for name in READING & data.keys()})
         groups = {f"{kind}s": [p for p in parts if p.kind == kind] for kind in ("led", "photodiode")}

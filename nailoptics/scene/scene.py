@@ -91,12 +91,12 @@ class Scene(Displayed, Table):
         if not all(isinstance(data.get(name, ()), tuple) for name in ("leds", "photodiodes")):
             return data
         try:
-            mounted = read_board_file(board, folder)
+            leds, photodiodes, own = read_board_file(board, folder)
         except (InputError, ValueError) as error:
             raise ValueError(f"board: {str(error).rstrip('.')}") from None
         data = data | {"placement": _with_map(data.get("placement"), board.get("parts"))}
-        leds, photodiodes = ((*data.get(name, ()), *getattr(mounted, name)) for name in ("leds", "photodiodes"))
-        return data | {"board": board | mounted.board, "leds": leds, "photodiodes": photodiodes}
+        parts = {"leds": (*data.get("leds", ()), *leds), "photodiodes": (*data.get("photodiodes", ()), *photodiodes)}
+        return data | {"board": board | own} | parts
 
     def _check(self) -> None:
         if (self.phantom is None) == (self.finger is None):

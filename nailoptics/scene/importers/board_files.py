@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...assets import data_dir
 from ...errors import InputError
@@ -21,6 +21,7 @@ from .positions import READING, PlacedPart, read_positions, warn_of_bottom
 
 log = logging.getLogger(__name__)
 
+Tables = tuple[dict[str, Any], ...]
 KINDS = ("led", "photodiode", "module")
 NOT_IN_SCENE = {"offset_mm", "rotation_deg"}
 SHOWN = 12  # references that a message names
@@ -33,14 +34,6 @@ ANCHOR_MM = 0.5
 FILM_UM, USUAL_FILM_UM = (5, 500), 25.0
 # No nail reaches farther from the origin: beyond this, a file's coordinates are those of a page. [mm]
 NAIL_REACH_MM = 20.0
-
-
-class OnNail(NamedTuple):
-    """What of a board file lies on the nail: tables of a scene, and the fields of its `[board]` that the file gives."""
-
-    leds: tuple[dict[str, Any], ...]
-    photodiodes: tuple[dict[str, Any], ...]
-    board: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -86,8 +79,9 @@ class View:
         return round((rotation_deg - self.turn_deg) * (-1 if self.mirrored else 1) % 360, 9)
 
 
-def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNail:
-    """The parts and the outline of the file that a `[board]` or a candidate names; raises ValueError, InputError.
+def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> tuple[Tables, Tables, dict[str, Any]]:
+    """What of the file that a `[board]` or a candidate names lies on the nail: tables of LEDs and of photodiodes, and
+    the fields of a `[board]` that it gives; raises ValueError, InputError.
 
     table : with kicad or positions, and parts, origin, faces_nail, turn_deg, negate_x_on_bottom, positions_unit.
     """
@@ -129,7 +123,7 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> OnNa
         if own["kapton_um"] != film_um:
             text = f"one that bends onto a nail {FILM_UM[0]} to {FILM_UM[1]}: a film of {USUAL_FILM_UM:g} um is taken"
             log.warning("%s: the board is %g um thick, %s; or give board.kapton_um.", name, film_um, text)
-    return OnNail(tuple(tables["led"]), tuple(tables["photodiode"]), own)
+    return tuple(tables["led"]), tuple(tables["photodiode"]), own
 
 
 def _taken(
