@@ -15,7 +15,7 @@ from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
 from ...sensor import information as sensor_information
 from ...sensor.front_end import AVERAGE_S, oximeter_leds
-from ...statistics import Array, fewer_groups, jackknife, t95
+from ...statistics import Array, fewer_groups, jackknife, quotient, t95
 from ..force.touch_error import TouchError
 from . import boards
 from .candidates import CandidateLayout
@@ -67,8 +67,7 @@ class Spo2Objective:
             return np.zeros(np.shape(read.volts))
         # In volts over noise: the light itself cancels.
         pulsating = (read.zone_v @ self.pulse[finger, self.leds.index(led)]) ** 2 * read.unsaturated
-        with np.errstate(divide="ignore"):
-            return np.asarray(read.noise_v2 / pulsating)
+        return quotient(read.noise_v2, pulsating)
 
 
 def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.Person], force_n: float) -> Spo2Objective:
@@ -151,8 +150,7 @@ class Objective:
             force, on the worst finger; oxygen : standard error of SpO2 on the worst finger [percent].
         """
         if name == "oxygen":
-            with np.errstate(divide="ignore"):
-                return self.over(1 / np.sqrt(total[..., -1]), name)
+            return self.over(quotient(1.0, np.sqrt(total[..., -1])), name)
         resolution = sensor_information.share_resolution if name == "share" else sensor_information.force_resolution_n
         information = total if self.oxygen is None else total[..., :-1]
         if name == "force" and self.waves_left < 1 and self.points[0].body is not None:
