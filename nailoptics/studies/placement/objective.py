@@ -231,8 +231,12 @@ class ForceResolution:
 
     @property
     def interval_n(self) -> tuple[float, float]:
-        """95 % interval over the fingers. [N]"""
-        return resolution_interval_n(self.all_n, self.floor_n)
+        """95 % interval over the fingers, symmetric in the logarithm of what is above the body's own part. [N]"""
+        floor_n = self.floor_n
+        above = _above(self.all_n, floor_n)
+        spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
+        low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), floor_n) for sign in (-1, 1))
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -287,14 +291,6 @@ def resolution_stderr_n(resolution_n: Array, noise_floor_n: float | Array = 0.0)
     """
     above = _above(resolution_n, noise_floor_n)
     return np.asarray(above[0] ** 2 / resolution_n[0] * jackknife(np.log(above)))
-
-
-def resolution_interval_n(resolution_n: Array, noise_floor_n: float = 0.0) -> tuple[float, float]:
-    """95 % interval of one resolution, symmetric in the logarithm of what it is above the body's own part. [N]"""
-    above = _above(resolution_n, noise_floor_n)
-    spread = t95(len(above) - 1) * float(jackknife(np.log(above)))
-    low, high = (math.hypot(float(above[0]) * math.exp(sign * spread), noise_floor_n) for sign in (-1, 1))
-    return low, high
 
 
 def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:

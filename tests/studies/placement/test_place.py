@@ -20,7 +20,7 @@ from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.report.pages.placement import PLACEMENT, _change, _tolerance_rows, _tolerances
-from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene, to_toml
+from nailoptics.scene import Candidate, FingerCase, Placement, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
@@ -37,7 +37,7 @@ from nailoptics.studies.placement import (
     sites,
     verification,
 )
-from nailoptics.studies.placement.objective import Objective, resolution_interval_n, score_layout
+from nailoptics.studies.placement.objective import ForceResolution, Objective, score_layout
 from nailoptics.studies.placement.robustness import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(
@@ -379,7 +379,9 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
 def test_intervals_allow_for_errors_that_few_blocks_tell():
     """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
     groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
-    held = [low <= 1.0 <= high for low, high in map(resolution_interval_n, np.exp(left_out(groups.T)).T)]
+    objective, replicates = Objective(Placement(), ()), np.exp(left_out(groups.T)).T
+    ends = (ForceResolution(one[:, None], np.zeros(1), objective).interval_n for one in replicates)
+    held = [low <= 1.0 <= high for low, high in ends]
     assert 0.935 < np.mean(held) < 0.965
 
 
