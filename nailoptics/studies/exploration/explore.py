@@ -63,8 +63,6 @@ AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
 FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
 # The scene as it is, then on people's fingers, each with the polynomial over its blood.
 Fingers: TypeAlias = list[tuple[Scene, BloodPolynomial]]
-# What is traced of each wavelength.
-TRACED = ("coefficients", "direct", "blocks", "fluence", "photons", "people")
 # Streams of random numbers.
 EVERYWHERE, FLUENCE, PILOT, RANKING = 11, 12, 13, 14
 # The degree of polynomials over the blood of people, whose saturation is their own and whose blood at rest, too.
@@ -167,8 +165,8 @@ class ColourSums:
             columns.append(states @ polynomial.coefficients.T)
         return np.column_stack([*columns, rest[:, [1, 0]], rest[:, 2:]])
 
-    def table(self, led: Led, projection: PairProjection, fluence: xr.DataArray) -> ColourTable:
-        """The table from all that was summed."""
+    def table(self, projection: PairProjection) -> dict[str, Any]:
+        """Fields of the `ColourTable` from all that was summed."""
         per_photon, first = self.area_mm2 / self.photons.sum(), self.first[:-1]
         weight = self.weight / self.arrivals * per_photon
         blocks = self.blocks * (self.area_mm2 / self.photons)[:, None, None]
@@ -185,8 +183,8 @@ class ColourSums:
         own, *people = self._by_finger(changes)
         slopes = changes[:, self.first[-1] :].reshape(len(changes), BLOCKS, 2)
         groups = np.concatenate([at_rest[:, len(first) + 1 :, None], slopes], -1).transpose(1, 0, 2)
-        photons = int(self.photons.sum())
-        return ColourTable(led, own, at_rest[:, len(first)], groups, fluence, photons, np.array(people))
+        table = {"coefficients": own, "direct": at_rest[:, len(first)], "blocks": groups}
+        return table | {"photons": int(self.photons.sum()), "people": np.array(people)}
 
     def _by_finger(self, columns: Array) -> list[Array]:
         """The monomials of each finger, (size, monomials) each."""
@@ -283,12 +281,12 @@ def _stored_light(
         there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
         radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
         projection = PairProjection(basis, radial)
-        tables = [band.table(led, projection, light) for band, led, light in zip(sums, sources, fluence, strict=True)]
-        of_colours = {name: np.stack([getattr(table, name) for table in tables]) for name in TRACED}
+        tables = [band.table(projection) for band in sums]
+        of_colours = {name: np.stack([table[name] for table in tables]) for name in tables[0]}
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         (nodes_u, nodes_v), ambient_a = sums[0].ambient()
         light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}
-        light |= {"ambient_a_per_mm2": ambient_a, **of_colours, **rings}
+        light |= {"ambient_a_per_mm2": ambient_a, "fluence": np.stack(fluence), **of_colours, **rings}
         if (light["photons"] < photons).any():
             raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
         return {}, light
