@@ -86,7 +86,7 @@ class Moments:
     @property
     def error_photons(self) -> np.ndarray:
         """Effective number of photons that the standard error rests on (sum w^2)^2 / sum w^4, (p,)."""
-        return np.divide(self.square**2, self.fourth, out=np.zeros_like(self.square), where=self.fourth > 0)
+        return statistics.effective_count(self.square, self.fourth)
 
     @property
     def mean_path(self) -> tuple[np.ndarray, np.ndarray]:
