@@ -276,14 +276,11 @@ def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = No
     optics.check_line(scene, led)
     source = scene.leds[led]
     wavelength, share = optics.spectrum(source)
-    mu_a = optics.absorption(scene, wavelength, blood_fraction=blood_fraction)
-    beds = optics.bed_columns(scene)
-    blood = tissue.absorption("bed", wavelength, so2=scene.blood.rest_so2)
     return BloodPoint(
         share=share * wavelength / source.wavelength_nm,
-        mu_a=mu_a,
-        slope=np.asarray(blood.per_blood_fraction_per_mm, float),
-        beds=beds,
+        mu_a=optics.absorption(scene, wavelength, blood_fraction=blood_fraction),
+        slope=tissue.blood_mu_a_per_mm(wavelength, scene.blood.rest_so2),
+        beds=optics.bed_columns(scene),
     )
 
 
