@@ -10,6 +10,7 @@ import numpy as np
 
 from ..assets import data_dir
 from ..geometry import Geometry
+from ..geometry.build import LAMBERTIAN
 from ..io import write_bytes, write_text
 from ..light import optics
 from ..scene import Scene, to_toml
@@ -17,7 +18,7 @@ from ..scene import Scene, to_toml
 
 def as_seen(scene: Scene, *, reflecting: bool) -> Scene:
     """The scene as another program gets it, at rest, without what it lacks; reflecting: opaque parts do."""
-    plain = {"fwhm_nm": 0.0, "pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
+    plain = LAMBERTIAN | {"fwhm_nm": 0.0}
     update: dict[str, object] = {"leds": tuple(led.model_copy(update=plain) for led in scene.leds)}
     if not reflecting:
         update["board"] = scene.board.model_copy(update={"opaque_reflectance": 0.0})

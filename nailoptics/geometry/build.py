@@ -20,11 +20,8 @@ log = logging.getLogger(__name__)
 FOLDS_RAD = (0.28, 0.6, 1.2)  # over which the skin beside the nail leaves its cylinder; the steepest that fits is built
 # What of a scene a geometry is built from, and what of its parts is not.
 BUILT_FROM = ("finger", "board", "leds", "photodiodes")
-LED_LIGHT = {"part": None, "wavelength_nm": 800.0, "fwhm_nm": 0.0, "flux_mw": 1.0} | {
-    "pattern": "lambertian",
-    "pattern_deg": None,
-    "pattern_relative": None,
-}
+LAMBERTIAN = {"pattern": "lambertian", "pattern_deg": None, "pattern_relative": None}
+LED_LIGHT = {"part": None, "wavelength_nm": 800.0, "fwhm_nm": 0.0, "flux_mw": 1.0} | LAMBERTIAN
 READ_OUT = ("quantum_efficiency", "dark_current_na", "shunt_mohm")
 
 
