@@ -501,7 +501,7 @@ def force_pictures() -> str:
 
 @style.drawing()
 def _touch_figure(touches: list[dict[str, str]]) -> "style.Figure":
-    figure, axes = style.panels(7.2, 3.6, 2, 2, sharey=True)
+    figure, axes = style.panels(7.2, 3.6, 2, 3, sharey=True)
     for panel, one in zip(axes.ravel(), touches, strict=True):
         columns = (one[name].split() for name in ("time_s", "known_n", "force_n", "low_n", "high_n"))
         time_s, known_n, force_n, low_n, high_n = ([float(text) / 1e3 for text in column] for column in columns)

@@ -30,6 +30,8 @@ from nailoptics.studies.force.scores import TOUCH_N
 from nailoptics.studies.force.subject import Subject
 
 KINDS = ("slow", "steps")
+# Where people touch: on either side, of which they are calibrated, and on both at once, of which they are not.
+SITES: tuple[record.Site, ...] = (*record.SIDES, "even")
 # What people are calibrated on: the protocol, or slow cycles and quick steps.
 CALIBRATIONS = {"protocol": ("protocol",), "cycles": ("calibration", "quick")}
 # Touches up to here are what the goals of rms are for; the last slow cycle is for closure. [N]

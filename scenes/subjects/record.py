@@ -45,7 +45,7 @@ from nailoptics.studies.simulate import simulate_from
 
 Array = NDArray[np.float64]
 Corners = tuple[Array, Array]
-Site = Literal["proximal", "distal"]
+Site = Literal["proximal", "distal", "even"]
 
 PHOTONS, LIGHT_SEED = 2_000_000, 1001
 SIDES: tuple[Site, ...] = ("proximal", "distal")
@@ -165,7 +165,7 @@ def record_person(
     model: Literal["massless", "inertial"] = "inertial",
     rate_hz: float = SAMPLE_RATE_HZ,
 ) -> Recording:
-    """What a person's sensor reads under one of `TOUCHES` on one side, or under the "protocol" on both.
+    """What a person's sensor reads under one of `TOUCHES` at a site, or under the "protocol" on both sides in turn.
 
     light : the person's, of `light_of_person`.
     rate_hz : samples in a second.

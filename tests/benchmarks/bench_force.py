@@ -8,10 +8,11 @@ Each person (scenes/subjects) is recorded as scenes/subjects/record.py says, cal
 on slow cycles of 0-2 N and steps of other heights on either side) with scenes/prototype.toml as the guess, and read
 under touches that no calibration has seen. Parts:
 - record: recordings alone, which every other part makes when it needs them;
-- touches: for every person, side and kind of touch (slow cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in
-  0.16 s) the rms error over touches of 0.15 N and more of the estimate, of the filter alone and of the baselines, the
-  part of their samples below closure that the 95 % interval covers, its median half width, and of a slow cycle to 2 N
-  the part of samples above closure whose interval is open; the medians over the people, beside what must be reached;
+- touches: for every person, site (either side, and both at once, which no calibration has) and kind of touch (slow
+  cycles of 0.4 and 1 N; steps of 0.15-1 N that rise in 0.16 s) the rms error over touches of 0.15 N and more of the
+  estimate, of the filter alone and of the baselines, the part of their samples below closure that the 95 % interval
+  covers, its median half width, and of a slow cycle to 2 N the part of samples above closure whose interval is open;
+  the medians over the people, beside what must be reached;
 - sample: the least standard error (Cramer-Rao) with which one sample tells a held touch of a person who is known
   exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
@@ -53,6 +54,7 @@ from force_scores import (  # noqa: E402
     DIFFERENCES,
     KINDS,
     PROTOTYPE,
+    SITES,
     Score,
     VirtualPerson,
     calibrated,
@@ -144,7 +146,7 @@ class Bench:
     def touches(self) -> None:
         """Score every person's touches."""
         for name, person in self.people.items():
-            for site in record.SIDES:
+            for site in SITES:
                 for kind in KINDS:
 
                     def find(kind: str = kind, site: record.Site = site, name: str = name) -> Score:

@@ -154,6 +154,8 @@ HELD_OUT = tuple(
         ("steps", "hard", (1.2, 1.6, 2.0)),
     )
 )
+# Both sides at once, each pressed as by a touch of it alone; no calibration has such touches.
+BOTH_SIDES = tuple(Recording(f"{r.name.split('_')[0]}_even_held", "even", r.slow, r.peaks) for r in HELD_OUT[:2])
 
 
 def followed(person: Person, rng: np.random.Generator, path: Path, donnings: int) -> tuple[np.ndarray, ...]:
@@ -300,17 +302,18 @@ def donned(person: Person, bed_blood: np.ndarray, rng: np.random.Generator, donn
 
 def record(person: Person, recording: Recording, rate_hz: float, path: Path, donnings: int | None) -> None:
     """Write one recording as a CSV."""
-    number = [r.name for r in (*CALIBRATIONS["cycles"], *HELD_OUT, PROTOCOL)].index(recording.name)
+    number = [r.name for r in (*CALIBRATIONS["cycles"], *HELD_OUT, PROTOCOL, *BOTH_SIDES)].index(recording.name)
     rng = np.random.default_rng([17, PEOPLE.index(person.name), number])
     if recording is PROTOCOL:
         own = path.with_name(f"{person.name}_touches.csv")
         time, force, wander, proximal, donning = followed(person, rng, own, donnings or 1)
     else:
         time, force, wander = touches(recording, rng)
-        proximal, donning = np.full(len(time), recording.site == "proximal"), np.zeros(len(time))
-    inflow = rhythms(person, time, rng)
+        proximal, donning = np.full(len(time), recording.site != "distal"), np.zeros(len(time))
+    inflow, even = rhythms(person, time, rng), recording.site == "even"
     sides = [
-        pressures(person, site, force * at, wander) for site, at in (("proximal", proximal), ("distal", ~proximal))
+        pressures(person, site, force * at, wander)
+        for site, at in (("proximal", proximal), ("distal", ~proximal | even))
     ]
     bed_blood = blood(person, time, tuple(map(sum, zip(*sides, strict=True))), inflow)
     force, proximal = force[-len(bed_blood) :], proximal[-len(bed_blood) :]
@@ -327,7 +330,7 @@ def record(person: Person, recording: Recording, rate_hz: float, path: Path, don
         out = csv.writer(file)
         out.writerow(["time_s", "force_n", "site", *COLUMNS])
         for i in np.flatnonzero(np.isfinite(readings[:, 0])):
-            site = "proximal" if proximal[i] else "distal"
+            site = "even" if even else "proximal" if proximal[i] else "distal"
             out.writerow([f"{i / rate_hz:.3f}", f"{cell[i]:.4f}", site, *(f"{v:.7f}" for v in readings[i])])
     part.rename(path)
 
@@ -378,7 +381,7 @@ def measure(
     """All rows of one person, by recording."""
     folder.mkdir(parents=True, exist_ok=True)
     person, teaching = Person(name), CALIBRATIONS[calibration]
-    for recording in (*teaching, *HELD_OUT):
+    for recording in (*teaching, *HELD_OUT, *BOTH_SIDES):
         path = folder / f"{recording.name}.csv"
         if not path.exists():
             record(person, recording, rate_hz, path, donnings)
@@ -386,7 +389,7 @@ def measure(
     subject = folder / "subject.toml"
     fit = run(["calibrate", str(SCENE), *map(str, known), "-o", str(subject)], folder / "calibrate.json")
     print(f"{name}: calibration {1000 * fit['rms_n']:.0f} mN", *fit["warnings"], sep="\n  ")
-    return {recording.name: score(folder, recording) for recording in HELD_OUT}
+    return {recording.name: score(folder, recording) for recording in (*HELD_OUT, *BOTH_SIDES)}
 
 
 def folder_of(name: str, options: argparse.Namespace) -> Path:
@@ -415,7 +418,7 @@ def main() -> None:
         "rms in N over touches of 0.15 to 1 N, and of the filter alone and of baselines over those of 0.15 N and more;"
     )
     print("the part of the samples of touches within the 95 % interval, and the median of half of it in N")
-    rows: dict[str, list[dict[str, float]]] = {recording.name: [] for recording in HELD_OUT}
+    rows: dict[str, list[dict[str, float]]] = {recording.name: [] for recording in (*HELD_OUT, *BOTH_SIDES)}
     for name in options.people:
         answers = measure(name, folder_of(name, options), options.rate, options.calibration, options.donnings)
         print(f"{'':28}" + "".join(f"{key:>13}" for key in next(iter(answers.values()))))
@@ -425,7 +428,7 @@ def main() -> None:
     if options.json:
         held = [
             {"touches": f"{kind} {site}", "person": name} | row
-            for kind, site in itertools.product(("slow", "steps"), ("proximal", "distal"))
+            for kind, site in itertools.product(("slow", "steps"), ("proximal", "distal", "even"))
             for name, row in zip(options.people, rows[f"{kind}_{site}_held"], strict=True)
         ]
 

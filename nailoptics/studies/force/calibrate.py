@@ -24,7 +24,7 @@ from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import LEAST_TOUCHES_OF_ALL, Fit, Fitted, joined
 from .person import LONGEST_GAP_S, NAMES, SIDES, nominal_finger
 from .reading_table import ReadingTable, nodes_of, reading_names, reading_table, site_of
-from .scores import TOUCH_N, rms, runs, touches_by_kind
+from .scores import runs, touches_by_kind
 from .subject import Quality, Readings, Subject, subject_toml
 from .training import calibration_series, compared, train
 
@@ -160,10 +160,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     """The subject with ensemble and baselines, and how well it estimates its own touches."""
     series = calibration_series(subject, recordings)
-    off, at = series.by_filter.proximal_share - series.site, series.force_n >= TOUCH_N
-    share_error = rms(off[at & (series.site == 1.0)]), rms(off[at & (series.site == 0.0)])
-    quality = replace(subject.quality, share_error=share_error if np.isfinite(share_error).all() else None)
-    subject = replace(subject, comparisons=compared(subject, series), quality=quality)
+    subject = replace(subject, comparisons=compared(subject, series))
     if trained := train(subject, series):
         ensemble, touches = trained
         quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)

@@ -2,6 +2,9 @@
 
 The filter knows the vessels of its model; what another body does is learnt from its calibration (`training`). Every
 member is linear in its terms, so that their weighted sum is one polynomial and one sum of Gaussians, on either side.
+A gate says which side is touched.
+
+Reference: Jacobs, Jordan, Nowlan, Hinton 1991, Neural Comput. 3:79 (mixture of experts with a gate).
 """
 
 import itertools
@@ -26,6 +29,8 @@ NARROWNESS = 0.2
 # An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved
 # over this lag, on either side.
 HALF_WIDTH_TERMS, MOTION_LAG = 4, 1
+# A touch whose share differs from a half by less than half of this is of both sides. [1]
+ONE_SIDED = 0.6
 # The estimate follows the filter from this part of the largest force that members are trained on. [1]
 HANDED_OVER = 0.9
 
@@ -106,13 +111,14 @@ def terms_of(components: int) -> Terms:
 @dataclass(frozen=True, config=TABLE)
 class Ensemble:
     """Force = weights[filter] * the filter's + intercept + polynomial + kernel, of D features, R readings, M centres,
-    each for proximal touches and for distal ones, and a mean of both by the filter's proximal share.
+    each for proximal touches and for distal ones, and a mean of both by the proximal share that the gate estimates.
 
     components : (K, R) float. Of ln volts over those at rest; with standard deviation 1 over the calibration's touches.
     least, most : (D,) float. Range of the features in the calibration; beyond they count as its ends.
     middle, scale : (D,) float. By which features are standardised for the kernel.
     intercept_n, polynomial_n : (2,) and (2, n) float, by `terms_of`. [N] centres : (M, D) float.
-    kernel_n : (2, M) float. [N]
+    kernel_n : (2, M) float. [N] gate : (2 + k,) float. Proximal share at 0, by the filter's, and by k quadratic terms.
+    share_error : (2,) float. rms, of held-out proximal and distal touches.
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 4) float. 95 % interval either way, proximal and distal: constant [N], and by `half_width_terms`.
     open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
@@ -128,6 +134,8 @@ class Ensemble:
     polynomial_n: Numbers
     centres: Numbers
     kernel_n: Numbers
+    gate: Numbers
+    share_error: Annotated[Numbers, within(0, 1, np.positive)]
     top_n: Annotated[float, Field(gt=0, le=MOST_GAIN)]
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     open_above_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
@@ -140,26 +148,30 @@ class Ensemble:
         if "filter" not in self.weights:
             raise ValueError("weights have no filter")
         features, centres = (1 + len(LAGS_S)) * (len(self.components) + PRESSURES), len(self.centres)
-        require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), open_above_n=(2,))
+        by_side = dict.fromkeys(("intercept_n", "open_above_n", "share_error"), (2,))
+        require_shapes(self, **dict.fromkeys(("least", "most", "middle", "scale"), (features,)), **by_side)
         require_shapes(self, polynomial_n=(2, len(self.terms.indices)), half_width_n=(2, HALF_WIDTH_TERMS))
-        require_shapes(self, centres=(centres, features), kernel_n=(2, centres), intercept_n=(2,))
+        require_shapes(self, centres=(centres, features), kernel_n=(2, centres))
+        require_shapes(self, gate=(2 + self.terms.members["quadratic"].sum(),))
 
     @cached_property
     def terms(self) -> Terms:
         """Of its polynomial."""
         return terms_of(len(self.components))
 
-    def force_n(self, features: Array, filter_n: Array, share: Array) -> Array:
-        """Force (T,) of features (D, T) beside the filter's (T,), with its proximal share (T,). [N]"""
+    def estimate(self, features: Array, filter_n: Array, filter_share: Array) -> tuple[Array, Array]:
+        """Force [N] and proximal share of touches, (T,) each, of features (D, T), the filter's force and its share."""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
-        by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n)
-        by_side_n = by_side_n + self.polynomial_n @ self.terms.of(inside)
+        terms = self.terms.of(inside)
+        by_gate = self.gate[0] + self.gate[1] * filter_share + self.gate[2:] @ terms[self.terms.members["quadratic"]]
+        share = np.clip(by_gate, 0.0, 1.0)
+        by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n) + self.polynomial_n @ terms
         standardised = (inside - self.middle[:, None]) / self.scale[:, None]
         by_side_n = by_side_n + self.kernel_n @ gaussians(standardised, self.centres)
-        force_n = np.maximum(by_share(by_side_n, share), 0.0)
+        force_n = mixed(by_side_n, filter_n, share)
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
-        return np.asarray(force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0))
+        return force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0), share
 
     def interval_n(self, features: Array, force_n: Array, share: Array) -> tuple[Array, Array]:
         """Bounds (T,) of forces (T,) with a proximal share, the upper one infinite where vessels may be closed. [N]"""
@@ -172,6 +184,13 @@ class Ensemble:
 def by_share(values: Array, share: Array) -> Array:
     """The mean (T,) of what holds for proximal and for distal touches (2, T), by the proximal share (T,)."""
     return np.asarray(share * values[0] + (1.0 - share) * values[1])
+
+
+def mixed(by_side_n: Array, filter_n: Array, share: Array) -> Array:
+    """Force (T,) by that of proximal and of distal touches (2, T), and of both sides up to half by the filter's (T,):
+    of these no calibration has any, and both are but models. [N]"""
+    force_n = np.maximum(by_share(by_side_n, share), 0.0)
+    return force_n + 0.5 * np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0) * (filter_n - force_n)
 
 
 def gaussians(standardised: Array, centres: Array) -> Array:

@@ -13,7 +13,7 @@ from scipy.stats import norm, qmc
 
 from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
-from .ensemble import Features
+from .ensemble import Features, by_share
 from .kalman import PressureEstimate, rest_odds, touch_pressure
 from .person import NAMES, SIDES, Array, Person
 from .subject import Subject
@@ -35,8 +35,6 @@ LEAST_FORCE_N = 0.03
 # Factor on the standard errors of filter and calibration, both of which count some of the model's error: chosen on the
 # virtual people, of whose touches the 95 % intervals otherwise cover 97 to 100 %.
 INTERVAL_SCALE = 0.82
-# An interval of the share as wide as this holds no information.
-UNKNOWN_SHARE = 0.9
 # Shares of a touch of both sides, and the least error of a share. [1]
 BOTH_SHARES, LEAST_SHARE_ERROR = (0.2, 0.8), 0.05
 
@@ -104,7 +102,7 @@ class ForceInterval:
         force, share = self.person.force(pressures_n_per_cm2)
         low, high = (np.sort(force) @ QUANTILE_WEIGHTS).T
         share_low, share_high = (np.sort(share) @ QUANTILE_WEIGHTS).T
-        middle, middle_share = self.person.force(pressure_n_per_cm2)
+        middle, _ = self.person.force(pressure_n_per_cm2)
         highest_n_per_cm2 = np.sort(pressures_n_per_cm2) @ QUANTILE_WEIGHTS[:, 1]
         is_closed = highest_n_per_cm2 >= self._closed_n_per_cm2
         # Past closure a harder touch reads the same: neither bound lies above it.
@@ -112,18 +110,15 @@ class ForceInterval:
         # Where rest is no less likely than the quantile, the bound is 0.
         resting = rest_odds(touch, covariance)
         low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
-        nowhere = (middle < LEAST_FORCE_N) | (share_high - share_low > UNKNOWN_SHARE)
-        spread, error = np.where(nowhere, np.inf, share.std(1)), self.subject.quality.share_error
-        probabilities = _site_probabilities(middle_share, spread, np.array(error or (np.nan, np.nan)))
         pressure_variance = np.einsum("tii->it", by_filter + pressure_by_calibration)
         return ForceEstimate(
             force_n=middle,
             force_low_n=np.minimum(low, middle),
             force_high_n=np.where(is_closed.any(0), np.inf, np.maximum(high, middle)),
             proximal_share=share.mean(1),
-            proximal_share_low=np.where(nowhere, 0.0, share_low),
-            proximal_share_high=np.where(nowhere, 1.0, share_high),
-            **dict(zip(SITE_PROBABILITIES, probabilities, strict=True)),
+            proximal_share_low=share_low,
+            proximal_share_high=share_high,
+            **dict.fromkeys(SITE_PROBABILITIES, np.full_like(middle, np.nan)),
             pressure_n_per_cm2=pressure_n_per_cm2,
             pressure_stderr_n_per_cm2=np.sqrt(np.maximum(pressure_variance, 0.0)),
         )
@@ -171,21 +166,20 @@ class ForceInterval:
         return risen, volts * (blood - rest)[:, None]
 
 
-def _site_probabilities(share: Array, spread: Array, error: Array) -> Array:
-    """Probabilities (3, T) that a touch is of the proximal side, of the distal one, or of both; a third where unknown.
+def _site_probabilities(share: Array, error: Array) -> Array:
+    """Probabilities (3, T) that a touch with an estimated proximal share (T,) is of the proximal side, the distal one,
+    or both.
 
     All force of a touch of one side is there; that of both has any of BOTH_SHARES. None is more likely before.
 
-    share, spread : (T,) float. Estimated proximal share, and its standard deviation by the filter.
     error : (2,) float. Of the share of the calibration's proximal and distal touches, rms.
     """
-    known = np.isfinite(spread)
-    of_side = np.maximum(np.where(known, spread, 1.0), np.maximum(error, LEAST_SHARE_ERROR)[:, None])
+    of_side = np.maximum(error, LEAST_SHARE_ERROR)[:, None]
     of_both, (low, high) = np.sqrt((of_side**2).mean(0)), BOTH_SHARES
     one = np.exp(-0.5 * ((share - [[1.0], [0.0]]) / of_side) ** 2) / (np.sqrt(2.0 * np.pi) * of_side)
     both = (ndtr((high - share) / of_both) - ndtr((low - share) / of_both)) / (high - low)
     density = np.stack([*one, both])
-    return np.asarray(np.where(known, density / density.sum(0), 1.0 / 3.0))
+    return np.asarray(density / density.sum(0))
 
 
 class ForceEstimator:
@@ -214,11 +208,21 @@ class ForceEstimator:
         force = by_filter
         if self._ensemble is not None:
             features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-            force_n = self._ensemble.force_n(features, by_filter.force_n, by_filter.proximal_share)
-            low_n, high_n = self._ensemble.interval_n(features, force_n, by_filter.proximal_share)
+            force_n, share = self._ensemble.estimate(features, by_filter.force_n, by_filter.proximal_share)
+            low_n, high_n = self._ensemble.interval_n(features, force_n, share)
             low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
-            force = by_filter._replace(force_n=force_n, force_low_n=low_n, force_high_n=high_n)
+            error = self._ensemble.share_error
+            within = norm.ppf(QUANTILES[1]) * by_share(error[:, None], share)
+            force = by_filter._replace(
+                force_n=force_n,
+                force_low_n=low_n,
+                force_high_n=high_n,
+                proximal_share=share,
+                proximal_share_low=np.maximum(share - within, 0.0),
+                proximal_share_high=np.minimum(share + within, 1.0),
+                **dict(zip(SITE_PROBABILITIES, _site_probabilities(share, error), strict=True)),
+            )
         # Where there may be no touch, none of the sides is any more likely.
-        may_rest = force.force_low_n <= 0.0
-        likely = {name: np.where(may_rest, 1.0 / 3.0, getattr(force, name)) for name in SITE_PROBABILITIES}
-        return force._replace(**likely), by_filter.force_n, over_rest
+        unknown = dict.fromkeys(SITE_PROBABILITIES, 1.0 / 3.0) | {"proximal_share_low": 0.0, "proximal_share_high": 1.0}
+        at_rest = {name: np.where(force.force_low_n <= 0.0, x, getattr(force, name)) for name, x in unknown.items()}
+        return force._replace(**at_rest), by_filter.force_n, over_rest

@@ -46,14 +46,12 @@ class Quality:
 
     chi2_per_dof : of the whitened residuals. rms_n : error of touches' force; NaN where it could not be judged. [N]
     is_held_out : whether errors are of touches that the ensemble was not trained on.
-    share_error : rms error of the proximal share of proximal and of distal touches; None where a side has none. [1]
     touches : rms_n, relative_error (of the touches' rms force), coverage_95 and half_width_n of touches by kind. [N, 1]
     """
 
     chi2_per_dof: float
     rms_n: Annotated[float, Field(allow_inf_nan=True)]
     is_held_out: bool = False
-    share_error: tuple[Fraction, Fraction] | None = None
     touches: dict[str, dict[str, Annotated[float, Field(allow_inf_nan=True)]]] = Field(default_factory=dict)
 
     @property

@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.spatial import KDTree
 
 from ...scene.importers.sensor_recordings import Recording
 from ...scene.protocol import LEVEL_N
 from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
-from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, by_share, gaussians, half_width_terms, terms_of
+from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, mixed, terms_of
 from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import estimate_pressures
@@ -34,19 +35,23 @@ RATE_HZ = 25.0
 TOP_N, AFTER_S = 1.05 * LEVEL_N[1], 1.0
 # Recordings are read one after the other, with a gap after which filter and memory restart. [s]
 APART_S = LONGEST_GAP_S + 1.0
+# Touches of both sides are made of those of either whose forces are alike now and so long before. [s]
+ALIKE_S = np.array([0.0, 0.15])
 # Copies of the calibration, all but the first with drifts, of each of which one of so many samples is trained on.
 COPIES = 4
 # Centres of the kernel.
 CENTRES = 300
 # Ridge penalties that are tried, as parts of a term's variance, and groups of touches that are held out in turn.
 PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
+# Touches count so much more than rest; and the prior of a coefficient's difference between sides, over that of itself.
+TOUCH_WEIGHT, SIDED = 3.0, 0.1
 # Prior standard deviation of a member's weight; errors within a touch count as one.
 WEIGHT_SPREAD = 0.5
 # Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
 COVERED, OPEN_FROM = 0.95, 0.05
-# How much wider they are for another recording than for another touch of the same, proximal and distal; chosen on
-# people of an independent simulator.
-ANOTHER_RECORDING = (1.2, 1.0)
+# How much wider they are for another recording than for another touch of the same; chosen on people of an independent
+# simulator.
+ANOTHER_RECORDING = 1.15
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,8 @@ class CalibrationSeries:
     """Recordings of a calibration as the ensemble reads them, one after the other, T samples.
 
     by_filter : the force by the filter alone. over_rest : (R, T) float. ln volts less those at rest.
-    force_n : (T,) float. Known. [N] since_s : (T,) float. From sample to sample. [s]
+    force_n : (T,) float. Known. before_n : (2, T) float. That of ALIKE_S before. [N]
+    since_s : (T,) float. From sample to sample. [s]
     block : (T,) int. Number of the touch and the rest before it. fold : (T,) int. Group of touches held out at once.
     site : (T,) float. Where the touch is: 1 proximal, 0 distal, NaN even.
     is_still : (T,) bool. Whether its force stays.
@@ -64,6 +70,7 @@ class CalibrationSeries:
     by_filter: ForceEstimate
     over_rest: Array
     force_n: Array
+    before_n: Array
     since_s: Array
     block: NDArray[np.int64]
     fold: NDArray[np.int64]
@@ -104,6 +111,7 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
         by_filter=by_filter,
         over_rest=over_rest,
         force_n=force_n,
+        before_n=np.interp(time_s - ALIKE_S[:, None], time_s, force_n),
         since_s=since_s,
         block=block,
         fold=donning if by_donning else block % FOLDS,
@@ -133,12 +141,12 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     chosen = [varied[copy::COPIES] for copy in range(COPIES)]
     samples = series.at(np.concatenate(chosen))
     trained_on = np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1)
-    ensemble, held_out_n = _trained(trained_on, samples, components)
+    ensemble, held_out_n = _trained(*_with_both_sides(subject, trained_on, samples), components)
+    held_out_n = held_out_n[: len(samples.force_n)]
     terms = half_width_terms(trained_on, held_out_n, count)
     half_width_n = _conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool))
     # From these estimates a touch may be harder than any that members were trained on.
-    share = series.by_filter.proximal_share
-    estimated_n = ensemble.force_n(features[:, 0], series.by_filter.force_n, share)
+    estimated_n, share = ensemble.estimate(features[:, 0], series.by_filter.force_n, series.by_filter.proximal_share)
     hard, proximal = series.force_n > TOP_N, share > 0.5
     sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
     open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
@@ -167,6 +175,24 @@ def _features_with_drift(subject: Subject, series: CalibrationSeries, components
     return Features(components).with_memory(readings, pressure_n, series.since_s)
 
 
+def _with_both_sides(subject: Subject, features: Array, samples: CalibrationSeries) -> tuple[Array, CalibrationSeries]:
+    """Features (D, n) and samples, and after them those of touches of both sides: features of proximal and distal
+    samples of alike forces add, as they are linear in changes of ln volts and in pressures."""
+    is_touched, pairs = samples.force_n >= REST_FORCE_N, [np.empty((2, 0), int)]
+    for fold in np.unique(samples.fold):
+        in_fold = is_touched & (samples.fold == fold)
+        proximal, distal = (np.flatnonzero(in_fold & (samples.site == site)) for site in (1.0, 0.0))
+        if proximal.size and distal.size:
+            _, alike = KDTree(samples.before_n[:, distal].T).query(samples.before_n[:, proximal].T)
+            pairs.append(np.stack([proximal, distal[alike]]))
+    pair, count = np.concatenate(pairs, axis=1), len(samples.force_n)
+    both = samples.at(np.append(np.arange(count), pair[0]))
+    both.force_n[count:], both.site[count:] = samples.force_n[pair].mean(0), np.nan
+    pressure_n_per_cm2 = samples.by_filter.pressure_n_per_cm2[:, pair].sum(1)
+    both.by_filter.force_n[count:], both.by_filter.proximal_share[count:] = subject.person.force(pressure_n_per_cm2)
+    return np.concatenate([features, features[:, pair].sum(1)], axis=1), both
+
+
 def _trained(features: Array, samples: CalibrationSeries, components: Array) -> tuple[Ensemble, Array]:
     """The ensemble of samples, and its force of every sample when its touch was held out, (n,) float. [N]"""
     force_n, terms = samples.force_n, terms_of(len(components))
@@ -176,16 +202,16 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     centres, monomials = np.round(standardised[:, chosen].T, 3), terms.of(features)
     designs = {name: monomials[members] for name, members in terms.members.items()}
     designs["kernel"] = np.concatenate([designs["kernel"], gaussians(standardised, centres)])
-    fold, held_out, solved = samples.fold, {"filter": samples.by_filter.force_n}, {}
+    # Members are trained beside a gate that, too, has not seen the touch.
+    is_touched, fold, by_filter = np.where(force_n >= REST_FORCE_N, 1.0, 0.0), samples.fold, samples.by_filter
+    of_gate, site = np.vstack([by_filter.proximal_share, designs["quadratic"]]), np.nan_to_num(samples.site, nan=0.5)
+    share, by_term, at_zero = _regress(of_gate, site, is_touched, fold, np.zeros_like(site))
+    share, gate = np.clip(share, 0.0, 1.0), np.append(at_zero[0], by_term[0])
+    share_error = np.array([rms(share[(force_n >= TOUCH_N) & (samples.site == side)] - side) for side in (1.0, 0.0)])
+    weight = 1.0 + (TOUCH_WEIGHT - 1.0) * is_touched
+    held_out, by_side = {"filter": by_filter.force_n}, {}
     for name, design in designs.items():
-        predictions = np.empty((len(PENALTIES), len(force_n)))
-        for k in np.unique(fold):
-            coefficients, intercepts = _ridge(design[:, fold != k], force_n[fold != k])
-            predictions[:, fold == k] = coefficients @ design[:, fold == k] + intercepts[:, None]
-        best = int(np.argmin(((predictions - force_n) ** 2).mean(1)))
-        held_out[name] = predictions[best]
-        coefficients, intercepts = _ridge(design, force_n)
-        solved[name] = coefficients[best], float(intercepts[best])
+        held_out[name], *by_side[name] = _regress(design, force_n, weight, fold, 2.0 * share - 1.0)
     by_member = np.stack(list(held_out.values()))
     # Those of either side, which few touches of it leave at those of both together, and these at the filter alone.
     of_both = _weights(by_member, samples, np.eye(len(by_member))[0])
@@ -194,8 +220,8 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     shares = dict(zip(held_out, np.transpose(weights), strict=True))
     polynomial_n = np.zeros((2, len(terms.indices)))
     for name, members in terms.members.items():
-        polynomial_n[:, members] += np.outer(shares[name], solved[name][0][: members.sum()])
-    weighted_n = np.maximum(by_share(np.array(weights) @ by_member, samples.by_filter.proximal_share), 0.0)
+        polynomial_n[:, members] += shares[name][:, None] * by_side[name][0][:, : members.sum()]
+    weighted_n = mixed(np.array(weights) @ by_member, by_filter.force_n, share)
     errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
@@ -203,10 +229,12 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         most=features.max(1),
         middle=middle,
         scale=scale,
-        intercept_n=np.sum([shares[name] * intercept for name, (_, intercept) in solved.items()], axis=0),
+        intercept_n=np.sum([shares[name] * at_zero for name, (_, at_zero) in by_side.items()], axis=0),
         polynomial_n=polynomial_n,
         centres=centres,
-        kernel_n=np.outer(shares["kernel"], solved["kernel"][0][-len(centres) :]),
+        kernel_n=shares["kernel"][:, None] * by_side["kernel"][0][:, -len(centres) :],
+        gate=gate,
+        share_error=np.nan_to_num(share_error, nan=1.0),
         top_n=float(force_n.max()),
         half_width_n=np.zeros((2, HALF_WIDTH_TERMS)),
         open_above_n=np.full(2, TOP_N),
@@ -216,14 +244,33 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     return ensemble, weighted_n
 
 
-def _ridge(design: Array, force_n: Array) -> tuple[Array, Array]:
-    """Coefficients (P, n) and intercepts (P,) of a ridge regression on standardised terms (n, T), by PENALTIES."""
+def _regress(
+    design: Array, target: Array, weight: Array, fold: NDArray[np.int64], side: Array
+) -> tuple[Array, Array, Array]:
+    """Weighted ridge regression of a target (T,) on terms (n, T): estimates (T,) when their fold was held out, and
+    coefficients (2, n) and values at zero (2,) of a side (T,) of 1, proximal, and -1, distal."""
     middle, scale = design.mean(1), design.std(1) + 1e-12
-    terms = (design - middle[:, None]) / scale[:, None]
-    sizes, vectors = np.linalg.eigh(terms @ terms.T / len(force_n))
-    along = vectors.T @ (terms @ (force_n - force_n.mean())) / len(force_n)
-    coefficients = (along / (np.maximum(sizes, 0.0) + PENALTIES[:, None])) @ vectors.T / scale
-    return coefficients, force_n.mean() - coefficients @ middle
+    even = (design - middle[:, None]) / scale[:, None]
+    terms, predictions = np.concatenate([even, SIDED * side * even, side[None]]), np.empty((len(PENALTIES), len(side)))
+    for k in np.unique(fold):
+        coefficients, at_zero = _ridge(terms[:, fold != k], target[fold != k], weight[fold != k])
+        predictions[:, fold == k] = coefficients @ terms[:, fold == k] + at_zero[:, None]
+    best = int(np.argmin((predictions - target) ** 2 @ weight))
+    (fitted, at_zero), sides = (of_all[best] for of_all in _ridge(terms, target, weight)), np.array([1.0, -1.0])
+    of_both, sided = fitted[:-1].reshape(2, -1)
+    coefficients = (of_both + SIDED * np.outer(sides, sided)) / scale
+    return predictions[best], coefficients, at_zero + fitted[-1] * sides - coefficients @ middle
+
+
+def _ridge(terms: Array, target: Array, weight: Array) -> tuple[Array, Array]:
+    """Coefficients (P, n) and values at zero (P,) of a ridge regression on terms (n, T), weighted, by PENALTIES."""
+    part = weight / weight.sum()
+    middle, mean = terms @ part, target @ part
+    centred = terms - middle[:, None]
+    sizes, vectors = np.linalg.eigh((centred * part) @ centred.T)
+    along = vectors.T @ (centred @ (part * (target - mean)))
+    coefficients = (along / (np.maximum(sizes, 0.0) + PENALTIES[:, None])) @ vectors.T
+    return coefficients, mean - coefficients @ middle
 
 
 def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
@@ -237,10 +284,10 @@ def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
     """Coefficients (2, k) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
     error_n, touched, by_side = np.abs(held_out_n - samples.force_n), at & (samples.force_n >= TOUCH_N), []
-    for wider, side in zip(ANOTHER_RECORDING, (samples.is_proximal, ~samples.is_proximal), strict=True):
+    for side in (samples.is_proximal, ~samples.is_proximal):
         # Of a side without touches it is that of all.
         of_side = next(some for some in (touched & side, touched, at) if some.any())
         usual_n = np.maximum(nnls(terms[:, of_side].T, error_n[of_side])[0], 1e-6)
         ratio = error_n[of_side] / (usual_n @ terms[:, of_side])
-        by_side.append(wider * usual_n * float(np.quantile(ratio, COVERED)))
+        by_side.append(ANOTHER_RECORDING * usual_n * float(np.quantile(ratio, COVERED)))
     return np.array(by_side)
