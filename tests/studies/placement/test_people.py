@@ -9,7 +9,7 @@ from small_scenes import TWO_LAYOUTS as SCENE
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.sensor.information import over_fingers
 from nailoptics.statistics import jackknife
-from nailoptics.studies.placement import boards, candidates, photon_maps, place
+from nailoptics.studies.placement import boards, candidates, photon_maps, place, robustness
 from nailoptics.studies.placement.objective import Objective, score_layout
 from nailoptics.studies.placement.robustness import over_people, tolerances
 from nailoptics.studies.prior_uncertainty import draw_people, known_priors, value_of
@@ -107,11 +107,13 @@ def test_a_person_is_read_as_a_finger_with_the_same_values(judged):
 
 
 @pytest.mark.long
-def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged):
+def test_who_cannot_wear_a_layout_resolves_nothing_with_it(judged, monkeypatch):
     base, rules, layouts, cache, objective, scores = judged
     near, far = (score.force.fingers_n[0] for score in scores)
     assert near[3] < 0.2 and far[3] > 5 and (far[:3] < 0.5).all()
     assert scores[1].force.all_n[0] == far[3] and scores[0].force.all_n[0] == near[1:].max()
+    # Any few of what is unknown may be a reason; each takes a trace.
+    monkeypatch.setattr(robustness.uncertainty, "known_priors", lambda scene: known_priors(scene)[::5])
     made = over_people(layouts, scores, cache)
     assert made.people_off.values.tolist() == [0, 1]
     worst = np.array([near[1:].max(), far[1:3].max()])
@@ -130,13 +132,15 @@ def test_fingers_are_read_the_same_whether_or_not_there_are_people(judged):
 
 
 @pytest.mark.long
-def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged):
+def test_tolerances_of_gluing_and_power_are_those_of_layouts_with_them(judged, monkeypatch):
     """Expected: a board glued 0.5 mm to the left as a layout whose places all lie there, by light of another seed; an
     LED of a quarter more power, as a scene with such an LED on the same light."""
     base, rules, layouts, cache, _, _ = judged
     on_finger = cache.conditions[:1]
     objective = objective_of(rules, on_finger)
     layout = replace(layouts[0], scene=cache.with_resistors(layouts[0].scene, layouts[0].board))
+    # To one side alone.
+    monkeypatch.setattr(robustness, "MOVED", {"left": robustness.MOVED["left"]})
     result = tolerances(layout, cache, objective)
     ranked = score_layout(layout, cache, objective).ranked
     brighter = [led.model_copy(update={"flux_mw": 1.25 * led.flux_mw}) for led in layout.scene.leds]
