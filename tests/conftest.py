@@ -79,7 +79,7 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
             # Apart, as a test may trace in coarse cells.
             patch.setenv("NAILOPTICS_STORE", str(shared_store.with_name("fewer")))
             patch.setattr(tracer, "batch_photons", tracer.batch_photons // 4)
-            patch.setattr(verification, "PHOTONS", verification.PHOTONS // 2)
+            patch.setattr(verification, "PHOTONS", verification.PHOTONS // 8)
             patch.setattr(robustness, "MOST_PHOTONS", robustness.MOST_PHOTONS // 4)
             yield
 

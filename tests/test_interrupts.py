@@ -8,17 +8,18 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from fewer_photons import FEW_NODES
 from interrupted import ENVIRONMENT, Interrupting, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
 from nailoptics.studies.colour import nail_colour
 from nailoptics.studies.colour.reflectance import NODES
-from nailoptics.studies.exploration import explore
+from nailoptics.studies.exploration import explore, pair_table
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "12288", "-o", "page.html")
-# A page of two wavelengths, with small batches, little light around its sources and coarse cells.
+# A page of two wavelengths, with small batches, little light around its sources, coarse cells and a small table.
 SMALL_PAGE = {
     "LEAST_BATCH": 1 << 10,
     "DISTANCE_MM": 0.4,
@@ -53,6 +54,8 @@ def interrupting(
 def small_page(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SMALL_PAGE.items():
         monkeypatch.setattr(explore, name, value)
+    for name, value in FEW_NODES.items():
+        monkeypatch.setattr(pair_table, name, value)
 
 
 def written(folder: Path) -> set[str]:

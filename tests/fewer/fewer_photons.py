@@ -10,6 +10,8 @@ from types import ModuleType
 from typing import Any
 
 COARSE_MM = 0.4
+# Of the table of light between places of a board.
+FEW_NODES = {"DISTANCE_MM": (0.0, 1.2, 3.5), "BESIDE_WALL_MM": (0.0, 0.6), "PAIRS": 1 << 15}
 
 
 def in_coarse_cells(distance: ModuleType) -> None:
