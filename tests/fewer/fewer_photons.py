@@ -45,6 +45,7 @@ CHANGES = {
     "nailoptics.light.detect": with_values(ROUGH_PHOTONS=1 << 14, SECTION_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.drawn_people": with_values(RANK_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.explore": with_values(LEAST_BATCH=1 << 10, FLUENCE_PHOTONS=1 << 13),
+    "nailoptics.studies.exploration.pair_table": with_values(**FEW_NODES),
     "nailoptics.studies.force.fit": with_values(STARTS=({},), ROUNDS=1),
     "nailoptics.studies.placement.place": with_values(BLOCKS=8),
     "nailoptics.studies.placement.robustness": with_values(MOST_PHOTONS=1 << 13),
