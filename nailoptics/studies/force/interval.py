@@ -45,7 +45,7 @@ class ForceEstimate(NamedTuple):
     force_n, force_low_n, force_high_n : (T,) float; the last is infinite where the vessels are closed. [N]
     proximal_share, with its bounds : (T,) float. Part of it, the mean; bounds are 0 and 1 where it is not known.
     probability_proximal, _distal, _both : (T,) float. That the touch is of that side, or of both; a third where there
-        may be none, NaN where the calibration does not say how well it tells sides apart.
+        may be none, else NaN without an ensemble.
     pressure_n_per_cm2, pressure_stderr_n_per_cm2 : (2, T) float. Proximal and distal. [N/cm^2]
     """
 
