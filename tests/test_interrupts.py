@@ -137,9 +137,11 @@ def test_a_calibration_is_not_made_of_a_part_of_its_light(folder, interrupting, 
     """An interrupt while light is traced, and a second one; expected: neither a fault of ours nor a subject."""
     recording = Path("recording.csv")
     names = "time_s,force_n,site,proximal.6,proximal.8,proximal.10,proximal.12,distal.3,distal.5,distal.7,distal.9"
-    forces = [0.0] * 300 + ([1.0] * 50 + [0.0] * 50) * 4
+    forces = [0.0] * 300 + ([1.0] * 50 + [0.0] * 50) * 8
     volts = [",".join([f"{0.3 + 0.01 * force + 1e-5 * (k % 7):g}"] * 8) for k, force in enumerate(forces)]
-    lines = [f"{k / 100},{force},even,{read}" for k, (force, read) in enumerate(zip(forces, volts, strict=True))]
+    sites = ["proximal"] * 700 + ["distal"] * 400
+    rows = zip(forces, sites, volts, strict=True)
+    lines = [f"{k / 100},{force},{site},{read}" for k, (force, site, read) in enumerate(rows)]
     recording.write_text("\n".join([names, *lines]) + "\n")
     command = ("calibrate", "prototype", str(recording), "-o", "me.toml", "--photons", "20000")
     for twice in (True, False):

@@ -53,7 +53,7 @@ def all_but(*fields: str) -> tuple[str, ...]:
 
 @pytest.fixture(scope="module")
 def traced(chosen_jit) -> Transfer:
-    return trace(prototype(), photons=200_000, seed=1)
+    return trace(prototype(), photons=400_000, seed=1)
 
 
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
