@@ -34,6 +34,7 @@ class Mutation(NamedTuple):
     tests: str
 
 
+FORCE = "studies/force/test_side_probability.py studies/force/test_ensemble.py"
 MUTATIONS = (
     Mutation(
         "a photon that arrives twice on a photodiode counts twice",
@@ -587,6 +588,69 @@ MUTATIONS = (
         "np.stack([loading, unloading[..., ::-1]], axis=-2)",
         "np.stack([loading, unloading], axis=-2)",
         "paper/test_claims.py",
+    ),
+    Mutation(
+        "both sides' touches are the difference of those of either",
+        "studies/force/training.py",
+        "features[:, pair].sum(1)]",
+        "features[:, pair[0]] - features[:, pair[1]]]",
+        FORCE,
+    ),
+    Mutation(
+        "the force of both sides' touches is the sum of those of either",
+        "studies/force/training.py",
+        "samples.force_n[pair].mean(0), np.nan",
+        "samples.force_n[pair].sum(0), np.nan",
+        FORCE,
+    ),
+    Mutation(
+        "touches of both sides are distal to the gate",
+        "studies/force/training.py",
+        "np.nan_to_num(samples.site, nan=0.5)",
+        "np.nan_to_num(samples.site, nan=0.0)",
+        FORCE,
+    ),
+    Mutation(
+        "what differs by side has the other side's sign",
+        "studies/force/training.py",
+        "np.array([1.0, -1.0])",
+        "np.array([-1.0, 1.0])",
+        FORCE,
+    ),
+    Mutation(
+        "members are not trained with the touches that are made of both sides",
+        "studies/force/training.py",
+        "_trained(*_with_both_sides(subject, trained_on, samples), components)",
+        "_trained(trained_on, samples, components)",
+        FORCE,
+    ),
+    Mutation(
+        "a share's error is that of the other side",
+        "studies/force/training.py",
+        "== side)] - side) for side in (1.0, 0.0)",
+        "== side)] - side) for side in (0.0, 1.0)",
+        FORCE,
+    ),
+    Mutation(
+        "the filter says nothing of touches of both sides",
+        "studies/force/ensemble.py",
+        "return force_n + 0.5 * np.maximum(",
+        "return force_n + 0.0 * np.maximum(",
+        FORCE,
+    ),
+    Mutation(
+        "of touches of one side the filter says half",
+        "studies/force/ensemble.py",
+        "np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0)",
+        "np.minimum(np.abs(2.0 * share - 1.0) / ONE_SIDED, 1.0)",
+        FORCE,
+    ),
+    Mutation(
+        "the interval of a share is one standard error",
+        "studies/force/interval.py",
+        "norm.ppf(QUANTILES[1]) * by_share(error",
+        "by_share(error",
+        FORCE,
     ),
     Mutation(
         "what is made without one of a few large groups moves as without a small one",

@@ -43,8 +43,8 @@ COPIES = 4
 CENTRES = 300
 # Ridge penalties that are tried, as parts of a term's variance, and groups of touches that are held out in turn.
 PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
-# Touches count so much more than rest; and the prior of a coefficient's difference between sides, over that of itself.
-TOUCH_WEIGHT, SIDED = 3.0, 0.1
+# Weight of touches over that of rest, and prior spread of half a coefficient's difference between sides over its own.
+TOUCH_WEIGHT, SIDE_SPREAD = 3.0, 0.1
 # Prior standard deviation of a member's weight; errors within a touch count as one.
 WEIGHT_SPREAD = 0.5
 # Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
@@ -186,7 +186,7 @@ def _with_both_sides(subject: Subject, features: Array, samples: CalibrationSeri
             _, alike = KDTree(samples.before_n[:, distal].T).query(samples.before_n[:, proximal].T)
             pairs.append(np.stack([proximal, distal[alike]]))
     pair, count = np.concatenate(pairs, axis=1), len(samples.force_n)
-    both = samples.at(np.append(np.arange(count), pair[0]))
+    both = samples.at(np.append(np.arange(count), pair[0]))  # a copy
     both.force_n[count:], both.site[count:] = samples.force_n[pair].mean(0), np.nan
     pressure_n_per_cm2 = samples.by_filter.pressure_n_per_cm2[:, pair].sum(1)
     both.by_filter.force_n[count:], both.by_filter.proximal_share[count:] = subject.person.force(pressure_n_per_cm2)
@@ -250,15 +250,15 @@ def _regress(
     """Weighted ridge regression of a target (T,) on terms (n, T): estimates (T,) when their fold was held out, and
     coefficients (2, n) and values at zero (2,) of a side (T,) of 1, proximal, and -1, distal."""
     middle, scale = design.mean(1), design.std(1) + 1e-12
-    even = (design - middle[:, None]) / scale[:, None]
-    terms, predictions = np.concatenate([even, SIDED * side * even, side[None]]), np.empty((len(PENALTIES), len(side)))
+    even, predictions = (design - middle[:, None]) / scale[:, None], np.empty((len(PENALTIES), len(side)))
+    terms = np.concatenate([even, SIDE_SPREAD * side * even, side[None]])
     for k in np.unique(fold):
         coefficients, at_zero = _ridge(terms[:, fold != k], target[fold != k], weight[fold != k])
         predictions[:, fold == k] = coefficients @ terms[:, fold == k] + at_zero[:, None]
     best = int(np.argmin((predictions - target) ** 2 @ weight))
     (fitted, at_zero), sides = (of_all[best] for of_all in _ridge(terms, target, weight)), np.array([1.0, -1.0])
     of_both, sided = fitted[:-1].reshape(2, -1)
-    coefficients = (of_both + SIDED * np.outer(sides, sided)) / scale
+    coefficients = (of_both + SIDE_SPREAD * np.outer(sides, sided)) / scale
     return predictions[best], coefficients, at_zero + fitted[-1] * sides - coefficients @ middle
 
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.ensemble import LAGS_S, Features
+from nailoptics.studies.force.ensemble import LAGS_S, Features, mixed
 from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
@@ -106,6 +106,22 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
     assert over_rest == pytest.approx(np.array([[0.0, 0.1, 0.0, 0.1]]))
     again = Features(np.eye(1)).with_memory(over_rest[:, :2], np.zeros((2, 2)), since_s[:2])
     assert memory.with_memory(over_rest, np.zeros((2, 4)), since_s)[:, 2:] == pytest.approx(again)
+
+
+def test_of_both_sides_the_filter_says_half_and_of_one_nothing():
+    share = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
+    assert mixed(np.ones((2, 6)), np.full(6, 2.0), share) == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
+
+
+@pytest.mark.long
+def test_errors_of_the_share_are_those_of_each_side():
+    """Expected: of touches of another recording, too, one side's are several times those of the other."""
+    off = []
+    for site, share in (("proximal", 1.0), ("distal", 0.0)):
+        estimated = predict(subject(), unlike(made_sensor.record(0.9 * made_sensor.touches(), site, seed=7)))
+        touched = estimated.known_force_n.values >= 0.15
+        off.append(float(np.sqrt(np.mean((estimated.proximal_share.values[touched] - share) ** 2))))
+    assert np.array(off) == pytest.approx(subject().ensemble.share_error, rel=0.5)
 
 
 def test_intervals_hold_rest_where_the_filter_may_be_at_rest():

@@ -11,7 +11,7 @@ from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.interval import BOTH_SHARES, ForceInterval, _site_probabilities
 from nailoptics.studies.force.kalman import PressureEstimate
 from nailoptics.studies.force.predict import predict
-from nailoptics.studies.force.subject import Subject, parse_subject
+from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
 
 
 def test_what_is_stated_is_as_often_true() -> None:
@@ -69,6 +69,7 @@ def test_the_share_is_within_its_interval_and_without_an_ensemble_no_side_is_lik
     recording = made_sensor.record(0.9 * made_sensor.touches(), "distal", seed=7)
     touched, error = np.asarray(recording.force_n) >= 0.3, subject().ensemble.share_error
     known = predict(subject(), recording)
+    assert parse_subject(subject_toml(subject())).ensemble.share_error == pytest.approx(error)
     assert error.max() < 0.2 and np.abs(known.proximal_share.values[touched]).mean() < 2.0 * max(error[1], 0.05)
     inside = (known.proximal_share_low <= 0.0).values[touched]
     assert inside.mean() > 0.8

@@ -108,7 +108,7 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
     """Expected: R of eight traces scatters as their errors say, within a factor of 2."""
     beat, values, errors = beat_at(shipped(), 0.0), [], []
     for seed in range(8):
-        other = trace(shipped(), photons=1 << 14, seed=100 + seed)
+        other = trace(shipped(), photons=1 << 15, seed=100 + seed)
         value, error = jackknifed(read_pulsations(other, (0, 1), [(0.97, beat)]).ratio[..., 0])
         values.append(value[0])
         errors.append(error[0])
