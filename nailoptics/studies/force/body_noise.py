@@ -109,6 +109,8 @@ def estimate_noise(
 def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
     """Residuals (R, T) as the arterial pressure (T,) [Pa], the light of each LED (L, T) [1], and what is left (R, T).
 
+    The pressure is that of a light that stays, as none follows the heart; light is what moves beside a pressure.
+
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
     """
     filled = np.where(np.isfinite(residual), residual, 0.0)
@@ -121,8 +123,9 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     normal[:, 0, 0] += np.where(strength > 0.01 * np.median(strength), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
-    parts = np.linalg.solve(normal, np.einsum("trp,rt->tp", weighted, filled)[..., None])[..., 0]
-    return parts[:, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
+    right = np.einsum("trp,rt->tp", weighted, filled)
+    parts = np.linalg.solve(normal, right[..., None])[..., 0]
+    return right[:, 0] / normal[:, 0, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
 
 
 def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:

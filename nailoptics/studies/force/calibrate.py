@@ -24,9 +24,9 @@ from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import LEAST_TOUCHES_OF_ALL, Fit, Fitted, joined
 from .person import LONGEST_GAP_S, NAMES, SIDES, nominal_finger
 from .reading_table import ReadingTable, nodes_of, reading_names, reading_table, site_of
-from .scores import runs, touches_by_kind
+from .scores import runs, touches_by_kind, train_baselines
 from .subject import Quality, Readings, Subject, subject_toml
-from .training import calibration_series, compared, train
+from .training import calibration_series, train
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
@@ -160,7 +160,10 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
 def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     """The subject with ensemble and baselines, and how well it estimates its own touches."""
     series = calibration_series(subject, recordings)
-    subject = replace(subject, comparisons=compared(subject, series))
+    at, (_, by_zone) = series.is_varied, subject.light.slopes(subject.person.blood(np.ones(2)))
+    is_proximal = np.abs(by_zone[:, 0]) >= np.abs(by_zone[:, 1])
+    baselines = train_baselines(series.over_rest[:, at], series.force_n[at], is_proximal)
+    subject = replace(subject, comparisons=baselines)
     if trained := train(subject, series):
         ensemble, touches = trained
         quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)

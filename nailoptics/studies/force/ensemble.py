@@ -159,8 +159,9 @@ class Ensemble:
         """Of its polynomial."""
         return terms_of(len(self.components))
 
-    def estimate(self, features: Array, filter_n: Array, filter_share: Array) -> tuple[Array, Array]:
-        """Force [N] and proximal share of touches, (T,) each, of features (D, T), the filter's force and its share."""
+    def estimate(self, features: Array, filter_n: Array, filter_share: Array) -> tuple[Array, Array, Array, Array]:
+        """Force, its bounds, the upper one infinite where vessels may be closed, [N] and proximal share, (T,) each, of
+        features (D, T), the filter's force and its share."""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
         terms = self.terms.of(inside)
         by_gate = self.gate[0] + self.gate[1] * filter_share + self.gate[2:] @ terms[self.terms.members["quadratic"]]
@@ -169,16 +170,15 @@ class Ensemble:
         standardised = (inside - self.middle[:, None]) / self.scale[:, None]
         by_side_n = by_side_n + self.kernel_n @ gaussians(standardised, self.centres)
         force_n = mixed(by_side_n, filter_n, share)
+        # No calibration shows how far off touches of both sides are: half of what the filter moves them by is added.
+        unknown_n = 0.5 * np.abs(force_n - np.maximum(by_share(by_side_n, share), 0.0))
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
-        return force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0), share
-
-    def interval_n(self, features: Array, force_n: Array, share: Array) -> tuple[Array, Array]:
-        """Bounds (T,) of forces (T,) with a proximal share, the upper one infinite where vessels may be closed. [N]"""
+        force_n = force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0)
         terms = half_width_terms(features, force_n, len(self.components))
-        half_n = by_share(self.half_width_n @ terms, share)
+        half_n = by_share(self.half_width_n @ terms, share) + unknown_n
         is_open = force_n >= by_share(self.open_above_n[:, None], share)
-        return np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n)
+        return force_n, np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n), share
 
 
 def by_share(values: Array, share: Array) -> Array:

@@ -26,7 +26,7 @@ from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import estimate_pressures
 from .person import LONGEST_GAP_S, Array
-from .scores import TOUCH_N, Baseline, is_still, rms, runs, touches_by_kind, train_baselines
+from .scores import TOUCH_N, is_still, rms, runs, touches_by_kind
 from .subject import Subject
 
 # Samples a second that the filter reads. [Hz]
@@ -121,13 +121,6 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     )
 
 
-def compared(subject: Subject, series: CalibrationSeries) -> dict[str, Baseline]:
-    """The regressions that estimates are compared with, by name."""
-    at, (_, by_zone) = series.is_varied, subject.light.slopes(subject.person.blood(np.ones(2)))
-    is_proximal = np.abs(by_zone[:, 0]) >= np.abs(by_zone[:, 1])
-    return train_baselines(series.over_rest[:, at], series.force_n[at], is_proximal)
-
-
 def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[str, dict[str, float]]] | None:
     """The ensemble, and how well it estimates held-out touches; None of too few touches."""
     touched = series.is_varied & (series.force_n >= REST_FORCE_N)
@@ -146,7 +139,8 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     terms = half_width_terms(trained_on, held_out_n, count)
     half_width_n = _conformal_half_width(terms, samples, held_out_n, np.ones(len(held_out_n), bool))
     # From these estimates a touch may be harder than any that members were trained on.
-    estimated_n, share = ensemble.estimate(features[:, 0], series.by_filter.force_n, series.by_filter.proximal_share)
+    by_filter = series.by_filter
+    estimated_n, *_, share = ensemble.estimate(features[:, 0], by_filter.force_n, by_filter.proximal_share)
     hard, proximal = series.force_n > TOP_N, share > 0.5
     sides = estimated_n[hard & proximal], estimated_n[hard & ~proximal]
     open_above_n = np.array([np.quantile(np.append(side, TOP_N), OPEN_FROM) for side in sides])
