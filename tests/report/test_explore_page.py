@@ -4,6 +4,7 @@ import math
 import re
 from base64 import b64decode
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -69,9 +70,9 @@ def tab(browser: Any) -> Iterator[Any]:
     context.close()
 
 
-@pytest.fixture
-def shown(tab: Any, file: Path) -> Iterator[Any]:
-    """The page as it opens; it must not complain and must ask nothing of any other file or server."""
+@contextmanager
+def heard(tab: Any, file: Path) -> Iterator[None]:
+    """The page must not complain meanwhile, and must ask nothing of any other file or server."""
     complaints, requested = [], []
     hear = {
         "pageerror": lambda error: complaints.append(str(error)),
@@ -80,12 +81,32 @@ def shown(tab: Any, file: Path) -> Iterator[Any]:
     }
     for event, note in hear.items():
         tab.on(event, note)
-    tab.goto(file.as_uri())
-    yield tab
+    yield
     assert complaints == []
     assert {url for url in requested if not url.startswith("blob:")} <= {file.as_uri()}
     for event, note in hear.items():
         tab.remove_listener(event, note)
+
+
+@pytest.fixture
+def shown(tab: Any, file: Path) -> Iterator[Any]:
+    """The page as it opens."""
+    with heard(tab, file):
+        tab.goto(file.as_uri())
+        yield tab
+
+
+@pytest.fixture
+def unchanged(tab: Any, file: Path) -> Iterator[Any]:
+    """The page as it opens, for tests that leave its layout as it is, of which the next need not load it anew."""
+    with heard(tab, file):
+        if tab.url.split("#")[0] != file.as_uri() or not tab.evaluate("window.isUnchanged"):
+            tab.goto(file.as_uri())
+        tab.evaluate("say('')")
+        opened = tab.evaluate("workbench.layout")
+        yield tab
+        assert tab.evaluate("workbench.layout") == opened
+        tab.evaluate("window.isUnchanged = true")
 
 
 def test_the_page_is_one_file_of_at_most_five_megabytes(file: Path):
@@ -756,15 +777,15 @@ def link(shown: Any, edit: str) -> str:
         ("l.photodiodes[0].wired = [0, 0]", "wired must name elements"),
     ],
 )
-def test_a_link_that_breaks_a_rule_is_refused(shown: Any, file: Path, edit: str, rule: str):
-    layout, hostile = shown.evaluate("workbench.layout"), link(shown, edit)
-    shown.evaluate("(hash) => { location.hash = hash; }", hostile)
-    shown.locator("#message", has_text=rule).wait_for()
-    assert shown.evaluate("workbench.layout") == layout
+def test_a_link_that_breaks_a_rule_is_refused(unchanged: Any, file: Path, edit: str, rule: str):
+    layout, hostile = unchanged.evaluate("workbench.layout"), link(unchanged, edit)
+    unchanged.evaluate("(hash) => { location.hash = hash; }", hostile)
+    unchanged.locator("#message", has_text=rule).wait_for()
+    assert unchanged.evaluate("workbench.layout") == layout
     # So is one that the page is opened with.
-    shown.goto("about:blank")
-    shown.goto(f"{file.as_uri()}#{hostile}")
-    assert rule in shown.inner_text("#message") and shown.evaluate("workbench.layout") == layout
+    unchanged.goto("about:blank")
+    unchanged.goto(f"{file.as_uri()}#{hostile}")
+    assert rule in unchanged.inner_text("#message") and unchanged.evaluate("workbench.layout") == layout
 
 
 SCENE = finger(
@@ -795,20 +816,26 @@ SCENE = finger(
         ("schema_version = 1", "schema_version = 1\nleds = 5"),
     ],
 )
-def test_a_dropped_scene_is_refused_as_python_refuses_it(shown: Any, tmp_path: Path, old: str, new: str):
-    layout, text = shown.evaluate("workbench.layout"), SCENE.replace(old, new)
+def test_a_dropped_scene_is_refused_as_python_refuses_it(unchanged: Any, tmp_path: Path, old: str, new: str):
+    layout, text = unchanged.evaluate("workbench.layout"), SCENE.replace(old, new)
     assert text != SCENE
-    parse_scene(SCENE)
     with pytest.raises(InputError):
         parse_scene(text)
     (tmp_path / "dropped.toml").write_text(text, encoding="utf-8")
-    shown.set_input_files("#open", tmp_path / "dropped.toml")
-    shown.locator("#message", has_text="dropped.toml:").wait_for()
-    assert "lie on this page" not in shown.inner_text("#message")
-    assert shown.evaluate("workbench.layout") == layout
+    unchanged.set_input_files("#open", tmp_path / "dropped.toml")
+    unchanged.locator("#message", has_text="dropped.toml:").wait_for()
+    assert "lie on this page" not in unchanged.inner_text("#message")
+    assert unchanged.evaluate("workbench.layout") == layout
+
+
+@on_one_page
+def test_the_scene_that_those_refused_differ_from_is_taken(shown: Any, tmp_path: Path):
+    layout = shown.evaluate("workbench.layout")
+    parse_scene(SCENE)
     (tmp_path / "whole.toml").write_text(SCENE, encoding="utf-8")
     shown.set_input_files("#open", tmp_path / "whole.toml")
     shown.locator("#message", has_text="whole.toml: its parts lie").wait_for()
+    assert shown.evaluate("workbench.layout") != layout
 
 
 @on_one_page
