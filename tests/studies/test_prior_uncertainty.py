@@ -56,6 +56,12 @@ def traced(chosen_jit) -> Transfer:
     return trace(prototype(), photons=400_000, seed=1)
 
 
+@pytest.fixture(scope="module")
+def reread(chosen_jit) -> Transfer:
+    """Light for tests that compare what is read of it with nothing but other readings of the same photons."""
+    return trace(prototype(), photons=200_000, seed=1)
+
+
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Reading at rest, its error, its change by 1 N as a part of it and the error of that, (photodiode,) each."""
     result = readings_over_states(replace(transfer, scene=scene), ends(scene))
@@ -127,14 +133,14 @@ def drawn(scene: Scene, result: PriorSensitivity, count: int, seed: int) -> Iter
 
 
 @pytest.mark.long
-def test_one_prior_at_a_time_adds_up_to_all_at_once(traced):
+def test_one_prior_at_a_time_adds_up_to_all_at_once(reread):
     """Expected: what one prior each changes adds up to joint draws; what two of them add together is small."""
-    result, draws = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False), []
-    for one in drawn(traced.scene, result.level, 160, seed=7):
+    result, draws = readings_over_priors(reread, ends, options=OPTIONS, own_traces=False), []
+    for one in drawn(reread.scene, result.level, 160, seed=7):
         with warnings.catch_warnings():
             # Some draws lie far from the trace; they count with all others.
             warnings.simplefilter("ignore", ReweightWarning)
-            draws.append(relative(traced, one))
+            draws.append(relative(reread, one))
     level = np.log([one[0] for one in draws]).std(0, ddof=1)
     signal = np.array([one[2] for one in draws]).std(0, ddof=1)
     # Of 160 draws a standard deviation is known to 6 %, all photodiodes alike; lognormal tails make it some more.
@@ -170,10 +176,10 @@ def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced, seed):
         pytest.param(True, 40, 12, marks=pytest.mark.slow),
     ],
 )
-def test_signs_that_hold_do_so_in_joint_draws(traced, fresh, draws, seed):
+def test_signs_that_hold_do_so_in_joint_draws(request, fresh, draws, seed):
     """Expected: at least 97.5 % of joint draws, with the blood of each and the scene's light or a fresh trace, have the
     sign that is stated to hold: of a distal touch at all photodiodes, of an even one not at each."""
-    transfer, sites = traced, ("even", "proximal", "distal")
+    transfer, sites = request.getfixturevalue("traced" if fresh else "reread"), ("even", "proximal", "distal")
 
     def at(site: str, scene: Scene) -> Scene:
         return scene if site == "even" else at_value(scene, "touch.proximal_share", float(site == "proximal"))
@@ -244,9 +250,9 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
 
 
 @pytest.mark.long
-def test_a_finger_of_which_all_is_known_has_no_spread(traced):
+def test_a_finger_of_which_all_is_known_has_no_spread(reread):
     scene = prototype(*all_but())
-    result = readings_over_priors(replace(traced, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
+    result = readings_over_priors(replace(reread, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
     assert result.sizes["prior"] == 0 and (result.reading_spread < 1e-9).all() and (result.signal_spread < 1e-9).all()
     assert spread_summary(result) == {} and spread_section(result) == ""
 
