@@ -202,7 +202,7 @@ def test_skin_is_seen_with_the_bandwidth_of_a_spectrophotometer(monkeypatch):
 @pytest.mark.long
 @pytest.mark.jit
 def test_validation_shows_disagreement_first(jit_backend, coarse_cells, tmp_path):
-    result = validate.validate(photons=30_000, seed=1, store=False)
+    result = validate.validate(photons=15_000, seed=1, store=False)
     assert {"nail_L", "nail_a", "nail_b", "ring_finger", "spo2_slope", "pulse_red"} <= {*result.tables}
     # Of the darkest and the palest group's skin, by the melanin that is fitted to each.
     dark, pale = (result.tables[f"back_of_hand_{group}"].model[1] for group in ("AF", "CA"))
