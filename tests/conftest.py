@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fewer_photons import COARSE_MM
+from fewer_photons import COARSE_MM, PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS
 
 # Before NumPy is loaded, here or in a worker: threads of BLAS that wait for small matrices take a fifth of the time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -84,6 +84,18 @@ def fewer_photons(shared_store: Path) -> Callable[[], AbstractContextManager[Non
             yield
 
     return fewer
+
+
+@pytest.fixture(scope="module")
+def few_photons_beside() -> Iterator[None]:
+    """Few photons where nobody can ask for fewer, of light from outside and of rough readings before a trace: for tests
+    that do not compare these."""
+    ambient, detect = (import_module(f"nailoptics.{name}") for name in ("sensor.ambient", "light.detect"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ambient.trace_ambient.__kwdefaults__, "photons", PHOTONS_FROM_OUTSIDE)
+        patch.setattr(ambient, "BOUND_PHOTONS", ambient.BOUND_PHOTONS // 8)
+        patch.setattr(detect, "ROUGH_PHOTONS", ROUGH_PHOTONS)
+        yield
 
 
 @pytest.fixture

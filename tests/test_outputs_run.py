@@ -45,6 +45,7 @@ def test_every_file_of_place_is_read(
     coarse_cells,
     store,
     fewer_photons,
+    few_photons_beside,
     untraced_tolerances,
     monkeypatch,
     tmp_path: Path,

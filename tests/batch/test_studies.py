@@ -97,7 +97,7 @@ def test_an_oximeter_and_light_alone_are_swept_too(jit_backend, tmp_path):
 
 
 @pytest.mark.long
-def test_an_oximeter_is_swept_over_its_pulse(jit_backend, coarse_cells, tmp_path):
+def test_an_oximeter_is_swept_over_its_pulse(jit_backend, coarse_cells, few_photons_beside, tmp_path):
     (tmp_path / "o.toml").write_text(
         'schema_version = 1\nstudy = "oximeter"\nbase = "pulse_oximeter"\n'
         '[[axes]]\npath = "blood.so2"\nvalues = [0.9]\n'

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 COARSE_MM = 0.4
+PHOTONS_FROM_OUTSIDE, ROUGH_PHOTONS = 1 << 13, 1 << 14
 # Of the table of light between places of a board.
 FEW_NODES = {"DISTANCE_MM": (0.0, 1.2, 3.5), "BESIDE_WALL_MM": (0.0, 0.6), "PAIRS": 1 << 15}
 
@@ -35,6 +36,11 @@ def on_one_core(backend: ModuleType) -> None:
     backend.activate = activated
 
 
+def few_from_outside(ambient: ModuleType) -> None:
+    """Few photons leave each photodiode where its light from outside is traced."""
+    ambient.trace_ambient.__kwdefaults__["photons"] = PHOTONS_FROM_OUTSIDE
+
+
 def with_values(**values: Any) -> Callable[[ModuleType], None]:
     return lambda module: vars(module).update(values)
 
@@ -42,7 +48,8 @@ def with_values(**values: Any) -> Callable[[ModuleType], None]:
 CHANGES = {
     "nailoptics.geometry.distance": in_coarse_cells,
     "nailoptics.light.backend": on_one_core,
-    "nailoptics.light.detect": with_values(ROUGH_PHOTONS=1 << 14, SECTION_PHOTONS=1 << 13),
+    "nailoptics.light.detect": with_values(ROUGH_PHOTONS=ROUGH_PHOTONS, SECTION_PHOTONS=1 << 13),
+    "nailoptics.sensor.ambient": few_from_outside,
     "nailoptics.studies.exploration.drawn_people": with_values(RANK_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.explore": with_values(LEAST_BATCH=1 << 10, FLUENCE_PHOTONS=1 << 13),
     "nailoptics.studies.exploration.pair_table": with_values(**FEW_NODES),

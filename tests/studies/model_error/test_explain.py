@@ -412,7 +412,7 @@ def test_readings_that_no_touch_changes_have_effects_but_no_signal(jit_backend, 
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_undetected_light_has_no_estimate(jit_backend, coarse_cells):
+def test_undetected_light_has_no_estimate(jit_backend, coarse_cells, few_photons_beside):
     """A handful of photons: no number, no verdict, no warning, and nothing taken for needless."""
     computed = explain(prototype(), photons=100)
     retraced = [e for e in computed.effects if e.how == "retraced"]

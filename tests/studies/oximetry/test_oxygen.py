@@ -26,7 +26,7 @@ from nailoptics.studies.oximetry.ratio import read_pulsations, read_states, satu
 from nailoptics.studies.oximetry.recording import simulated, spo2_over_time
 from nailoptics.variables import jackknifed
 
-pytestmark = pytest.mark.jit
+pytestmark = [pytest.mark.jit, pytest.mark.usefixtures("few_photons_beside")]
 SEED = 11
 
 
