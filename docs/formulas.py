@@ -1,26 +1,27 @@
 """Formulas as SVG inside the page, typeset by matplotlib: needs neither TeX nor a network."""
 
 import re
+from functools import lru_cache
 from io import BytesIO
 from typing import Any
 
 import matplotlib
 from docutils.nodes import SkipNode
 from matplotlib.font_manager import FontProperties
-from matplotlib.mathtext import MathTextParser, math_to_image
+from matplotlib.mathtext import math_to_image
 
 FONT = FontProperties(size=12, math_fontfamily="cm")
 PT_PER_EM = 12.0
 
 
+@lru_cache(None)
 def svg(latex: str) -> str:
     """A formula as one SVG element, aligned with the baseline of its line."""
     text = f"${' '.join(latex.split())}$"
-    depth = MathTextParser("path").parse(text, dpi=72, prop=FONT).depth
     data = BytesIO()
     # A fixed salt gives the same page from every build.
     with matplotlib.rc_context({"svg.hashsalt": "formula", "svg.fonttype": "path"}):
-        math_to_image(text, data, prop=FONT, dpi=72, format="svg")
+        depth = math_to_image(text, data, prop=FONT, dpi=72, format="svg")
     whole = data.getvalue().decode()
     drawing = re.sub(
         r"<metadata>.*?</metadata>|<g id=\"patch_1\">.*?</g>", "", whole[whole.index("<svg") :], flags=re.S
