@@ -27,10 +27,11 @@ TITLE = {"title": "nailoptics: touch to volts"}
 
 def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
     result = make(leds=2).assign_attrs(TITLE)
-    figures = all_shown(result)
+    figures = all_shown(result, page=False)
     assert list(figures) == list(result.nail.figures) == ["readings", "touch", "volts", "section"]
     shown, report = page(result), result.nail.report()
     assert result.nail.summary() == SIMULATION.summary(result) and report == shown
+    assert shown.startswith("<!doctype html>")
     titles = [[axes.get_title("left") for axes in result.nail.plot("volts", led=k).axes] for k in (0, 1)]
     assert titles[0] and titles == [titles[0]] * 2
     assert result.nail.scene == nail.parse_scene(result.attrs["scene"])
@@ -42,7 +43,7 @@ def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
     assert written == {"report": tmp_path / "here/page.html"} and written["report"].read_text("utf-8") == shown
 
 
-def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make, tmp_path):
+def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make, undrawn, tmp_path):
     made = make(leds=1).assign_attrs(TITLE)
     written = made.nail.report(tmp_path / "results")
     assert {path.name for path in (tmp_path / "results").iterdir()} == {"result.nc", "report.html"}
@@ -50,7 +51,7 @@ def test_a_folder_gets_the_files_of_the_command_which_show_themselves_again(make
         assert result.nail.report() == written["report"].read_text("utf-8")
 
 
-def test_a_file_is_read_once(make, tmp_path):
+def test_a_file_is_read_once(make, undrawn, tmp_path):
     """Expected: what is shown later needs it no more; each lazy value that was looked up cost milliseconds."""
     path = make(leds=1).assign_attrs(TITLE).nail.report(tmp_path)["result"]
     with xr.open_dataset(path) as result:
@@ -192,7 +193,7 @@ def test_a_trace_and_its_readings_show_themselves(jit_backend, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_check_is_that_of_the_command(jit_backend, shared_light, capsys):
+def test_a_check_is_that_of_the_command(jit_backend, shared_light, few_photons_beside, capsys):
     check = nail.check(nail.load_scene("prototype"))
     assert list(all_shown(check)) == ["board"]
     assert run(["check", "prototype", "--json"]) == 0

@@ -52,12 +52,6 @@ class Page(HTMLParser):
             self.rows[-1].append(data.strip())
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures are made, but not drawn: for pages of which tables and sentences are read."""
-    monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
-
-
 def body_rows(table):
     """Rows without the head and without headings of groups."""
     return [row for row in table[1:] if len(row) > 1]
