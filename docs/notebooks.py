@@ -23,7 +23,7 @@ from nailoptics.assets import data_dir
 from nailoptics.report import style
 
 QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
-PHOTONS = 20_000
+PHOTONS, CALIBRATION_PHOTONS = 5_000, 20_000
 # Shipped scenes that pages simulate, and what makes that cheap; one page shows what the priors do.
 SHORT = {
     "calibration": {"touch.sample_rate_hz": 2.5, "priors.spread": False},
@@ -46,7 +46,9 @@ LIMIT_IN_PYTHON = re.compile(r"\b(?:relative_error|tolerance|max_seconds|photons
 def with_few_photons(app: Any, name: str, source: list[str]) -> None:
     """Before a page is read: what it runs takes few photons and samples, where pages are only tried."""
     if QUICK and source[0].startswith("---\nfile_format: mystnb"):
-        source[0] = CELL.sub(lambda cell: with_limit(cell[0], PHOTONS), source[0])
+        # Of fewer, a calibration is refused.
+        photons = CALIBRATION_PHOTONS if "calibrate" in source[0] else PHOTONS
+        source[0] = CELL.sub(lambda cell: with_limit(cell[0], photons), source[0])
         if name != OF_PRIORS:
             source[0] = CELL.sub(lambda cell: with_short_scenes(app, cell[0]), source[0])
 
