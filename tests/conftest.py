@@ -149,7 +149,7 @@ def keep_shapes() -> None:
 def _coarsely_built(name: str) -> Callable[..., Any]:
     """What builds the shapes of a module, with coarse cells; it keeps them for all tests of this process."""
     built = import_module(f"nailoptics.light.walk.{name}")._built.__wrapped__
-    return lru_cache(SHAPES_KEPT)(lambda scene, spacing_mm: built(scene, max(spacing_mm, COARSE_MM)))
+    return lru_cache(SHAPES_KEPT)(lambda scene, spacing_mm, variant: built(scene, max(spacing_mm, COARSE_MM), variant))
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import geometry as finger_geometry
-from ...geometry import SPACING_MM, DistanceGrid, Face, Geometry
+from ...geometry import SPACING_MM, Face, Geometry
 from ...scene import Scene
 from .. import optics
 from ..transfer.records import LedTrace
@@ -28,15 +28,15 @@ PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "ep
 
 
 @lru_cache(maxsize=2)
-def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
-    """A scene's geometry and distances to its interfaces near the board; seconds, for all scenes of one shape."""
+def _built(scene: Scene, spacing_mm: float, variant: str) -> tuple[Geometry, Interfaces]:
+    """A scene's geometry and what light meets there in a variant of Mitsuba; seconds, for all scenes of one shape."""
     geometry = finger_geometry.build(scene)
     faces = (*geometry.leds, *geometry.photodiodes)
     corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
     low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
     high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
-    bounds = np.stack([low, high])
-    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=bounds, spacing_mm=spacing_mm)
+    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    return geometry, Interfaces(geometry, grid)
 
 
 class FingerTracer:
@@ -45,9 +45,9 @@ class FingerTracer:
     def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, with_faces: Collection[str] = ()) -> None:
         """spacing_mm, with_faces : As for `trace`."""
         self.scene = scene
-        self.geometry, distances = _built(finger_geometry.shaping(scene, with_faces=with_faces), spacing_mm)
+        shape = finger_geometry.shaping(scene, with_faces=with_faces)
+        self.geometry, self.interfaces = _built(shape, spacing_mm, str(mi.variant()))
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
-        self.interfaces = Interfaces(self.geometry, distances)
         self.regions = [
             Regions(self.geometry, optics.finger_media(scene, self.geometry.regions, led.wavelength_nm))
             for led in scene.leds

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import geometry as finger_geometry
-from ...geometry import DistanceGrid, Geometry
+from ...geometry import Geometry
 from ...scene import Board, Led, Light, Scene, digest
 from ...statistics import seed_of
 from .. import optics
@@ -99,8 +99,7 @@ class NailReflectance:
     @cached_property
     def finger(self) -> tuple[Geometry, Interfaces]:
         """The finger's shape, and what the rays meet."""
-        geometry, distances = _built(finger_geometry.shaping(self.scene), self.spacing_mm)
-        return geometry, Interfaces(geometry, distances)
+        return _built(finger_geometry.shaping(self.scene), self.spacing_mm, str(mi.variant()))
 
     def reflect(
         self, wavelength_nm: float, patches: Sequence[Patch], *, mu_a: np.ndarray, photons: int, seed: int, groups: int
@@ -201,10 +200,11 @@ def as_seen(scene: Scene) -> Scene:
 
 
 @lru_cache(maxsize=2)
-def _built(scene: Scene, spacing_mm: float) -> tuple[Geometry, DistanceGrid]:
-    """The geometry without a board, and distances to its interfaces under the nail and around it."""
+def _built(scene: Scene, spacing_mm: float, variant: str) -> tuple[Geometry, Interfaces]:
+    """The geometry without a board, and what light meets there in a variant of Mitsuba."""
     geometry = finger_geometry.build(scene, board=False)
     low, high = (np.array(corner) for corner in geometry.bounds_mm)
     low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
     low[2] = max(low[2], -BELOW_MM)
-    return geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    return geometry, Interfaces(geometry, grid)
