@@ -28,12 +28,13 @@ PHOTONS, CALIBRATION_PHOTONS = 5_000, 20_000
 SHORT = {
     "calibration": {"touch.sample_rate_hz": 2.5, "priors.spread": False},
     "dynamic_proximal": {"priors.spread": False},
+    "nail_colour": {"priors.spread": False},
     "prototype": {"priors.spread": False},
 }
 OF_PRIORS = "tutorials/prototype"
 FINGER_WRITTEN = re.compile(r"^%%writefile \S+\n[^`]*^\[finger\]$[^`]*", re.M)
 # What stands before the name of a scene.
-SIMULATED = ("simulate ", 'simulate\\("', 'sweep\\("', 'scene\\("', '^base = "')
+SIMULATED = ("simulate ", "colour ", 'colour\\("', 'simulate\\("', 'sweep\\("', 'scene\\("', '^base = "')
 WRAP = TextWrapper(110, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
 CELL = re.compile(r"^```\{code-cell\}.*?^```$", re.M | re.S)
 TRACING = re.compile(
