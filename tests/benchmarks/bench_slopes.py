@@ -244,6 +244,7 @@ CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
     "main job again, other blood": (partial(main_job, first="0.05", blood="0.035"), [0]),
     "main job again, tighter": (partial(main_job, first="0.05", then="0.04"), [0]),
     "main job at 2 % less photons": (beside_photons, [0]),
+    "first simulate": (partial(command_run, command="simulate prototype --relative-error 0.02 -o OUT"), [0]),
     "second simulate": (partial(command_run, command="simulate prototype --relative-error 0.02 -o OUT", again=5), [0]),
     "second trace": (partial(command_run, command="trace prototype --relative-error 0.02", again=5), [0]),
     "second check": (partial(command_run, command="check prototype", again=5), [0]),
