@@ -107,9 +107,8 @@ def estimate_noise(
 
 
 def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
-    """Residuals (R, T) as the arterial pressure (T,) [Pa], the light of each LED (L, T) [1], and what is left (R, T).
-
-    The pressure is that of a light that stays, as none follows the heart; light is what moves beside a pressure.
+    """Residuals (R, T) as the arterial pressure (T,) of a light that stays, as none follows the heart [Pa], light of
+    each LED (L, T) beside a pressure [1], and what is left of both (R, T).
 
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
     """

@@ -17,13 +17,15 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from .person import LONGEST_GAP_S, MOST_GAIN, TABLE, Array, Numbers, require_shapes, within
+from .scores import TOUCH_N
 
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
-# Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later. [s]
-FIRST_REST_S, ZERO_S = 6.0, 30.0
+# Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later, less
+# where they are far from it, in standard deviations over touches: a touch that the filter takes for rest. [s, 1]
+FIRST_REST_S, ZERO_S, REST_SPREAD = 6.0, 30.0, 0.3
 # Principal components of the readings that are features, and the two pressures of the filter.
-COMPONENTS, PRESSURES = 2, 2
+COMPONENTS, PRESSURES = 4, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
 NARROWNESS = 0.2
 # An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved
@@ -45,12 +47,12 @@ class Features:
         self.components = components
         self._zero, self._last, self._means, self._rest_s = np.zeros(0), np.zeros(0), np.zeros(0), 0.0
 
-    def over_rest(self, ln_v: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
+    def over_rest(self, volts: Array, is_resting: NDArray[np.bool_], since_s: Array) -> Array:
         """ln volts of the next samples (R, T) less those at rest; a gap repeats the reading before it, or is 0.
 
         is_resting : (T,) bool. since_s : (T,) float. Time from sample to sample. [s]
         """
-        out = np.empty_like(ln_v)
+        ln_v, out = np.log(np.where(volts > 0.0, volts, np.nan)), np.empty_like(volts)
         for k, (now, rests, step_s) in enumerate(zip(ln_v.T, is_resting, since_s, strict=True)):
             if not self._zero.size or step_s > LONGEST_GAP_S:
                 self._zero = self._last = np.full_like(now, np.nan)
@@ -60,7 +62,9 @@ class Features:
             if rests:
                 self._rest_s += step_s
                 first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
-                self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S)) * (self._last - self._zero)
+                off = np.nan_to_num(self._last - self._zero)
+                nearness = np.exp(-0.5 * ((self.components @ off / REST_SPREAD) ** 2).sum())
+                self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S) * nearness) * off
             out[:, k] = np.nan_to_num(self._last - self._zero)
         return out
 
@@ -122,7 +126,7 @@ class Ensemble:
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 4) float. 95 % interval either way, proximal and distal: constant [N], and by `half_width_terms`.
     open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
-    weights : (2,) float of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
+    weights : (2,) float of every member.
     """
 
     components: Numbers
@@ -140,7 +144,6 @@ class Ensemble:
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     open_above_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     weights: dict[str, Annotated[Numbers, within(0, MOST_GAIN, np.positive)]]
-    errors_n: dict[str, float]
 
     def __post_init__(self) -> None:
         if self.components.ndim != 2 or self.centres.ndim != 2:
@@ -190,7 +193,8 @@ def mixed(by_side_n: Array, filter_n: Array, share: Array) -> Array:
     """Force (T,) by that of proximal and of distal touches (2, T), and of both sides up to half by the filter's (T,):
     of these no calibration has any, and both are but models. [N]"""
     force_n = np.maximum(by_share(by_side_n, share), 0.0)
-    return force_n + 0.5 * np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0) * (filter_n - force_n)
+    both = np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0) * np.minimum(force_n / TOUCH_N, 1.0)
+    return force_n + 0.5 * both * (filter_n - force_n)
 
 
 def gaussians(standardised: Array, centres: Array) -> Array:

@@ -194,7 +194,7 @@ class ForceEstimator:
         # Force of a touch on either side from which its interval has no upper bound. [N]
         open_above_n = self._ensemble.open_above_n if self._ensemble else self._interval.closed_above_n
         self.open_above_n = dict(zip(SIDES, open_above_n.tolist(), strict=True))
-        self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, 0)))
+        self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, len(subject.rest_v))))
         self._areas_cm2 = subject.person.side_areas_cm2[:, None]
 
     def of(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> tuple[ForceEstimate, Array, Array]:
@@ -203,15 +203,15 @@ class ForceEstimator:
         volts : (R, T) float. since_s : (T,) float. Time from sample to sample. [s]
         """
         by_filter = self._interval.of(estimates)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            over_rest = self._features.over_rest(np.log(volts), by_filter.force_n < REST_FORCE_N, since_s)
+        over_rest = self._features.over_rest(volts, by_filter.force_n < REST_FORCE_N, since_s)
         force = by_filter
         if self._ensemble is not None:
             features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-            ensemble, filter_n = self._ensemble, by_filter.force_n
-            force_n, low_n, high_n, share = ensemble.estimate(features, filter_n, by_filter.proximal_share)
+            force_n, low_n, high_n, share = self._ensemble.estimate(
+                features, by_filter.force_n, by_filter.proximal_share
+            )
             low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
-            error = ensemble.share_error
+            error = self._ensemble.share_error
             within = norm.ppf(QUANTILES[1]) * by_share(error[:, None], share)
             force = by_filter._replace(
                 force_n=force_n,

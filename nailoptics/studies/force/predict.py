@@ -61,13 +61,12 @@ def predict(
     result = _dataset(subject, recording, estimates, (force, filter_n, over_rest), known_n).assign(
         _event_variables(recording.time_s, force.force_n, known_n, press_n=press_n, release_n=release_n)
     )
-    above_n = estimator.open_above_n
-    by_side = {f"open_above_{side}_n": force_n for side, force_n in above_n.items()}
+    by_side = {f"open_above_{side}_n": force_n for side, force_n in estimator.open_above_n.items()}
     warnings = [*filter(None, [subject.quality.fault]), *warnings]
     if (is_open := result.attrs["touch_open_above"]) > 0.5:
         no_bound = f"{is_open:.0%} of the touches' intervals have no upper bound"
         warnings.append(f"{no_bound}: that they cover the force says little.")
-    return result.assign_attrs(by_side, open_above_n=min(above_n.values()), warnings=warnings)
+    return result.assign_attrs(by_side, open_above_n=min(by_side.values()), warnings=warnings)
 
 
 def live(subject: Subject, lines: Iterable[str]) -> Iterator[str]:

@@ -23,10 +23,10 @@ from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
 from .ensemble import COMPONENTS, HALF_WIDTH_TERMS, Ensemble, Features, gaussians, half_width_terms, mixed, terms_of
 from .fit import LEAST_TOUCHES_OF_ALL, averaged, joined
-from .interval import ForceEstimate, ForceEstimator
+from .interval import ForceEstimate, ForceInterval
 from .kalman import estimate_pressures
 from .person import LONGEST_GAP_S, Array
-from .scores import TOUCH_N, is_still, rms, runs, touches_by_kind
+from .scores import ROUNDING, TOUCH_N, is_still, rms, runs, touches_by_kind
 from .subject import Subject
 
 # Samples a second that the filter reads. [Hz]
@@ -96,7 +96,8 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     time_s = np.concatenate([start + part.time_s - part.time_s[0] for start, part in zip(first_s, parts, strict=False)])
     since_s, force_n = np.diff(time_s, prepend=0.0), np.asarray(every.force_n)
     estimates = estimate_pressures(subject, time_s, every.volts)
-    by_filter, _, over_rest = ForceEstimator(subject).of(estimates, every.volts, since_s)
+    by_filter, no_touches = ForceInterval(subject).of(estimates), Features(np.empty((0, len(every.volts))))
+    over_rest = no_touches.over_rest(every.volts, force_n < REST_FORCE_N, since_s)
     touches, is_varied = runs(force_n >= REST_FORCE_N), force_n <= TOP_N
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
     # A touch that closes the vessels is left out from there on with its recovery, unless others are too few: its slow
@@ -127,11 +128,10 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     if len(np.unique(series.block[touched])) < LEAST_TOUCHES_OF_ALL:
         return None
     vectors, sizes, _ = np.linalg.svd(series.over_rest[:, touched], full_matrices=False)
-    count = min(COMPONENTS, len(sizes))
+    count = min(COMPONENTS, int((sizes > ROUNDING * sizes[0]).sum()))
     components = (vectors[:, :count] / sizes[:count] * np.sqrt(touched.sum())).T
     features = _features_with_drift(subject, series, components)
-    varied = np.flatnonzero(series.is_varied)
-    chosen = [varied[copy::COPIES] for copy in range(COPIES)]
+    chosen = [np.flatnonzero(series.is_varied)[copy::COPIES] for copy in range(COPIES)]
     samples = series.at(np.concatenate(chosen))
     trained_on = np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1)
     ensemble, held_out_n = _trained(*_with_both_sides(subject, trained_on, samples), components)
@@ -159,10 +159,10 @@ def _features_with_drift(subject: Subject, series: CalibrationSeries, components
     """Features (D, COPIES, T) of a calibration; drifts are drawn onto the readings of all copies but 0. Of a drift is
     left what readings at rest, which follow it, leave of it."""
     root, shape = covariance_root(subject.drift_covariance), (-1, COPIES, len(series.since_s))
-    draws = np.random.default_rng(0).normal(size=(len(root), *shape[1:]))
+    draws = np.random.default_rng(0).normal(size=(len(root), *shape[1:])) * (np.arange(COPIES) > 0)[:, None]
     walk = np.einsum("rs,sct->rct", root, np.cumsum(draws * np.sqrt(series.since_s / 60.0), axis=-1))
-    walk[:, 0], is_resting = 0.0, series.by_filter.force_n < REST_FORCE_N
-    followed = Features(components).over_rest(walk.reshape(-1, shape[-1]), is_resting, series.since_s)
+    drifting = np.exp(walk).reshape(-1, shape[-1])
+    followed = Features(np.empty((0, len(drifting)))).over_rest(drifting, series.force_n < REST_FORCE_N, series.since_s)
     readings = series.over_rest[:, None] + followed.reshape(shape)
     pressure_n = series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None]
     pressure_n = np.repeat(pressure_n[:, None], COPIES, axis=1)
@@ -216,7 +216,6 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     for name, members in terms.members.items():
         polynomial_n[:, members] += shares[name][:, None] * by_side[name][0][:, : members.sum()]
     weighted_n = mixed(np.array(weights) @ by_member, by_filter.force_n, share)
-    errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
         least=features.min(1),
@@ -233,7 +232,6 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         half_width_n=np.zeros((2, HALF_WIDTH_TERMS)),
         open_above_n=np.full(2, TOP_N),
         weights=shares,
-        errors_n=errors_n,
     )
     return ensemble, weighted_n
 
