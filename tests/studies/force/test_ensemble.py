@@ -9,11 +9,14 @@ import pytest
 from scipy.signal import lfilter
 
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
+from nailoptics.studies.force.body_noise import REST_FORCE_N
 from nailoptics.studies.force.calibrate import calibrate_with
 from nailoptics.studies.force.ensemble import LAGS_S, Features, mixed
+from nailoptics.studies.force.fit import averaged
 from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
 from nailoptics.studies.force.subject import Subject, parse_subject, subject_toml
+from nailoptics.studies.force.training import RATE_HZ, calibration_series
 
 # Readings of a body that follows a touch more slowly than any vessel of the model. [s]
 UNLIKE_S = 0.5
@@ -43,6 +46,15 @@ def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n)
     inside = (estimated.force_low_n <= estimated.known_force_n) & (estimated.known_force_n <= estimated.force_high_n)
     assert inside.values[touched].mean() > 0.8
     assert np.median((estimated.force_high_n - estimated.force_low_n).values[touched]) < width_n
+
+
+def test_a_calibrations_zero_is_that_of_known_rest():
+    recording = unlike(made_sensor.record_touches(seed=1))
+    series, read = calibration_series(subject(), [recording]), averaged(recording, RATE_HZ)
+    rests = read.force_n < REST_FORCE_N
+    assert (rests != (series.by_filter.force_n < REST_FORCE_N)).any()
+    since_s, known = np.diff(read.time_s, prepend=read.time_s[0]), Features(np.empty((0, len(read.volts))))
+    assert series.over_rest == pytest.approx(known.over_rest(read.volts, rests, since_s))
 
 
 def test_errors_are_of_touches_that_were_held_out():
@@ -98,6 +110,14 @@ def test_the_zero_follows_a_slow_drift_at_rest_alone():
         assert values[0, -1] == pytest.approx(left, abs=0.001)
 
 
+def test_the_zero_does_not_follow_readings_that_are_far_from_it():
+    """Rationale: a filter that takes a slow touch for a wave says that the finger rests."""
+    for far, left in ((1.0, 1.0), (0.1, 0.0)):
+        step = np.where(np.arange(100) < 10, 0.0, far)[None]
+        values = Features(np.eye(1)).over_rest(np.exp(step), np.full(100, True), np.full(100, 1.0))
+        assert values[0, -1] == pytest.approx(left, abs=0.1)
+
+
 def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does():
     memory, since_s = Features(np.eye(1)), np.array([0.0, 0.02, LONGEST_GAP_S + 1.0, 0.02])
     over_rest = memory.over_rest(np.exp([[0.0, 0.1, 0.3, 0.4]]), np.zeros(4, bool), since_s)
@@ -109,6 +129,8 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
 def test_of_both_sides_the_filter_says_half_and_of_one_nothing():
     share = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
     assert mixed(np.ones((2, 6)), np.full(6, 2.0), share) == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
+    # Nor where members see no touch, whatever the gate says.
+    assert (mixed(np.zeros((2, 6)), np.full(6, 2.0), share) == 0.0).all()
 
 
 def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_half():
