@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,7 @@ def done_here(sweep: Sweep, settings: Settings) -> list[tuple[str, str]]:
 
 
 def test_workers_that_cannot_start_are_refused_in_a_line(jit_backend, tmp_path, monkeypatch):
+    resource_tracker.ensure_running()  # which is a process of Python, too
     monkeypatch.setattr(multiprocessing.spawn, "_python_exe", b"/bin/false")
     with pytest.raises(NailopticsError, match="die as they start"):
         run_batch(phantoms(tmp_path, 2), tmp_path / "b", workers=2)
