@@ -1,7 +1,7 @@
 """Formulas as SVG inside the page, typeset by matplotlib: needs neither TeX nor a network."""
 
 import re
-from functools import lru_cache
+from functools import cache
 from io import BytesIO
 from typing import Any
 
@@ -14,7 +14,7 @@ FONT = FontProperties(size=12, math_fontfamily="cm")
 PT_PER_EM = 12.0
 
 
-@lru_cache(None)
+@cache
 def svg(latex: str) -> str:
     """A formula as one SVG element, aligned with the baseline of its line."""
     text = f"${' '.join(latex.split())}$"
