@@ -22,10 +22,10 @@ from .scores import TOUCH_N, Moderate
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
 # Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later, less
-# where the first two components are far from it, in their units: a touch that the filter takes for rest. [s, 1]
+# where the main components are far from it, in their units: a touch that the filter takes for rest. [s, 1]
 FIRST_REST_S, ZERO_S, REST_SPREAD = 6.0, 30.0, 0.6
-# Principal components of the readings that are features, and the two pressures of the filter.
-COMPONENTS, PRESSURES = 4, 2
+# Principal components of the readings that are features, the main ones of these, and the two pressures of the filter.
+COMPONENTS, MAIN_COMPONENTS, PRESSURES = 4, 2, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
 NARROWNESS = 0.2
 # An interval depends on a constant, the estimate, how far the filter's force is from it, and how far that has moved
@@ -63,7 +63,7 @@ class Features:
                 self._rest_s += step_s
                 first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
                 off = np.nan_to_num(self._last - self._zero)
-                nearness = np.exp(-0.5 * ((self.components[:PRESSURES] @ off / REST_SPREAD) ** 2).sum())
+                nearness = np.exp(-0.5 * ((self.components[:MAIN_COMPONENTS] @ off / REST_SPREAD) ** 2).sum())
                 self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S) * nearness) * off
             out[:, k] = np.nan_to_num(self._last - self._zero)
         return out
@@ -126,7 +126,7 @@ class Ensemble:
     top_n : the largest force that members are trained on. [N]
     half_width_n : (2, 4) float. 95 % interval either way, proximal and distal: constant [N], and by `half_width_terms`.
     open_above_n : (2,) float. Proximal and distal estimate from which intervals have no upper bound. [N]
-    weights : (2,) float of every member.
+    weights : (2,) float of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
 
     components: Moderate
@@ -144,6 +144,7 @@ class Ensemble:
     half_width_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     open_above_n: Annotated[Numbers, within(0, MOST_GAIN, np.positive)]
     weights: dict[str, Annotated[Numbers, within(0, MOST_GAIN, np.positive)]]
+    errors_n: dict[str, float]
 
     def __post_init__(self) -> None:
         if self.components.ndim != 2 or self.centres.ndim != 2:
@@ -172,14 +173,13 @@ class Ensemble:
         by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n) + self.polynomial_n @ terms
         standardised = (inside - self.middle[:, None]) / self.scale[:, None]
         by_side_n = by_side_n + self.kernel_n @ gaussians(standardised, self.centres)
-        force_n = mixed(by_side_n, filter_n, share)
-        # No calibration shows how far off touches of both sides are: half of what the filter moves them by is added.
-        unknown_n = 0.5 * np.abs(force_n - np.maximum(by_share(by_side_n, share), 0.0))
+        force_n, moved_n = mixed(by_side_n, filter_n, share)
         # Past what members know the filter says how much harder the touch is.
         past = np.clip((force_n / self.top_n - HANDED_OVER) / (1.0 - HANDED_OVER), 0.0, 1.0)
         force_n = force_n + past * np.maximum(filter_n - np.maximum(force_n, self.top_n), 0.0)
         terms = half_width_terms(features, force_n, len(self.components))
-        half_n = by_share(self.half_width_n @ terms, share) + unknown_n
+        # No calibration shows how far off touches of both sides are: half of what the filter moves them by is added.
+        half_n = by_share(self.half_width_n @ terms, share) + 0.5 * np.abs(moved_n)
         is_open = force_n >= by_share(self.open_above_n[:, None], share)
         return force_n, np.maximum(force_n - half_n, 0.0), np.where(is_open, np.inf, force_n + half_n), share
 
@@ -189,12 +189,13 @@ def by_share(values: Array, share: Array) -> Array:
     return np.asarray(share * values[0] + (1.0 - share) * values[1])
 
 
-def mixed(by_side_n: Array, filter_n: Array, share: Array) -> Array:
+def mixed(by_side_n: Array, filter_n: Array, share: Array) -> tuple[Array, Array]:
     """Force (T,) by that of proximal and of distal touches (2, T), and of both sides up to half by the filter's (T,):
-    of these no calibration has any, and both are but models. [N]"""
-    force_n = np.maximum(by_share(by_side_n, share), 0.0)
-    both = np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0) * np.minimum(force_n / TOUCH_N, 1.0)
-    return force_n + 0.5 * both * (filter_n - force_n)
+    no calibration has any, and both are but models. And by how much the filter moves it (T,). [N]"""
+    members_n = np.maximum(by_share(by_side_n, share), 0.0)
+    both = np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0) * np.minimum(members_n / TOUCH_N, 1.0)
+    moved_n = 0.5 * both * (filter_n - members_n)
+    return members_n + moved_n, moved_n
 
 
 def gaussians(standardised: Array, centres: Array) -> Array:

@@ -205,13 +205,11 @@ class ForceEstimator:
         by_filter = self._interval.of(estimates)
         over_rest = self._features.over_rest(volts, by_filter.force_n < REST_FORCE_N, since_s)
         force = by_filter
-        if self._ensemble is not None:
+        if (ensemble := self._ensemble) is not None:
             features = self._features.with_memory(over_rest, by_filter.pressure_n_per_cm2 * self._areas_cm2, since_s)
-            force_n, low_n, high_n, share = self._ensemble.estimate(
-                features, by_filter.force_n, by_filter.proximal_share
-            )
+            force_n, low_n, high_n, share = ensemble.estimate(features, by_filter.force_n, by_filter.proximal_share)
             low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
-            error = self._ensemble.share_error
+            error = ensemble.share_error
             within = norm.ppf(QUANTILES[1]) * by_share(error[:, None], share)
             force = by_filter._replace(
                 force_n=force_n,

@@ -165,8 +165,7 @@ def _features_with_drift(subject: Subject, series: CalibrationSeries, components
     followed = Features(np.empty((0, len(drifting)))).over_rest(drifting, series.force_n < REST_FORCE_N, series.since_s)
     readings = series.over_rest[:, None] + followed.reshape(shape)
     pressure_n = series.by_filter.pressure_n_per_cm2 * subject.person.side_areas_cm2[:, None]
-    pressure_n = np.repeat(pressure_n[:, None], COPIES, axis=1)
-    return Features(components).with_memory(readings, pressure_n, series.since_s)
+    return Features(components).with_memory(readings, np.repeat(pressure_n[:, None], COPIES, axis=1), series.since_s)
 
 
 def _with_both_sides(subject: Subject, features: Array, samples: CalibrationSeries) -> tuple[Array, CalibrationSeries]:
@@ -215,7 +214,8 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     polynomial_n = np.zeros((2, len(terms.indices)))
     for name, members in terms.members.items():
         polynomial_n[:, members] += shares[name][:, None] * by_side[name][0][:, : members.sum()]
-    weighted_n = mixed(np.array(weights) @ by_member, by_filter.force_n, share)
+    weighted_n, _ = mixed(np.array(weights) @ by_member, by_filter.force_n, share)
+    errors_n = {name: rms(series - force_n) for name, series in (held_out | {"ensemble": weighted_n}).items()}
     ensemble = Ensemble(
         components=components,
         least=features.min(1),
@@ -232,6 +232,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
         half_width_n=np.zeros((2, HALF_WIDTH_TERMS)),
         open_above_n=np.full(2, TOP_N),
         weights=shares,
+        errors_n=errors_n,
     )
     return ensemble, weighted_n
 

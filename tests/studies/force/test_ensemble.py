@@ -64,8 +64,12 @@ def test_errors_are_of_touches_that_were_held_out():
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
     assert min(both.min() for both in ensemble.weights.values()) >= 0
     assert [*ensemble.weights] == ["filter", "quadratic", "kernel", "cubic"]
-    # The filter is wrong of this body, and has little weight.
-    assert (ensemble.weights["filter"] < 0.5).all()
+    members_n = [error_n for name, error_n in ensemble.errors_n.items() if name != "ensemble"]
+    # Weights that are drawn towards the filter cost little even where the filter is wrong.
+    assert ensemble.errors_n["ensemble"] < 1.01 * min(members_n)
+    assert ensemble.errors_n["ensemble"] < 0.6 * ensemble.errors_n["filter"]
+    # Half of the 0.293 N by which a filter errs that takes a part of the pressure's waves for light.
+    assert ensemble.errors_n["ensemble"] < 0.146
 
 
 def test_few_touches_leave_the_filter_alone():
@@ -128,9 +132,9 @@ def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does()
 
 def test_of_both_sides_the_filter_says_half_and_of_one_nothing():
     share = np.array([0.0, 0.2, 0.35, 0.5, 0.8, 1.0])
-    assert mixed(np.ones((2, 6)), np.full(6, 2.0), share) == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
+    assert mixed(np.ones((2, 6)), np.full(6, 2.0), share)[0] == pytest.approx(np.array([1.0, 1.0, 1.25, 1.5, 1.0, 1.0]))
     # Nor where members see no touch, whatever the gate says.
-    assert (mixed(np.zeros((2, 6)), np.full(6, 2.0), share) == 0.0).all()
+    assert (mixed(np.zeros((2, 6)), np.full(6, 2.0), share)[0] == 0.0).all()
 
 
 def test_what_the_filter_moves_a_touch_of_both_sides_by_widens_its_interval_by_half():
