@@ -17,7 +17,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from .person import LONGEST_GAP_S, MOST_GAIN, TABLE, Array, Numbers, require_shapes, within
-from .scores import TOUCH_N, Moderate
+from .scores import TOUCH_N
 
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
@@ -129,7 +129,7 @@ class Ensemble:
     weights : (2,) float of every member. errors_n : rms error over held-out touches of each, and of all together. [N]
     """
 
-    components: Moderate
+    components: Numbers
     least: Numbers
     most: Numbers
     middle: Numbers

@@ -39,6 +39,8 @@ SEARCHED_N_PER_CM2 = np.linspace(0.0, 4.0, 401)
 PULSED, STEP_PA = 9, 200.0
 # No calibration gives more: gains of readings, and constants of the vessels over those listed, either way.
 MOST_GAIN = 1e4
+# Cubes of a subject file's numbers, times others, are far from what numbers can hold.
+MOST = 1e30
 SIDES = ("proximal", "distal")
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
 N_PER_CM2, MM2_PER_CM2 = 1e4, 100.0
@@ -54,10 +56,6 @@ def _numbers(values: Any) -> Array:
         raise ValueError(str(error).rstrip(".")) from None
 
 
-Numbers = Annotated[Array, PlainValidator(_numbers), PlainSerializer(np.ndarray.tolist)]
-"""An array of finite numbers, of a subject file's lists."""
-
-
 def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -> AfterValidator:
     """The rule that the absolute values of an array, or what else is their size, lie within bounds."""
 
@@ -68,6 +66,10 @@ def within(least: float, most: float, size: Callable[[Array], Array] = np.abs) -
         return values
 
     return AfterValidator(check)
+
+
+Numbers = Annotated[Array, PlainValidator(_numbers), within(0, MOST), PlainSerializer(np.ndarray.tolist)]
+"""An array of finite numbers, of a subject file's lists."""
 
 
 def require_shapes(table: Any, **shapes: tuple[int, ...]) -> None:

@@ -9,7 +9,7 @@ from pydantic.dataclasses import dataclass
 from scipy.optimize import least_squares
 from scipy.special import expit
 
-from .person import TABLE, Array, Numbers, require_shapes, within
+from .person import MOST, TABLE, Array, Numbers, require_shapes
 
 # Samples of this force or more are of a touch: at rest an interval from 0 covers by itself. [N]
 TOUCH_N = 0.15
@@ -65,8 +65,6 @@ def touches_by_kind(
 # rounding alone, so small a part of the largest.
 COMPONENT_VARIANCE, ROUNDING = 0.999, 1e-13
 BASELINES = ("cubic", "components", "sigmoid")
-# Terms of a fit, whose cubes are far from what numbers can hold.
-Moderate = Annotated[Numbers, within(0, 1e30)]
 
 
 @dataclass(frozen=True, config=TABLE)
@@ -77,10 +75,10 @@ class Baseline:
     """
 
     shape: Literal["cubic", "linear", "sigmoid"]
-    projection: Moderate
-    shift: Moderate
-    coefficients_n: Moderate
-    intercept_n: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    projection: Numbers
+    shift: Numbers
+    coefficients_n: Numbers
+    intercept_n: Annotated[float, Field(ge=-MOST, le=MOST)] = 0.0
 
     def __post_init__(self) -> None:
         size, readings = (*self.projection.shape, 0, 0)[:2]

@@ -301,6 +301,19 @@ def test_a_comparison_of_another_shape_or_beyond_numbers_is_refused(projection: 
         TypeAdapter(Baseline).validate_python({"shape": "cubic", "projection": projection} | terms)
 
 
+@pytest.mark.parametrize("value", [1e300, -1e300])
+def test_numbers_beyond_what_their_cubes_can_hold_are_refused(folder: Path, value: float) -> None:
+    for change in ("intercept_n", "polynomial_n", "components", "centres"):
+        tables = copy.deepcopy(_read(folder / "me.toml"))
+        tables["ensemble"][change] = np.full_like(tables["ensemble"][change], value).tolist()  # type: ignore[index]
+        with pytest.raises(InputError, match="must lie within"):
+            parse_subject(tomli_w.dumps(tables))
+    tables = copy.deepcopy(_read(folder / "me.toml"))
+    tables["comparisons"]["cubic"]["intercept_n"] = value  # type: ignore[index]
+    with pytest.raises(InputError, match="intercept_n"):
+        parse_subject(tomli_w.dumps(tables))
+
+
 @cache
 def _read(file: Path) -> dict[str, object]:
     tables = tomllib.loads(file.read_text())
