@@ -47,7 +47,7 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,a\n,1\n1,2\n", "line 2: time_s = '' is no finite number"),
         ("time_s,a\n0,\n1,\n", "column 'a' is empty"),
         ("time_s,a\n0,1\n1,1\n2,1\n", "constant at 1 V; check its wiring"),
-        ("time_s,a\n0,31000\n1,32000\n", "looks like a converter's counts"),
+        ("time_s,a\n0,31000\n1,32000\n", "looks like millivolts or a converter's counts"),
         ("time_s,force_n,a\n0,-1,1\n1,0,2\n", "line 2: force_n = -1 must lie in 0 to 100 N"),
         ("time_s,force_n,a\n0,-0.06,1\n1,0,2\n", "line 2: force_n = -0.06 must lie in 0 to 100 N"),
         ("time_s,force_n,a\n0,1000,1\n1,0,2\n", "force_n = 1000 must lie in 0 to 100 N"),

@@ -39,8 +39,9 @@ UNLOADED_N = 0.05
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
 # What messages call lines that come one by one.
 STDIN = "stdin"
-# A converter's counts are whole numbers far above any voltage of a photodiode's stage.
+# Millivolts and a converter's counts lie far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
+NOT_VOLTS = "looks like millivolts or a converter's counts; convert it to volts"
 # Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
 
@@ -228,8 +229,7 @@ def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
         if not known.size:
             raise InputError(f"{label}: column {title!r} is empty; leave it out or record it.")
         if np.abs(known).max() > MOST_VOLTS:
-            why = "which looks like a converter's counts; convert it to volts."
-            raise InputError(f"{label}: column {title!r} reaches {np.abs(known).max():g} V, {why}")
+            raise InputError(f"{label}: column {title!r} reaches {np.abs(known).max():g} V, which {NOT_VOLTS}.")
         if known.size > 2 and np.ptp(known) == 0:
             why = "check its wiring, or lower the LED's power if the converter ends there."
             raise InputError(f"{label}: column {title!r} is constant at {known[0]:g} V; {why}")

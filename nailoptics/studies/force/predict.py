@@ -24,6 +24,8 @@ from .subject import Subject, load_subject, parse_subject
 # A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
 # further off their predictions than this, in variances.
 MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
+# A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
+LATEST_S = 1.0
 # Patterns of a misfit are named where they explain this part of it.
 EXPLAINED = 0.8
 
@@ -127,7 +129,7 @@ def predict_live(
         if last_s is not None and not time_s > last_s:
             raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
         if np.nanmax(np.abs(volts), initial=0.0) > sensor_recordings.MOST_VOLTS:
-            raise InputError(f"{where} looks like a converter's counts; convert it to volts.")
+            raise InputError(f"{where} {sensor_recordings.NOT_VOLTS}.")
         # A converter at its limit holds no information.
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
@@ -221,10 +223,12 @@ def _dataset(
 
 
 def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds_n: float) -> Variables:
-    """When the switch acts on the estimated force, and how long after it would on the known one, below 0 before."""
+    """When the switch acts on the estimated force, and how long after it would on the known one, below 0 before, NaN
+    where that does not act within LATEST_S."""
     switched, true = ([*events(time_s, series, **thresholds_n)] for series in (force_n, np.nan_to_num(known_n)))
     at_s, kinds = np.array([at for at, _ in switched], float), np.array([kind for _, kind in switched], dtype=str)
-    late_s = [min((at - t for t, kind in true if kind == key), key=abs, default=np.nan) for at, key in switched]
+    near_s = ((at - t for t, kind in true if kind == key and abs(at - t) <= LATEST_S) for at, key in switched)
+    late_s = [min(latencies_s, key=abs, default=np.nan) for latencies_s in near_s]
     return described(__package__, event_time_s=at_s, event_kind=kinds, event_latency_s=np.array(late_s, float))
 
 

@@ -96,7 +96,8 @@ EITHER = [
     (_column(FIRST, lambda cell, k: "4.9999" if k % 2 else "5"), "is saturated"),
     (_column(FIRST, lambda cell, k: "nan" if k == 7 else cell), f"line 9: {FIRST} = 'nan' is no finite number"),
     (_column(FIRST, lambda cell, k: "-inf" if k == 7 else cell), f"line 9: {FIRST} = '-inf' is no finite number"),
-    (_column(FIRST, lambda cell, k: str(int(13107 * float(cell)))), "looks like a converter's counts"),
+    (_column(FIRST, lambda cell, k: str(int(13107 * float(cell)))), "looks like millivolts or a converter's counts"),
+    (_column(FIRST, lambda cell, k: str(1e3 * float(cell))), "looks like millivolts or a converter's counts"),
     (_column("time_s", lambda cell, k: "0.1" if k == 9 else cell), "line 11: time_s = 0.1 does not come after"),
     (_column("time_s", lambda cell, k: str(20 * k)), "in steps of 20; give it in seconds"),
     (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
@@ -144,7 +145,10 @@ CALIBRATING = [
     (_column("site", lambda cell, k: "distal"), "no proximal touch was recorded; record touches of both sides"),
     # Both sides at once say nothing of either, nor does the usual scene where the column is missing.
     (_column("site", lambda cell, k: "even"), "no proximal touch was recorded; record touches of both sides"),
-    (lambda text: text.replace(",site,", ",", 1).replace(",proximal,", ","), "no proximal touch was recorded"),
+    (
+        lambda text: text.replace(",site,", ",", 1).replace(",proximal,", ","),
+        "no proximal touch was recorded; add the column site, proximal or distal for every sample",
+    ),
     (lambda text: text, "2 touches were recorded; record 8 or more"),
     (_column("time_s", lambda cell, k: str(2.0 * k)), "samples lie 2 s apart; record at 2 Hz or faster"),
     (_column("time_s", lambda cell, k: str(float(cell) + 3600.0 * (k > 200))), "nothing was recorded for 3.6e+03 s"),

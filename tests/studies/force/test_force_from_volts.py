@@ -15,10 +15,10 @@ from nailoptics.report.pages.force import calibration_summary, prediction_summar
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
-from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.fit import FARTHEST_SPREADS, Fit
 from nailoptics.studies.force.kalman import DIVERGED, WIDTHS, KalmanFilter
-from nailoptics.studies.force.person import NAMES
-from nailoptics.studies.force.predict import csv_rows, events, live, predict
+from nailoptics.studies.force.person import NAMES, SPREAD_LN
+from nailoptics.studies.force.predict import _event_variables, csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 from nailoptics.studies.force.subject import DYNAMIC_ERROR, READING_CORRELATION_S, Subject, parse_subject, subject_toml
 
@@ -140,6 +140,27 @@ def test_the_interval_of_a_touch_that_was_not_calibrated_covers_it(
     assert all(0 <= one["latency_s"] < 0.5 for one in summary["events"])
     held = (estimated.time > 4) & (estimated.time < 6)
     assert abs(float(estimated.proximal_share.values[held.values].mean()) - SITES[site]) < 0.15
+
+
+def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
+    """Rationale: of two touches the first is missed, and one is estimated that was none. Expected: its press and
+    release are of no other touch, seconds away."""
+    time_s = np.arange(0.0, 20.0, 0.02)
+    known_n = np.where((time_s > 2.0) & (time_s < 4.0) | (time_s > 8.0) & (time_s < 10.0), 1.0, 0.0)
+    estimated_n = np.where((time_s > 8.1) & (time_s < 9.9) | (time_s > 15.0) & (time_s < 16.0), 1.0, 0.0)
+    events = _event_variables(time_s, estimated_n, known_n, press_n=0.5, release_n=0.3)
+    latency_s = np.asarray(events["event_latency_s"][1])
+    assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
+
+
+def test_a_factor_at_the_bound_of_its_search_is_a_warning() -> None:
+    subject = parse_subject(made_sensor.subject())
+    recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=1) for site in ("proximal", "distal")]
+    assert not [text for text in _warnings(subject, recordings) if "bound" in text]
+    most_ln = (FARTHEST_SPREADS * SPREAD_LN)[NAMES.index("capillary_damping")]
+    ends = np.where(np.array(NAMES) == "capillary_damping", np.exp(most_ln), subject.factors)
+    (warning,) = [text for text in _warnings(replace(subject, factors=ends), recordings) if "bound" in text]
+    assert warning.startswith(f"capillary_damping ends at a bound of its search ({np.exp(most_ln):.3g})")
 
 
 def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:

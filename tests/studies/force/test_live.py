@@ -79,7 +79,7 @@ RIGHT = dict.fromkeys(NAMES, 0.5)
         ([(0.0, dict.fromkeys(NAMES, "0.5"))], "numbers in V"),
         ([(0.0, RIGHT), (float("nan"), RIGHT)], "time_s = nan does not come after 0"),
         ([(0.0, RIGHT), (0.0, RIGHT)], "time_s = 0 does not come after 0"),
-        ([(0.0, dict.fromkeys(NAMES, 3e4))], "looks like a converter's counts"),
+        ([(0.0, dict.fromkeys(NAMES, 3e4))], "looks like millivolts or a converter's counts"),
     ],
 )
 def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: list[Any], message: str) -> None:
@@ -152,7 +152,7 @@ def test_what_a_converter_at_its_limit_reads_is_a_gap(subject: Subject, lines: l
         (lambda lines: [*lines[:4], lines[2]], "time_s = 0.02 does not come after 0.04; times must rise"),
         (lambda lines: [*lines[:4], _cells(lines[4], "inf")], "'inf' is no finite number"),
         (lambda lines: [*lines[:4], _cells(lines[4], "nan")], "an empty cell is a gap"),
-        (lambda lines: [*lines[:4], _cells(lines[4], "31000")], "looks like a converter's counts"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "31000")], "looks like millivolts or a converter's counts"),
     ],
 )
 def test_a_line_that_is_none_ends_it_with_one_line(subject: Subject, lines: list[str], change, message: str) -> None:  # type: ignore[no-untyped-def]
