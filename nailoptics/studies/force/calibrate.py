@@ -35,8 +35,6 @@ MOST_OVER_REST = 5.0
 FITTED = 0.8
 # Factors that say how fast vessels refill.
 REFILL_FACTORS = ("vein_damping", "capillary_damping")
-# A factor is at its bound from this part of the bound's logarithm on.
-AT_BOUND = 0.98
 NO_SUBJECT = "interrupted; no subject was written."
 
 
@@ -149,7 +147,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, quality = [*lacking(recordings)], subject.quality
     factors = subject.factor_table()
-    bounded = np.abs(subject.factors_ln) >= AT_BOUND * FARTHEST_SPREADS * SPREAD_LN
+    bounded = np.abs(subject.factors_ln) > 0.98 * FARTHEST_SPREADS * SPREAD_LN
     for name in itertools.compress(NAMES, bounded):
         at = f"{name} ends at a bound of its search ({factors[name]['value']:.3g})"
         warnings.append(f"{at}: this finger is outside of the model of the vessels; force rests on the regressions.")
@@ -220,7 +218,7 @@ def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
     given = [with_site(part, scene) for recording in recordings for part in worn_at_once(recording.of(names))]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
-    if fault := next(_faults_together(given, with_sites=all(one.site is not None for one in recordings)), None):
+    if fault := next(_faults_together(given), None):
         raise InputError(f"{', '.join(recording.name for recording in given)}: {fault}")
     return given
 
@@ -298,19 +296,18 @@ def _touches(recording: Recording, side: float) -> list[slice]:
     return [slice(start, stop) for start, stop in runs(touched) if force_n[start:stop].max() >= TOUCHED_N]
 
 
-def _faults_together(recordings: Sequence[Recording], *, with_sites: bool) -> Iterator[str]:
-    """Why recordings that could calibrate cannot do so together; with_sites : whether all had a column of sites."""
+def _faults_together(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Why recordings that could calibrate cannot do so together."""
     parts = [part for one in recordings for part in np.array_split(np.diff(one.time_s), RATE_PARTS) if part.size]
     steps_s = [float(np.median(part)) for part in parts]
     if max(steps_s) > (1.0 + SAME_RATE) * min(steps_s):
         rates = f"{1.0 / max(steps_s):.3g} and {1.0 / min(steps_s):.3g} Hz"
         yield f"recorded at {rates}; record all of a calibration at one rate."
     counts = [sum(len(_touches(recording, number)) for recording in recordings) for number in (1.0, 0.0)]
-    cure = "record touches of both sides, as `nailoptics protocol` has them"
-    cure = cure if with_sites else "add the column site, proximal or distal for every sample"
     for side, count in zip(SIDES, counts, strict=True):
         if not count:
-            yield f"no {side} touch was recorded; {cure}."
+            where = "by the column site (without one, by the scene's touch)"
+            yield f"no {side} touch was recorded {where}; record both sides, as `nailoptics protocol` has them."
     if sum(counts) < LEAST_TOUCHES_OF_ALL:
         more = f"{LEAST_TOUCHES_OF_ALL} or more, with rests between, as `nailoptics protocol` has them"
         yield f"{sum(counts)} touches were recorded; record {more}."

@@ -11,7 +11,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
@@ -20,9 +19,8 @@ from .person import NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
 from .subject import LINEAR
 
-# Recordings are averaged to these rates, the first where the force, a mean over SMOOTHED_S that leaves out the load
-# cell's noise, changes by more than FAST_N_PER_S; the mean over a second leaves little of the heartbeat. [Hz]
-FAST_RATE_HZ, SLOW_RATE_HZ, FAST_N_PER_S, SMOOTHED_S = 20.0, 1.0, 1.0, 0.1
+# Recordings are averaged to this rate, for the first search to the second, which leaves little of the heartbeat. [Hz]
+RATE_HZ, SLOW_RATE_HZ = 20.0, 1.0
 # Least number of samples after averaging.
 LEAST_SAMPLES = 60
 # Bounds of the search, in standard deviations of the priors. A distal pressure that falls off within the zone acts as
@@ -80,7 +78,7 @@ class Fit:
     """Fit of the factors of a finger to recordings.
 
     finger : whose constants the factors multiply. free : (P,) bool. Which factors are searched; the others stay 1.
-    fast_rate_hz : rate that recordings of fast touches are averaged to. [Hz]
+    rate_hz : that recordings are averaged to. [Hz]
     """
 
     def __init__(
@@ -90,12 +88,12 @@ class Fit:
         finger: NominalFinger,
         *,
         free: NDArray[np.bool_],
-        fast_rate_hz: float = FAST_RATE_HZ,
+        rate_hz: float = RATE_HZ,
     ) -> None:
         self.recordings, self.table, self.finger = list(recordings), table, finger
         self.free = np.flatnonzero(free)
         self.most_ln = (FARTHEST_SPREADS * SPREAD_LN)[self.free]
-        self.averaged = [_averaged(recording, fast_rate_hz) for recording in self.recordings]
+        self.averaged = [averaged(recording, rate_hz) for recording in self.recordings]
         self.volts = np.concatenate([recording.volts for recording in self.averaged], axis=1)
         self.valid = np.isfinite(self.volts)
         swing = np.nanmax(self.volts, axis=1) - np.nanmin(self.volts, axis=1)
@@ -123,7 +121,7 @@ class Fit:
         searches, results = len(starts) + ROUNDS, []
         # Which start is best slow touches tell.
         free = np.isin(np.arange(len(NAMES)), self.free)
-        slow = Fit(self.recordings, self.table, self.finger, free=free, fast_rate_hz=SLOW_RATE_HZ)
+        slow = Fit(self.recordings, self.table, self.finger, free=free, rate_hz=SLOW_RATE_HZ)
         for number, start in enumerate(starts):
             report(number / searches)
             results.append(slow._search(start, FIRST_EVALUATIONS))
@@ -298,14 +296,6 @@ class Fit:
 def _ramp(recording: Recording) -> Array:
     """Time over a recording, of mean 0 and from end to end 1, (T,) float."""
     return np.asarray((recording.time_s - recording.time_s.mean()) / np.ptp(recording.time_s))
-
-
-def _averaged(recording: Recording, fast_rate_hz: float) -> Recording:
-    """The recording at the rate of the fit, where it is faster."""
-    time_s, force_n = recording.time_s, np.asarray(recording.force_n)
-    smooth_n = uniform_filter1d(force_n, max(1, round(SMOOTHED_S / float(np.median(np.diff(time_s))))))
-    fast = np.abs(np.diff(smooth_n) / np.diff(time_s)).max(initial=0.0) > FAST_N_PER_S
-    return averaged(recording, fast_rate_hz if fast else SLOW_RATE_HZ)
 
 
 def averaged(recording: Recording, rate_hz: float) -> Recording:

@@ -142,12 +142,12 @@ CALIBRATING = [
         _column("time_s", lambda cell, k: str(float(cell) + 0.02 * max(0, k - 300))),
         "recorded at 25 and 50 Hz; record all",
     ),
-    (_column("site", lambda cell, k: "distal"), "no proximal touch was recorded; record touches of both sides"),
+    (_column("site", lambda cell, k: "distal"), "record both sides, as `nailoptics protocol` has them"),
     # Both sides at once say nothing of either, nor does the usual scene where the column is missing.
-    (_column("site", lambda cell, k: "even"), "no proximal touch was recorded; record touches of both sides"),
+    (_column("site", lambda cell, k: "even"), "record both sides, as `nailoptics protocol` has them"),
     (
         lambda text: text.replace(",site,", ",", 1).replace(",proximal,", ","),
-        "no proximal touch was recorded; add the column site, proximal or distal for every sample",
+        "no proximal touch was recorded by the column site (without one, by the scene's touch)",
     ),
     (lambda text: text, "2 touches were recorded; record 8 or more"),
     (_column("time_s", lambda cell, k: str(2.0 * k)), "samples lie 2 s apart; record at 2 Hz or faster"),
