@@ -1,5 +1,7 @@
 """What `explore` returns, made by formulas in place of light, for tests of its page."""
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
@@ -20,11 +22,16 @@ from nailoptics.studies.exploration.pair_table import BloodPolynomial, RadialFun
 from nailoptics.studies.prior_uncertainty import at_value, draw_people, known_priors, only_absorbs
 
 
-def made_exploration(scene: Scene, *, seed: int = 0) -> Exploration:
-    """Kernels that fall with the distance, uneven by a fifth, whose readings fall as blood comes."""
+def made_exploration(scene: Scene, *, seed: int = 0, every: int = 2) -> Exploration:
+    """Kernels that fall with the distance, uneven by a fifth, whose readings fall as blood comes.
+
+    every : of the nodes of the table in each direction, and the last; 1 for all that `explore` has, of which a page is
+        large, and takes long to be read.
+    """
     rng, base = np.random.default_rng(seed), explored_board(scene)
     layout = base.layout
     basis = pair_basis(layout.outline, layout.barriers[0] if layout.barriers else None)
+    basis = replace(basis, axes=tuple(np.union1d(axis[::every], axis[-1:]) for axis in basis.axes))
     radial = RadialFunction(np.array([-0.3, -2.0, -5.5]))
     polynomial, touch = BloodPolynomial((0.0, 0.1), (0.7, 1.0)), touch_table(base)
     radius_mm, depth_mm = np.arange(0.15, 10.0, 0.3), np.arange(0.05, 3.0, 0.1)

@@ -22,7 +22,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.io import FORMULA
 from nailoptics.report.pages.explore import MOST_POINTS, _readout, page
-from nailoptics.scene import to_toml
+from nailoptics.scene import Scene, to_toml
 from nailoptics.scene.files import parse_scene
 from nailoptics.scene.importers.kicad import read_board
 from nailoptics.scene.importers.positions import read_positions
@@ -36,11 +36,10 @@ from nailoptics.studies.placement.result import kicad_parts
 KICAD = Path(__file__).parents[1] / "scene" / "of_kicad"
 
 
-@pytest.fixture(scope="module", params=["prototype", "placement"])
-def explored(request: pytest.FixtureRequest) -> Exploration:
+def explored_scene(name: str) -> Scene:
     """With a wall, without a body; and with a body, whose board has no wall here."""
-    scene = load_scene(data_dir("scenes") / f"{request.param}.toml")
-    if request.param == "placement":
+    scene = load_scene(data_dir("scenes") / f"{name}.toml")
+    if name == "placement":
         # As from a board's file, with its references.
         parts = {
             kind: tuple(p.model_copy(update={"reference": f"{ref}{i}"}) for i, p in enumerate(getattr(scene, kind), 7))
@@ -48,7 +47,12 @@ def explored(request: pytest.FixtureRequest) -> Exploration:
         }
         board = scene.board.model_copy(update={"barrier": False})
         scene = scene.model_copy(update={"board": board} | parts)
-    return made_exploration(scene)
+    return scene
+
+
+@pytest.fixture(scope="module", params=["prototype", "placement"])
+def explored(request: pytest.FixtureRequest) -> Exploration:
+    return made_exploration(explored_scene(request.param))
 
 
 # For what does not depend on the scene that the page opens with.
@@ -88,11 +92,18 @@ def heard(tab: Any, file: Path) -> Iterator[None]:
         tab.remove_listener(event, note)
 
 
+def open_page(tab: Any, file: Path) -> None:
+    """The page as it opens; it is loaded anew unless it was left so."""
+    if tab.url.split("#")[0] != file.as_uri() or not tab.evaluate("window.isUnchanged"):
+        tab.goto(file.as_uri())
+    tab.evaluate("say(''); window.isUnchanged = false")
+
+
 @pytest.fixture
 def shown(tab: Any, file: Path) -> Iterator[Any]:
     """The page as it opens."""
     with heard(tab, file):
-        tab.goto(file.as_uri())
+        open_page(tab, file)
         yield tab
 
 
@@ -100,18 +111,17 @@ def shown(tab: Any, file: Path) -> Iterator[Any]:
 def unchanged(tab: Any, file: Path) -> Iterator[Any]:
     """The page as it opens, for tests that leave its layout as it is, of which the next need not load it anew."""
     with heard(tab, file):
-        if tab.url.split("#")[0] != file.as_uri() or not tab.evaluate("window.isUnchanged"):
-            tab.goto(file.as_uri())
-        tab.evaluate("say('')")
+        open_page(tab, file)
         opened = tab.evaluate("workbench.layout")
         yield tab
         assert tab.evaluate("workbench.layout") == opened
         tab.evaluate("window.isUnchanged = true")
 
 
-def test_the_page_is_one_file_of_at_most_five_megabytes(file: Path):
-    """That it asks for no other file is seen whenever it is shown."""
-    assert file.stat().st_size < 5e6
+@pytest.mark.parametrize("name", ["prototype", "placement"])
+def test_the_page_is_one_file_of_at_most_five_megabytes(name: str):
+    """With all nodes of its table. That it asks for no other file is seen whenever it is shown."""
+    assert len(page(made_exploration(explored_scene(name), every=1)).encode()) < 5e6
 
 
 def rows(shown: Any) -> list[dict[str, Any]]:
@@ -155,7 +165,7 @@ def reading(
     return float(weights @ (explored.basis.matrix(*pairs) @ coefficients))
 
 
-def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any, explored: Exploration):
+def test_readings_are_pythons_at_random_places_sizes_turns_and_states(unchanged: Any, explored: Exploration):
     rng, board = np.random.default_rng(1), explored.scene.layout.outline
     sides = [(board.u_min, board.u_max)] * 2
     if explored.basis.wall_mm is not None:
@@ -168,7 +178,7 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
         state, colour = [*rng.uniform(0.0, 0.1, 2).tolist(), float(rng.uniform(0.7, 1.0))], int(rng.integers(3))
         die = {"at": x, "size": (0.25, 0.25), "turn": 0.0}
         area = {"at": y, "size": size, "turn": turn}
-        shown_fraction, *of_people = shown.evaluate(
+        shown_fraction, *of_people = unchanged.evaluate(
             """([colour, x, y, size, turn, state]) => {
                 const pair = readPair({u: x[0], v: x[1], width: 0.25, length: 0.25, turn: 0},
                     {u: y[0], v: y[1], width: size[0], length: size[1], turn: turn * Math.PI / 180}, colours[colour]);
@@ -188,7 +198,7 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(shown: Any
             assert fraction == pytest.approx(expected, rel=1e-6)
 
 
-def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: Exploration):
+def test_volts_noise_and_the_converters_limit_are_pythons(unchanged: Any, explored: Exploration):
     scene, ohm = explored.scene, 1e6
     led, photodiode = scene.leds[0], scene.photodiodes[0].model_copy(update={"feedback_ohm": ohm})
     # The last of them lies in the converter's last step.
@@ -198,7 +208,7 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
     for fraction in (0.0, 1e-5, 1e-3, 0.5, last):
         expected = electronics.read(fraction, led, photodiode, scene.electronics)
         current = fraction * led.flux_mw * 1e-3
-        displayed = shown.evaluate(
+        displayed = unchanged.evaluate(
             "([x, ohm]) => stage(tables.photodiodeKinds[0], x * tables.photodiodeKinds[0].responsivity[0], 0, ohm)",
             [current, ohm],
         )
@@ -213,7 +223,7 @@ def test_volts_noise_and_the_converters_limit_are_pythons(shown: Any, explored: 
 
 
 @pytest.mark.parametrize("rejection", [None, "dark_slot", "lock_in"])
-def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Exploration, rejection: str | None):
+def test_ambient_light_and_its_rejection_are_pythons(unchanged: Any, explored: Exploration, rejection: str | None):
     led, ambient_a, ohm = explored.scene.leds[0], 3e-7, 1e6
     photodiode = explored.scene.photodiodes[0].model_copy(update={"feedback_ohm": ohm})
     stage = explored.scene.electronics.model_copy(update={"ambient_rejection": rejection})
@@ -221,7 +231,7 @@ def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Explo
     scene = explored.scene.model_copy(update={"electronics": stage})
     kind = _readout(photodiode, [{"fields": {"wavelength_nm": led.wavelength_nm}}], scene)
     lit_a = 1e-7 * led.flux_mw * float(kind.pop("responsivity")[0])
-    displayed = shown.evaluate(
+    displayed = unchanged.evaluate(
         """([kind, lit, ambient, ohm, rejects]) => {
             const before = tables.stage.rejects;
             try { tables.stage.rejects = rejects; return stage(kind, lit, ambient, ohm); }
@@ -233,12 +243,14 @@ def test_ambient_light_and_its_rejection_are_pythons(shown: Any, explored: Explo
     assert displayed["noiseV2"] == pytest.approx(float(expected.noise_v2), rel=1e-6)
 
 
-def test_resistors_that_fit_a_layout_are_pythons(shown: Any, explored: Exploration):
+def test_resistors_that_fit_a_layout_are_pythons(unchanged: Any, explored: Exploration):
     stage, current_a = explored.scene.electronics, [1e-12, *np.geomspace(1e-8, 1e-3, 40).tolist()]
-    displayed = shown.evaluate("currents => currents.map(fittedOhm)", current_a)
+    displayed = unchanged.evaluate("currents => currents.map(fittedOhm)", current_a)
     assert displayed == pytest.approx(electronics.fitted_ohm(current_a, stage), rel=1e-12)
     # On the page every element has the one for its brightest light, and none is saturated, or that of the scene.
-    rows = shown.evaluate("evaluate(workbench.layout).rows.map(row => [row.element.ohm, row.amplified, row.saturated])")
+    rows = unchanged.evaluate(
+        "evaluate(workbench.layout).rows.map(row => [row.element.ohm, row.amplified, row.saturated])"
+    )
     if stage.feedback_ohm != "auto":
         assert {ohm for ohm, _, _ in rows} == {stage.feedback_ohm}
         return
@@ -246,7 +258,7 @@ def test_resistors_that_fit_a_layout_are_pythons(shown: Any, explored: Explorati
     assert all(volts < electronics.limit_v(stage) / stage.headroom and not full for _, volts, full in rows)
 
 
-def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: Exploration):
+def test_the_force_that_readings_resolve_is_that_of_place(unchanged: Any, explored: Exploration):
     rng, scene, force_n = np.random.default_rng(2), explored.scene, float(explored.touch["force_n"][12])
     point = operating_point(scene, force_n, since_rest_s=60.0)
     for _ in range(10):
@@ -267,7 +279,7 @@ def test_the_force_that_readings_resolve_is_that_of_place(shown: Any, explored: 
             {"led": 0, "light": a, "zone": b, "noiseV2": c, "saturated": d}
             for a, b, c, d in zip(light.tolist(), zone.tolist(), noise_v2.tolist(), limit.tolist(), strict=True)
         ]
-        displayed = shown.evaluate(
+        displayed = unchanged.evaluate(
             """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.has_body,
                 bloodPerPa: atForce(tables.touch.blood_per_pa, force).map((row) => row.map((x) => x * rest)),
                 waves: atForce(tables.touch.waves, force).map((row) => row.map((x) => x * rest * rest))}, 1)""",
@@ -322,10 +334,10 @@ def test_a_converter_at_its_limit_is_shown_for_whom_it_is(shown: Any):
     assert cells[2] == f"{count} of {count}" and cells[0] != cells[2]
 
 
-def test_the_noise_budget_of_a_pair_has_all_causes_of_its_variance(shown: Any, explored: Exploration):
+def test_the_noise_budget_of_a_pair_has_all_causes_of_its_variance(unchanged: Any, explored: Exploration):
     """Expected: electronics add up to the reading's noise; waves, drift and lift are place's."""
     force_n = float(explored.touch["force_n"][12])
-    row, budget = shown.evaluate(
+    row, budget = unchanged.evaluate(
         "force => (row => [row, noiseBudget(row, { ...workbench.layout, force })])(workbench.result.rows[0])", force_n
     )
     assert sum(row["noise"].values()) == pytest.approx(row["noiseV2"], rel=1e-12)
@@ -337,34 +349,34 @@ def test_the_noise_budget_of_a_pair_has_all_causes_of_its_variance(shown: Any, e
     assert budget["waves of the body"] == pytest.approx(float(np.sum((zone @ body.blood) ** 2)), rel=1e-6)
     assert budget["drift"] == pytest.approx(light**2 * (body.led_drift**2 + body.reading_gain**2), rel=1e-6)
     assert budget["lift"] == pytest.approx(light**2 * body.lift**2, rel=1e-6)
-    assert len(shown.locator("#noise li").all()) >= 2
+    assert len(unchanged.locator("#noise li").all()) >= 2
 
 
-def test_the_blood_under_a_force_is_that_of_the_vessels(shown: Any, explored: Exploration):
+def test_the_blood_under_a_force_is_that_of_the_vessels(unchanged: Any, explored: Exploration):
     force_n = np.linspace(0.0, 3.5, 15)
     expected = steady_blood(explored.scene, force_n)
     rest = explored.scene.blood.rest_blood_fraction
-    displayed = shown.evaluate("([fs, rest]) => fs.map((f) => stateAt(f, rest, 0.97))", [force_n.tolist(), rest])
+    displayed = unchanged.evaluate("([fs, rest]) => fs.map((f) => stateAt(f, rest, 0.97))", [force_n.tolist(), rest])
     assert np.array(displayed)[:, :2] == pytest.approx(expected, abs=0.01 * rest)
 
 
-def test_jackknife_polynomial_and_ambient_light_are_pythons(shown: Any, explored: Exploration):
+def test_jackknife_polynomial_and_ambient_light_are_pythons(unchanged: Any, explored: Exploration):
     rng, polynomial = np.random.default_rng(3), explored.polynomial
     for _ in range(10):
         values = rng.normal(size=explored.colours[0].blocks.shape[0])
         replicates = np.concatenate([[values.mean()], values])
-        assert shown.evaluate("jackknife", values.tolist()) == pytest.approx(float(jackknife(replicates)), rel=1e-9)
+        assert unchanged.evaluate("jackknife", values.tolist()) == pytest.approx(float(jackknife(replicates)), rel=1e-9)
         state = np.array([*rng.uniform(0, 0.1, 2), rng.uniform(0.7, 1.0)])
         expected = polynomial.monomials(state[None])[0]
-        assert shown.evaluate("(s) => monomials(s)", state.tolist()) == pytest.approx(expected.tolist(), abs=1e-9)
+        assert unchanged.evaluate("(s) => monomials(s)", state.tolist()) == pytest.approx(expected.tolist(), abs=1e-9)
         for zone in (0, 1):
             step = 1e-6 * np.eye(3)[zone]
             low, high = (polynomial.monomials((state + k * step)[None])[0] for k in (-1, 1))
-            slope = shown.evaluate("([s, zone]) => monomials(s, zone)", [state.tolist(), zone])
+            slope = unchanged.evaluate("([s, zone]) => monomials(s, zone)", [state.tolist(), zone])
             assert slope == pytest.approx(((high - low) / 2e-6).tolist(), rel=1e-5, abs=1e-5)
         u, v = (float(rng.uniform(nodes[0], nodes[-1])) for nodes in explored.ambient_nodes)
         table = RegularGridInterpolator(explored.ambient_nodes, explored.ambient_a_per_mm2[1])
-        current = shown.evaluate("([u, v]) => ambientCurrent({u, v, width: 0.5, length: 2}, 1)", [u, v])
+        current = unchanged.evaluate("([u, v]) => ambientCurrent({u, v, width: 0.5, length: 2}, 1)", [u, v])
         assert current == pytest.approx(float(table([u, v])[0]), rel=1e-6)
 
 
@@ -393,12 +405,12 @@ def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown:
     assert shown.inner_text(".ticks").split() == ["1/1000", "1/100", "1/10", "1"]
 
 
-def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
+def test_what_the_page_calls_buildable_is_a_scene(unchanged: Any):
     """Random moves of every part: what has no problem on the page is read by Python."""
     rng, buildable = np.random.default_rng(4), 0
     for _ in range(60):
         moves = rng.normal(scale=10 ** rng.uniform(-2, 0.5), size=(40, 3)).tolist()
-        computed, text = shown.evaluate(
+        computed, text = unchanged.evaluate(
             """(moves) => { const layout = copy(tables.layout);
             [...layout.leds, ...layout.photodiodes].forEach((part, k) => {
                 part.u += moves[k][0]; part.v += moves[k][1]; part.turn += 30 * moves[k][2]; });
@@ -411,9 +423,9 @@ def test_what_the_page_calls_buildable_is_a_scene(shown: Any):
     assert 2 < buildable < 60
 
 
-def test_errors_are_those_of_the_groups_of_photons(shown: Any, explored: Exploration):
+def test_errors_are_those_of_the_groups_of_photons(unchanged: Any, explored: Exploration):
     """All coefficients of a group are uneven by 5 % each by itself, so that a reading's error is a part of that."""
-    first = rows(shown)[0]
+    first = rows(unchanged)[0]
     counted = np.sqrt((first["restError"] / first["fractionRest"]) ** 2 - KERNEL_ERROR**2)
     assert 0.05 / np.sqrt(12) / 10 < counted < 0.05 / np.sqrt(12)
 
@@ -731,9 +743,9 @@ def test_an_exported_scene_opens_again_and_a_strange_one_says_why_not(shown: Any
     assert shown.evaluate("workbench.layout") == layout
 
 
-def test_the_noise_in_the_dark_is_a_number(shown: Any):
+def test_the_noise_in_the_dark_is_a_number(unchanged: Any):
     """With fitted resistors it goes with the light, and is not given."""
-    said, fixed = shown.inner_text("body"), shown.evaluate("tables.stage.feedbackOhm !== null")
+    said, fixed = unchanged.inner_text("body"), unchanged.evaluate("tables.stage.feedbackOhm !== null")
     dark = r", 0\.0\d+ mV in the dark" if fixed else ""
     assert re.search(f"amplifier and converter{dark}, and the shot noise", said) and "NaN" not in said
 
@@ -839,12 +851,14 @@ def test_the_scene_that_those_refused_differ_from_is_taken(shown: Any, tmp_path:
 
 
 @on_one_page
-def test_every_shipped_finger_keeps_the_rules_of_the_page(shown: Any):
+def test_every_shipped_finger_keeps_the_rules_of_the_page(unchanged: Any):
     """The page knows the models' own JSON Schema: what Python takes it does not refuse."""
     for path in sorted(data_dir("scenes").glob("*.toml")):
         scene = load_scene(path)
         for text in (path.read_text(encoding="utf-8"), to_toml(scene)) if scene.finger else ():
-            assert shown.evaluate("(text) => broken(smolToml.parse(text), tables.rules.scene, '')", text) == "", path
+            assert unchanged.evaluate("(text) => broken(smolToml.parse(text), tables.rules.scene, '')", text) == "", (
+                path
+            )
 
 
 @on_one_page

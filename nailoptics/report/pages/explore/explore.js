@@ -17,14 +17,20 @@ const tables = JSON.parse(document.getElementById("tables").textContent);
 
 // ---------------------------------------------------------------------------------------------------- physics
 
-/** Half-precision numbers in base64, as Python packed them. */
+/** Every number of half precision, by its 16 bits. */
+const halves = new Float32Array(1 << 16);
+for (let word = 0; word < halves.length; word++) {
+  const exponent = (word >> 10) & 31, fraction = word & 1023, sign = word >> 15 ? -1 : 1;
+  halves[word] = exponent ? sign * 2 ** (exponent - 15) * (1 + fraction / 1024) : sign * 2 ** -24 * fraction;
+}
+
+/** Half-precision numbers in base64, as Python packed them: the less significant byte first. */
 function unpackHalf(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const words = new Uint16Array(bytes.buffer);
-  return Float32Array.from(words, (word) => {
-    const exponent = (word >> 10) & 31, fraction = word & 1023, sign = word >> 15 ? -1 : 1;
-    return exponent ? sign * 2 ** (exponent - 15) * (1 + fraction / 1024) : sign * 2 ** -24 * fraction;
-  });
+  const bytes = atob(text), numbers = new Float32Array(bytes.length / 2);
+  for (let i = 0; i < numbers.length; i++) {
+    numbers[i] = halves[bytes.charCodeAt(2 * i) | (bytes.charCodeAt(2 * i + 1) << 8)];
+  }
+  return numbers;
 }
 
 const colours = tables.colours.map((colour) => ({
