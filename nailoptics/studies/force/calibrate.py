@@ -147,10 +147,9 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, quality = [*lacking(recordings)], subject.quality
     factors = subject.factor_table()
-    bounded = np.abs(subject.factors_ln) > 0.98 * FARTHEST_SPREADS * SPREAD_LN
-    for name in itertools.compress(NAMES, bounded):
-        at = f"{name} ends at a bound of its search ({factors[name]['value']:.3g})"
-        warnings.append(f"{at}: this finger is outside of the model of the vessels; force rests on the regressions.")
+    at_bound = np.abs(subject.factors_ln) > 0.98 * FARTHEST_SPREADS * SPREAD_LN
+    if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in itertools.compress(NAMES, at_bound)]:
+        warnings.append(f"the fit ends at a bound for {', '.join(bounded)}: its vessels are not quite this finger's.")
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
         unknown = "the refill rate of the vessels is not identifiable"
         warnings.append(f"{unknown}, estimates of quick touches rely on priors.")

@@ -153,14 +153,15 @@ def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
     assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
 
 
-def test_a_factor_at_the_bound_of_its_search_is_a_warning() -> None:
+def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
     subject = parse_subject(made_sensor.subject())
     recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=1) for site in ("proximal", "distal")]
     assert not [text for text in _warnings(subject, recordings) if "bound" in text]
-    most_ln = (FARTHEST_SPREADS * SPREAD_LN)[NAMES.index("capillary_damping")]
-    ends = np.where(np.array(NAMES) == "capillary_damping", np.exp(most_ln), subject.factors)
+    is_bound, most_ln = np.isin(NAMES, ["capillary_damping", "creep"]), FARTHEST_SPREADS * SPREAD_LN
+    ends = np.where(is_bound, np.exp(-most_ln), subject.factors)
     (warning,) = [text for text in _warnings(replace(subject, factors=ends), recordings) if "bound" in text]
-    assert warning.startswith(f"capillary_damping ends at a bound of its search ({np.exp(most_ln):.3g})")
+    damping, creep = np.exp(-most_ln)[is_bound]
+    assert f"at a bound for capillary_damping ({damping:.2g}), creep ({creep:.2g}): its vessels" in warning
 
 
 def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
