@@ -239,7 +239,7 @@ def _subject_summary(subject: Subject) -> dict[str, Any]:
         "chi2_per_dof": subject.quality.chi2_per_dof,
         "rms_n": subject.quality.rms_n,
         "half_width_n": subject.quality.touches["all"]["half_width_n"],
-        "is_held_out": subject.quality.is_held_out,
+        "is_held_out": subject.ensemble is not None,
         "quality": subject.quality.touches,
         "weights": {name: both.tolist() for name, both in weights.items()},
     }

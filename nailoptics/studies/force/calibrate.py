@@ -154,7 +154,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
         unknown = "the refill rate of the vessels is not identifiable"
         warnings.append(f"{unknown}, estimates of quick touches rely on priors.")
     if quality.fault:
-        held_out = "held-out touches" if quality.is_held_out else "own touches"
+        held_out = "held-out touches" if subject.ensemble else "own touches"
         off = f"{1e3 * quality.rms_n:.0f} mN off (rms), {quality.relative_error:.0%} of their size"
         cure = "check scene, sites and units, and record the touches of `nailoptics protocol`"
         warnings.insert(0, f"the force of the calibration's {held_out} is {off}: do not rely on it; {cure}.")
@@ -167,16 +167,15 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     at, (_, by_zone) = series.is_varied, subject.light.slopes(subject.person.blood(np.ones(2)))
     is_proximal = np.abs(by_zone[:, 0]) >= np.abs(by_zone[:, 1])
     baselines = train_baselines(series.over_rest[:, at], series.force_n[at], is_proximal)
-    subject = replace(subject, comparisons=baselines)
-    if trained := train(subject, series):
-        ensemble, touches = trained
-        quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], is_held_out=True, touches=touches)
-        return replace(subject, ensemble=ensemble, quality=quality)
-    # Without an ensemble errors are those of the touches that the filter was fitted to, as far as it tells them apart.
-    below = series.at(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
-    force_n, low_n, high_n = below.by_filter[:3]
-    touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.is_proximal, below.is_still)
-    return replace(subject, quality=replace(subject.quality, rms_n=touches["all"]["rms_n"], touches=touches))
+    ensemble, touches = train(subject, series) or (None, None)
+    if touches is None:
+        # Errors are of the touches that the filter was fitted to, as far as it tells them apart.
+        below = series.at(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
+        force_n, low_n, high_n = below.by_filter[:3]
+        touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.is_proximal, below.is_still)
+    outliers = float(series.is_outlier[series.is_still].mean())
+    quality = replace(subject.quality, rms_n=touches["all"]["rms_n"], outliers=outliers, touches=touches)
+    return replace(subject, comparisons=baselines, ensemble=ensemble, quality=quality)
 
 
 def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:

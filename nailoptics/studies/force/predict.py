@@ -21,9 +21,9 @@ from .person import N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, load_subject, parse_subject
 
-# A recording does not fit its subject if more of its samples than this are outliers, or if all others are on average
-# further off their predictions than this, in variances.
-MOST_OUTLIERS, MOST_CHI2 = 0.03, 1.5
+# A recording does not fit its subject if more of its samples than this are outliers, and than so many times those of
+# the calibration, or if all others are on average further off their predictions than this, in variances.
+MOST_OUTLIERS, OVER_CALIBRATION, MOST_CHI2 = 0.03, 2.0, 1.5
 # A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
 LATEST_S = 1.0
 # Patterns of a misfit are named where they explain this part of it.
@@ -239,7 +239,7 @@ def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate,
     outlier, still = estimates.outlier, is_still(recording.time_s, force_n)
     outliers = float(outlier[still].mean()) if still.any() else 1.0
     chi2 = estimates.nis[~outlier].sum() / max(estimates.count[~outlier].sum(), 1)
-    if outliers <= MOST_OUTLIERS and chi2 <= MOST_CHI2:
+    if outliers <= max(MOST_OUTLIERS, OVER_CALIBRATION * subject.quality.outliers) and chi2 <= MOST_CHI2:
         return ""
     off = np.nanmedian(recording.volts, axis=1) - (subject.readings.offset_v + subject.rest_v)
     patterns = {

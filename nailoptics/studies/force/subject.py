@@ -45,13 +45,13 @@ class Quality:
     """How well a calibration fits its own recordings.
 
     chi2_per_dof : of the whitened residuals. rms_n : error of touches' force; NaN where it could not be judged. [N]
-    is_held_out : whether errors are of touches that the ensemble was not trained on.
+    outliers : part of the samples of a force that stays that the filter takes for outliers. [1]
     touches : rms_n, relative_error (of the touches' rms force), coverage_95 and half_width_n of touches by kind. [N, 1]
     """
 
     chi2_per_dof: float
     rms_n: Annotated[float, Field(allow_inf_nan=True)]
-    is_held_out: bool = False
+    outliers: Fraction = 0.0
     touches: dict[str, dict[str, Annotated[float, Field(allow_inf_nan=True)]]] = Field(default_factory=dict)
 
     @property

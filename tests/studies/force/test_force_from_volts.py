@@ -153,6 +153,17 @@ def test_a_press_of_no_known_touch_nearby_has_no_latency() -> None:
     assert np.allclose(latency_s, [0.1, -0.1, np.nan, np.nan], atol=0.021, equal_nan=True)
 
 
+def test_as_many_outliers_as_the_calibration_had_are_no_misfit(subject: Subject, table: ReadingTable) -> None:
+    recorded = _record(table, _steps(), "proximal", seed=10)
+    # Single readings that no touch explains.
+    single, off = np.arange(len(recorded.time_s)) % 12 == 11, np.array([0.97, 1.03, 1.0, 1.0])
+    recorded = replace(recorded, volts=recorded.volts * np.where(single, off[:, None], 1.0))
+    for outliers, fits in ((0.0, False), (0.02, False), (0.06, True)):
+        own = replace(subject, quality=replace(subject.quality, outliers=outliers))
+        summary = prediction_summary(predict(own, recorded))
+        assert 0.05 < summary["outliers"] < 0.12 and summary["consistent"] == fits
+
+
 def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
     subject = parse_subject(made_sensor.subject())
     recordings = [made_sensor.record(made_sensor.cycle(1.5), site, seed=1) for site in ("proximal", "distal")]
@@ -377,13 +388,13 @@ def test_a_contact_three_times_that_of_the_scene_is_found(table: ReadingTable) -
 
 def test_a_subject_file_of_version_0_2_is_read(subject: Subject) -> None:
     """It has a correction, regressions and a factor on intervals, which are not used any more, and no ensemble."""
-    subject = replace(subject, comparisons={}, quality=replace(subject.quality, touches={}))
+    subject = replace(subject, comparisons={}, quality=replace(subject.quality, touches={}, outliers=0.0))
     text = subject_toml(subject).partition("\n")[2]
     curve = "told_n_per_cm2 = [0.0, 1.0]\npressed_n_per_cm2 = [0.0, 1.1]\n"
     text += f"[correction.proximal]\n{curve}[correction.distal]\n{curve}"
     text += "[baselines.linear]\nintercept_n = 0.1\nweights_n_per_v = [1.0]\n"
     for new, old in (
-        ("is_held_out = false", "widening = 1.3"),
+        ("outliers = 0.0", "widening = 1.3"),
         ("waves = ", "rhythms = "),
         ('model = "network"', 'model = "paper"'),
         ("[noise]", "[noise]\ntouch_rate_n_per_cm2_rt_s = 0.1\nmoved_error = 0.03\nheld_error = 0.01"),
