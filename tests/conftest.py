@@ -162,6 +162,12 @@ def coarse_cells(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def coarse_light(coarse_cells: None, shared_store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `shared_light`, in coarse cells, and in a store of its own, so that no other test has its bits."""
+    monkeypatch.setenv("NAILOPTICS_STORE", str(shared_store.with_name("coarse")))
+
+
+@pytest.fixture
 def llvm(chosen_llvm: backend.Backend) -> backend.Backend:
     """The LLVM backend, active; without one the test is skipped, with the reason."""
     return activated(chosen_llvm)

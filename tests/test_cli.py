@@ -183,7 +183,7 @@ def test_a_fault_of_ours_is_one_line_and_exit_code_1(capfd, monkeypatch):
         run(["schema"])
 
 
-def test_names_that_steer_a_terminal_are_written_out(folder, capfd, shared_light):
+def test_names_that_steer_a_terminal_are_written_out(folder, capfd, coarse_light):
     """A name that clears the screen, renames the window or turns the writing round, in a file's name and in a scene."""
     name = "a\x1b[2J\x1b]0;b\x07\u202ec\nd"
     part = 'part = "led_800"'
@@ -198,7 +198,7 @@ def test_names_that_steer_a_terminal_are_written_out(folder, capfd, shared_light
     assert (out + err).replace("\n", "").isprintable()
 
 
-def test_names_that_the_terminals_encoding_lacks_are_written_out(folder, shared_light):
+def test_names_that_the_terminals_encoding_lacks_are_written_out(folder, coarse_light):
     (folder / "\u6307\u7532.toml").write_text(SMALL_FINGER)
     done = spawn("check", "\u6307\u7532.toml", env={"PYTHONIOENCODING": "ascii"})
     assert done.returncode == 0 and done.stdout.startswith(r"\u6307\u7532.toml: "), done.stderr
@@ -416,7 +416,7 @@ def test_simulate_writes_its_two_files_and_prints_where(folder, capfd, chosen_ji
     assert all(line.startswith("nailoptics: LED ir, error ") for line in err.splitlines()), err
 
 
-def test_a_shipped_scene_is_found_by_name_from_anywhere(folder, capfd, shared_light):
+def test_a_shipped_scene_is_found_by_name_from_anywhere(folder, capfd, coarse_light):
     for name in ("prototype", "prototype.toml", "scenes/prototype.toml"):
         assert run(["check", name, "--json"]) == 0
         result = only_json(capfd)

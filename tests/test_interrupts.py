@@ -87,7 +87,7 @@ def test_explore_keeps_what_it_has_of_every_wavelength(folder, interrupting, sma
 
 
 @pytest.mark.jit
-def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, interrupting, store):
+def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, interrupting, coarse_cells, store):
     ended = interrupting.at("nailoptics.report.pages.simulate:document", *SIMULATE)
     assert ended.code == 130 and written(folder / "out") == {SIMULATION.files[0]} and ended.said[-1] == COMPLETE
     assert xr.load_dataset(folder / "out" / SIMULATION.files[0]).sizes["time"] > 0

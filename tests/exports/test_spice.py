@@ -66,7 +66,7 @@ def measured(
 
 @pytest.mark.jit
 @pytest.mark.parametrize("tables", SENSORS.values(), ids=SENSORS)
-def test_ngspice_reproduces_volts_and_noise(jit_backend, shared_light, ngspice, tmp_path, tables):
+def test_ngspice_reproduces_volts_and_noise(jit_backend, coarse_light, ngspice, tmp_path, tables):
     scene = sensor(tables)
     circuit = nail.export(scene, tmp_path / "board.cir")["circuit"]
     result = nail.simulate(scene.model_copy(update={"priors": scene.priors.model_copy(update={"spread": False})}))

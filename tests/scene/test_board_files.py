@@ -266,7 +266,7 @@ def test_check_warns_once_of_a_file_shared_by_board_and_candidate(tmp_path, caps
     assert capsys.readouterr().err.count("X on the bottom looks negated") == 1
 
 
-def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys, shared_light):
+def test_check_names_what_of_the_board_is_assumed(tmp_path, capsys, coarse_light):
     path, board = write(tmp_path), tmp_path / "x.kicad_pcb"
     board.write_text(board.read_text().replace("(setup", "(general (thickness 1.6))\n(setup"))
     assert run(["check", str(path), "--json"]) == 0

@@ -46,6 +46,6 @@ def test_leds_that_are_lit_in_turn_share_the_time():
         assert 0 < duty < 0.5 and led["eye_w_per_m2"] == pytest.approx(duty * alone["eye_w_per_m2"])
 
 
-def test_check_warns_of_a_led_too_bright_for_skin(jit_backend, shared_light, few_photons_beside):
+def test_check_warns_of_a_led_too_bright_for_skin(jit_backend, coarse_light, few_photons_beside):
     dim, bright = (check(scene(flux_mw=flux_mw))["warnings"] for flux_mw in (30.0, 50.0))
     assert not any("exposure" in line for line in dim) and any("exposure" in line for line in bright)

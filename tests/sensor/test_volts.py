@@ -115,7 +115,7 @@ def test_the_error_of_a_change_has_that_of_the_reading_as_far_as_drift_scales_it
 
 
 @pytest.mark.jit
-def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, store, caplog):
+def test_a_worn_sensor_reads_light_times_motion_and_drift(chosen_jit, coarse_cells, store, caplog):
     touch = "[touch]\nduration_s = 1.0\nsample_rate_hz = 20.0\nstart_s = 0.2\nrelease_s = 0.8\n"
     still = parse_scene(SMALL_FINGER + touch + "[electronics]\nfeedback_ohm = 1e5\n[priors]\nspread = false\n")
     body = Body(seed=2, drift=Drift(led_per_rt_min=0.1), motion=Motion(lift_um=50.0, slide_um=0.0))

@@ -14,7 +14,7 @@ from nailoptics.sensor.volts import with_fitted_resistors
 from nailoptics.studies.scene_check import check
 
 # Of the light of a scene, which is traced once.
-pytestmark = pytest.mark.usefixtures("shared_light")
+pytestmark = pytest.mark.usefixtures("coarse_light")
 # Two LEDs on a board as large as the nail, without a barrier, and a layout in a file.
 SCENE = (
     PLACEMENT.replace("size_mm = [9.0, 9.0]", "barrier = false")

@@ -356,7 +356,7 @@ def test_the_command_prints_one_json_object_and_writes_the_required_scene(jit_ba
 
 
 @pytest.mark.jit
-def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend):
+def test_an_interrupt_keeps_the_effects_that_were_measured(jit_backend, coarse_cells):
     def stop(p):
         if "trace 3 " in p.led:
             raise KeyboardInterrupt

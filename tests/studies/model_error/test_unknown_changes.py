@@ -54,7 +54,7 @@ def test_unknowns_are_ranked_beside_parts_and_are_never_left_out(chosen_jit, sce
 
 
 @pytest.mark.jit
-def test_air_under_the_board_is_an_effect_that_dims_readings(chosen_jit, scene):
+def test_air_under_the_board_is_an_effect_that_dims_readings(chosen_jit, coarse_cells, scene):
     """Rationale: a board that is lifted, or not bonded, lies on air: light leaves the nail at a steep angle alone, and
     what is reflected back goes farther. Expected: an effect whose scene line makes it, by a trace with common photons
     readings next to the LED fall by a tenth or more; a scene with air has the adhesive as its alternative."""
