@@ -46,12 +46,11 @@ def test_a_response_that_follows_the_cosine_reads_the_bits_of_none(jit_backend):
 )
 def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power):
     """Of even radiance a response cos^m takes int cos^m dw / int cos dw = 2 / (m + 1) of what a flat face does."""
-    import drjit as dr
     import mitsuba as mi
 
     from nailoptics.light.walk.finger import FingerTracer, FingerWalk
     from nailoptics.light.walk.interfaces import Emitter, ZoneEdges
-    from nailoptics.light.walk.sampling import LAMBERTIAN, PhotonEnds, acceptance_of, lanes
+    from nailoptics.light.walk.sampling import LAMBERTIAN, PhotonEnds, PhotonQueue, acceptance_of
     from nailoptics.light.walk.splitting import COPIES, Reach, Splitting
 
     scene = with_response(None, power_of_cosine(power))
@@ -72,8 +71,7 @@ def test_a_face_under_even_radiance_collects_what_theory_says(jit_backend, power
     splitting, acceptance = Splitting(reach, photons, paths=tracer.paths), acceptance_of(scene.photodiodes)
     made = (tracer.interfaces, tracer.regions[0], ZoneEdges(tracer.zones), emitter, ends)
     walk = FingerWalk(*made, splitting=splitting, acceptance=acceptance)
-    rng, count = lanes(photons, 5)
-    ends.evaluated(walk.run(rng, count, dr.arange(mi.UInt32, dr.width(count))))
+    ends.evaluated(walk.run(PhotonQueue(photons, 5)))
     detected, photodiode, weight, _ = splitting.records(5)
     assert splitting.fits() and np.all(photodiode == chosen)
     score = np.zeros(photons)

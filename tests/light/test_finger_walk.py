@@ -8,6 +8,7 @@ from nailoptics import geometry
 from nailoptics.assets import data_dir
 from nailoptics.light import backend, optics
 from nailoptics.light.reference import mitsuba_scene, readings
+from nailoptics.light.walk import sampling
 from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.light.walk.interfaces import ZoneEdges
 from nailoptics.light.walk.tallies import Section
@@ -210,12 +211,17 @@ def test_paths_are_divided_among_zones_by_the_weights_at_their_middle(jit_backen
 
 
 @pytest.mark.jit
-def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend):
-    scene = prototype()
-    tracer = FingerTracer(scene)
-    first, second, other = (tracer.batch(0, photons=1 << 16, seed=seed) for seed in (5, 5, 6))
-    assert np.array_equal(first.weight, second.weight) and np.array_equal(first.path_mm, second.path_mm)
+def test_the_same_seed_gives_the_same_bits_and_another_one_others(jit_backend, monkeypatch):
+    """Expected: also in other lanes, so that no photon is walked twice, or by none, whoever takes it."""
+    tracer, photons = FingerTracer(prototype()), 1 << 16
+    first, other = (tracer.batch(0, photons=photons, seed=seed) for seed in (5, 6))
     assert not np.array_equal(first.weight, other.weight)
+    for lanes in (sampling.CPU_LANES, 77, 40_000):
+        monkeypatch.setattr(sampling, "CPU_LANES", lanes)
+        monkeypatch.setattr(sampling, "GPU_LANES", lanes)
+        again = tracer.batch(0, photons=photons, seed=5)
+        assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in ("weight", "path_mm"))
+        assert (again.energy, again.events) == (first.energy, first.events)
 
 
 @pytest.mark.long

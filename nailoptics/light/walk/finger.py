@@ -21,7 +21,7 @@ from .splitting import Reach, Splitting
 from .tallies import BoardTally, FluenceTally, Section
 
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
-FREE_EVENTS = 6
+FREE_EVENTS = 4
 # Most scatterings happen so near to the dies and photodiodes; beyond, every step casts a ray, which is only slower.
 ASIDE_MM, BELOW_MM, ABOVE_MM = 5.0, 6.5, 0.1
 PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
@@ -88,22 +88,18 @@ class FingerTracer:
         face : What shines, at the LED's wavelength and Lambertian, in the LED's place.
         to : section, board, splitting: what tallies the photons on their way; acceptance.
         """
-        rng, count = sampling.lanes(photons, seed)
-        first = dr.arange(mi.UInt32, dr.width(count))
         emission = sampling.LAMBERTIAN if face else sampling.emission_table(self.scene.leds[led])
         emitter = Emitter(face or self.geometry.leds[led], emission, self.regions[led].epoxy)
         ends = PhotonEnds(photons, paths=self.paths, media=len(self.regions[led].absorbing))
         walk = FingerWalk(self.interfaces, self.regions[led], ZoneEdges(self.zones), emitter, ends, **to)
-        return ends.evaluated(walk.run(rng, count, first))
+        return ends.evaluated(walk.run(sampling.PhotonQueue(photons, seed)))
 
     def starts(self, face: Face, *, photons: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Where on the flat board the photons start that `walk` sends from a face of it, (photons, 2) float [mm], and
         the cosines of their angles to it, (photons,) float."""
-        (rng, _), index = sampling.lanes(photons, seed), dr.arange(mi.UInt32, photons)
-        lane, stream = index % dr.width(rng.state), mi.PCG32(size=photons)  # type: ignore[operator]
-        stream.inc = dr.gather(mi.UInt64, rng.inc, lane) if dr.width(rng.inc) > 1 else rng.inc
-        stream.state = sampling.loop_state(dr.gather(mi.UInt64, rng.state, lane), index)
-        p, _, cos = Emitter(face, sampling.LAMBERTIAN, mi.UInt32(0)).emit(stream, index)
+        index = dr.arange(mi.UInt32, photons)
+        rng = sampling.PhotonQueue(photons, seed).random_numbers(index)
+        p, _, cos = Emitter(face, sampling.LAMBERTIAN, mi.UInt32(0)).emit(rng, index)
         return self.geometry.on_board(np.array(p).T), np.array(cos).astype(float)
 
     @staticmethod
@@ -152,15 +148,12 @@ class FingerWalk:
     acceptance: sampling.Acceptance | None = None
 
     @dr.syntax
-    def run(self, rng: Any, count: Any, first: Any) -> Any:
-        """Walk all photons to their ends, in each lane one after the other; returns scatterings per lane. rng, count,
-        first : Of each lane: its generator, how many photons it walks, and the first one's index."""
-        width, lane = dr.width(count), mi.UInt64(rng.state)
-        lanes_in_all = dr.opaque(mi.UInt32, width)
-        photon = self.launch(rng, lane, first)
+    def run(self, queue: sampling.PhotonQueue) -> Any:
+        """Walk all photons to their ends; returns scatterings per lane."""
+        photon = self.launch(queue, queue.first)
         forks = [_fork(photon) for _ in photon.copies]
-        events = dr.zeros(mi.UInt32, width)
-        active = count > 0
+        events = dr.zeros(mi.UInt32, dr.width(queue.first))
+        active = photon.index < queue.photons
         while dr.hint(active, label="finger walk"):
             medium = self.regions.medium(photon.region, active)
             segment = self.scatter_freely(photon, medium, active)
@@ -189,16 +182,15 @@ class FingerWalk:
                 if self.splitting is None:
                     self.ends.record_path(photon)
                     dr.scatter(self.ends.cosine, photon.w.z, photon.index)
-                photon = self.launch(photon.rng, lane, photon.index + lanes_in_all)
-                count -= 1
+                photon = self.launch(queue, queue.next())
             # A photon that ended has begun anew; so no loop carries this along.
             photon.outcome = mi.UInt32(0)
-            active &= count > 0
+            active &= photon.index < queue.photons
         return events
 
-    def launch(self, rng: Any, lane: Any, index: Any) -> FingerPhoton:
+    def launch(self, queue: sampling.PhotonQueue, index: Any) -> FingerPhoton:
         """A new photon on the emitter."""
-        rng.state = sampling.loop_state(lane, index)
+        rng = queue.random_numbers(index)
         p, w, _ = self.emitter.emit(rng, index)
         levels = len(self.splitting.reach.copies) if self.splitting is not None else 0
         return FingerPhoton(

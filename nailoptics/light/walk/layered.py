@@ -11,7 +11,7 @@ from ...scene import Led, Phantom, Scene
 from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
-from .sampling import Photon, PhotonEnds, WalkedPhotons, maximum, minimum, remaining, safe_sqrt, starts
+from .sampling import Photon, PhotonEnds, PhotonQueue, WalkedPhotons, maximum, minimum, remaining, safe_sqrt, starts
 
 # Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
 TINY = 1e-12
@@ -65,9 +65,8 @@ def walk_layers(phantom: Phantom, led: Led, *, photons: int, seed: int) -> tuple
 
     Returns: the photons; where each entered, and its lateral displacement from there, (n, 2) float. [mm]
     """
-    rng, count = sampling.lanes(photons, seed)
     ends = PhotonEnds(photons, paths=len(phantom.layers) + 4, media=len(phantom.layers))
-    walked = ends.evaluated(_walk(_Layers(phantom, led), rng, count, ends))
+    walked = ends.evaluated(_walk(_Layers(phantom, led), PhotonQueue(photons, seed), ends))
     *path, u, v, x, y = walked.path_mm
     size = (0.0, 0.0) if led.pattern == "pencil" else led.size_mm
     start = np.stack([led.position_mm[0] + (u - 0.5) * size[0], led.position_mm[1] + (v - 0.5) * size[1]], -1)
@@ -141,8 +140,9 @@ def arc_share(shift_mm: np.ndarray, start_mm: np.ndarray, aperture: tuple[float,
     return share
 
 
-def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
+def _launch(layers: _Layers, queue: PhotonQueue, index: Any) -> _LayeredPhoton:
     """A new photon on the die, mirrored at the top face or on its way in."""
+    rng = queue.random_numbers(index)
     u, v = rng.next_float32(), rng.next_float32()
     cos = sampling.emission_cosine(layers.emission, rng.next_float32())
     reflectance, cos_in, eta = sampling.fresnel(
@@ -164,15 +164,11 @@ def _launch(layers: _Layers, rng: Any, index: Any) -> _LayeredPhoton:
 
 
 @dr.syntax
-def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
-    """Walk all photons of a batch to their ends, in each lane one after the other; returns scatterings per lane. rng,
-    count : Per lane: its generator, and how many photons it walks."""
-    width = dr.width(count)
-    # Opaque, or each number of lanes would have a kernel of its own.
-    lanes_in_all = dr.opaque(mi.UInt32, width)
-    photon = _launch(layers, rng, dr.arange(mi.UInt32, width))
-    events = dr.zeros(mi.UInt32, width)
-    active = count > 0
+def _walk(layers: _Layers, queue: PhotonQueue, ends: PhotonEnds) -> Any:
+    """Walk all photons of a batch to their ends; returns scatterings per lane."""
+    photon = _launch(layers, queue, queue.first)
+    events = dr.zeros(mi.UInt32, dr.width(queue.first))
+    active = photon.index < queue.photons
     while dr.hint(active, label="layered walk"):
         up, meets = _step(photon, layers, active)
         u = photon.rng.next_float32()
@@ -188,11 +184,10 @@ def _walk(layers: _Layers, rng: Any, count: Any, ends: PhotonEnds) -> Any:
         if photon.outcome > 0:
             ends.record(photon, layer, True)
             ends.record_path(photon, photon.u, photon.v, photon.x, photon.y)
-            photon = _launch(layers, photon.rng, photon.index + lanes_in_all)
-            count -= 1
+            photon = _launch(layers, queue, queue.next())
         # A photon that ended has begun anew; so no loop carries this along.
         photon.outcome = mi.UInt32(0)
-        active &= count > 0
+        active &= photon.index < queue.photons
     return events
 
 

@@ -22,7 +22,7 @@ from ..identity import light_scene
 from ..tracing.store import LightStore, made_by, stored_or_made
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
-from .sampling import TOP, PhotonEnds, lanes
+from .sampling import TOP, PhotonEnds, PhotonQueue
 
 # Photons walked at once.
 BATCH = 1 << 18
@@ -148,8 +148,7 @@ class NailReflectance:
         paths = len(optics.TISSUES) + len(self.zones.edges_mm)
         ends = _Ends(count, paths=paths, media=len(regions.absorbing))
         walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
-        rng, per_lane = lanes(count, seed)
-        walked = ends.evaluated(walk.run(rng, per_lane, dr.arange(mi.UInt32, dr.width(per_lane))))
+        walked = ends.evaluated(walk.run(PhotonQueue(count, seed)))
         place_mm, ray = np.stack([np.array(x) for x in ends.place], -1), np.arange(count) % len(beam.radius_mm)
         outside = np.linalg.norm(place_mm - beam.center_mm[ray], axis=1) > beam.radius_mm[ray]
         back = np.flatnonzero((walked.outcome == TOP) & ~outside)
