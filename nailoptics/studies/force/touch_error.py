@@ -132,36 +132,42 @@ class TouchError:
     def _errors2(self, slopes: Array, noise: Array, led: Array) -> Iterator[Array]:
         """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
         batch, count = noise.shape
-        size, since_s, known = len(self._initial), 1.0 / RATE_HZ, self.noise
-        everything, drift = np.zeros((2, batch, size + count, size + count)), known.drift_covariance(led)
-        # The covariance that the filter believes, and the true one, and all of their rows.
-        everything[:, :, :size, :size], everything[:, :, size:, size:] = self._initial, drift
-        (claimed, true), rows = everything, everything.reshape(-1, size + count)
-        lag, moved, change = (np.zeros((batch, n)) for n in (size + count, count, count))
+        size, since_s, drift = len(self._initial), 1.0 / RATE_HZ, self.noise.drift_covariance(led)
+        # The covariance that the filter believes, and the true one, all of their rows, and what a sample adds to them.
+        everything, added = (np.zeros((2, n, size + count, size + count)) for n in (batch, 1))
+        rows, once = everything.reshape(-1, size + count), np.empty((2, batch, size + count, size))
+        everything[..., :size, :size], everything[..., size:, size:] = self._initial, drift
+        added[..., size:, size:] = drift * since_s / 60.0
         # Of readings, and of the touch, which is read as 0 at rest; and variances of their noise, believed and true.
         jacobian, noise2 = np.zeros((batch, count + 2, size + count)), np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
         noise2[0, :, count:], noise2[1, :, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
-        waves, touch2 = slice(kalman.FIRST_WAVE, size), _diagonal(everything)[..., TOUCH]
-        for step, force_n in zip(self._steps, self._force_n, strict=True):
-            touch2[0] += since_s * step.rate**2
+        lag, waves, touch2 = np.zeros((batch, size + count)), slice(kalman.FIRST_WAVE, size), _diagonal(everything)
+        for step, force_n, error2 in zip(self._steps, self._force_n, self._model_error2(slopes), strict=True):
+            touch2[0, :, TOUCH] += since_s * step.rate**2
             # F P F^T by rows, then by columns, as P is symmetric.
-            once = (rows[:, :size] @ step.transition.T).reshape(2, batch, size + count, size)
-            everything[..., :size], everything[:, :, :size, size:] = once, np.swapaxes(once[:, :, size:], 2, 3)
-            everything[:, :, :size, :size] = np.swapaxes(once[:, :, :size], 2, 3) @ step.transition.T
-            claimed[:, :size, :size] += step.noise
+            np.matmul(rows[:, :size], step.transition.T, out=once.reshape(-1, size))
+            np.matmul(step.transition, once[:, :, :size], out=everything[:, :, :size, :size])
+            everything[:, :, size:, :size] = once[:, :, size:]
+            everything[:, :, :size, size:] = np.swapaxes(once[:, :, size:], 2, 3)
             # What the filter takes for noise of walls and pulp is none of the body's.
-            true[:, waves, waves] += step.noise[waves, waves]
-            everything[:, :, size:, size:] += drift * since_s / 60.0
+            added[0, 0, :size, :size], added[1, 0, waves, waves] = step.noise, step.noise[waves, waves]
+            everything += added
             lag[:, :size] = lag[:, :size] @ step.transition.T
             lag[:, TOUCH] += step.moved
-            jacobian[:, :count, :size] = slopes @ step.by_state
-            moved = moved * np.exp(-since_s / READING_CORRELATION_S)
-            noise2[0, :, :count] = noise2[1, :, :count] + known.model_error2(change, moved, since_s)
-            moved, change = moved + slopes @ step.blood - change, slopes @ step.blood
+            jacobian[:, :count, :size], noise2[0, :, :count] = slopes @ step.by_state, noise**2 + error2
             read = slice(count if force_n else count + 2)
             _update(everything, lag, jacobian[:, read], noise2[..., read])
-            yield lag[:, TOUCH] ** 2 + touch2[1]
+            yield lag[:, TOUCH] ** 2 + touch2[1, :, TOUCH]
+
+    def _model_error2(self, slopes: Array) -> Array:
+        """Variance of readings by the model's error at each sample, by those before it, (samples, batch, R) float."""
+        kept, before, recent = np.exp(-1.0 / (RATE_HZ * READING_CORRELATION_S)), [np.zeros(2)], [np.zeros(2)]
+        for step in self._steps[:-1]:
+            recent.append(kept * (recent[-1] + step.blood - before[-1]))
+            before.append(step.blood)
+        from_rest, moved = (np.einsum("tz,brz->tbr", blood, slopes) for blood in (before, recent))
+        return self.noise.model_error2(from_rest, moved, 1.0 / RATE_HZ)
 
 
 def _diagonal(matrices: Array) -> Array:
@@ -175,14 +181,15 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
     by_state = jacobian @ covariances
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
     _diagonal(innovation)[...] += noise2
-    turned = np.swapaxes(by_state, 2, 3)
-    gain = np.broadcast_to(turned[0] @ np.linalg.inv(innovation[0]), turned.shape)
+    # K^T, of both.
+    gain = np.broadcast_to(np.linalg.inv(innovation[0]) @ by_state[0], by_state.shape)
     # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T, as P - K H P - (P H^T - K S) K^T, both products in one; with its
     # sides summed up to one product, or not kept symmetric, variances fall below 0 by rounding.
-    left, right = (gain, turned - gain @ innovation), (by_state, np.swapaxes(gain, 2, 3))
-    covariances -= np.concatenate(left, 3) @ np.concatenate(right, 2)
-    covariances[...] = 0.5 * (covariances + np.swapaxes(covariances, 2, 3))
-    lag -= (gain[0] @ (jacobian @ lag[..., None]))[..., 0]
+    left, right = (gain, by_state - innovation @ gain), (by_state, gain)
+    covariances -= np.swapaxes(np.concatenate(left, 2), 2, 3) @ np.concatenate(right, 2)
+    covariances += np.swapaxes(covariances, 2, 3).copy()
+    covariances *= 0.5
+    lag -= ((jacobian @ lag[..., None]).swapaxes(1, 2) @ gain[0])[:, 0]
 
 
 def scene_noise(body: Body | None, person: Person) -> Noise:
