@@ -655,7 +655,7 @@ MUTATIONS = (
     Mutation(
         "the zero follows readings however far they are",
         "studies/force/ensemble.py",
-        "/ ZERO_S) * nearness)",
+        "/ ZERO_S) * max(nearness, LEAST_NEARNESS))",
         "/ ZERO_S))",
         FORCE,
     ),

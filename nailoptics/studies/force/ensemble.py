@@ -21,9 +21,9 @@ from .scores import TOUCH_N
 
 # Time constants of the exponential means from which departures are features: a press, a pulse, a refill. [s]
 LAGS_S = np.array([0.15, 0.5, 1.5, 4.0])
-# Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later, less
-# where the main components are far from it, in their units: a touch that the filter takes for rest. [s, 1]
-FIRST_REST_S, ZERO_S, REST_SPREAD = 6.0, 30.0, 0.6
+# Readings at rest are the mean of the first seconds at rest, and follow slowly wherever the finger rests later, down to
+# a part where the main components are far from it, in their units: touches taken for rest, or drift. [s, s, 1, 1]
+FIRST_REST_S, ZERO_S, REST_SPREAD, LEAST_NEARNESS = 6.0, 30.0, 0.6, 0.25
 # Principal components of the readings that are features, the main ones of these, and the two pressures of the filter.
 COMPONENTS, MAIN_COMPONENTS, PRESSURES = 4, 2, 2
 # Exponent of the kernel for features that lie a standard deviation each apart. [1]
@@ -64,7 +64,7 @@ class Features:
                 first = step_s / self._rest_s if 0.0 < self._rest_s < FIRST_REST_S else 0.0
                 off = np.nan_to_num(self._last - self._zero)
                 nearness = np.exp(-0.5 * ((self.components[:MAIN_COMPONENTS] @ off / REST_SPREAD) ** 2).sum())
-                self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S) * nearness) * off
+                self._zero = self._zero + max(first, -np.expm1(-step_s / ZERO_S) * max(nearness, LEAST_NEARNESS)) * off
             out[:, k] = np.nan_to_num(self._last - self._zero)
         return out
 

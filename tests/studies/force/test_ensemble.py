@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from nailoptics.scene.importers.sensor_recordings import Recording, recording_csv
 from nailoptics.studies.force.body_noise import REST_FORCE_N
 from nailoptics.studies.force.calibrate import calibrate_with
-from nailoptics.studies.force.ensemble import LAGS_S, Features, mixed
+from nailoptics.studies.force.ensemble import LAGS_S, ZERO_S, Features, mixed
 from nailoptics.studies.force.fit import averaged
 from nailoptics.studies.force.person import LONGEST_GAP_S
 from nailoptics.studies.force.predict import csv_rows, live, predict
@@ -114,12 +114,20 @@ def test_the_zero_follows_a_slow_drift_at_rest_alone():
         assert values[0, -1] == pytest.approx(left, abs=0.001)
 
 
-def test_the_zero_does_not_follow_readings_that_are_far_from_it():
+def test_the_zero_follows_readings_that_are_far_from_it_four_times_slower():
     """Rationale: a filter that takes a slow touch for a wave says that the finger rests."""
-    for far, left in ((3.0, 3.0), (0.1, 0.0)):
+    for far, slower in ((3.0, 4.0), (0.1, 1.0)):
         step = np.where(np.arange(100) < 10, 0.0, far)[None]
         values = Features(np.eye(1)).over_rest(np.exp(step), np.full(100, True), np.full(100, 1.0))
-        assert values[0, -1] == pytest.approx(left, abs=0.1)
+        assert values[0, -1] == pytest.approx(far * np.exp(-90.0 / (slower * ZERO_S)), rel=0.05)
+
+
+def test_the_zero_is_not_left_behind_by_a_light_that_fades_for_long():
+    """Rationale: a drift that leads the zero astray takes it further away, where it follows less. Expected: it lies
+    behind by no more than the drift of four time constants."""
+    fading = 0.03 * np.arange(3600.0)[None]
+    values = Features(np.eye(1)).over_rest(np.exp(fading), np.full(3600, True), np.full(3600, 1.0))
+    assert values[0, -1] == pytest.approx(0.03 * 4.0 * ZERO_S, rel=0.05)
 
 
 def test_readings_at_rest_and_memory_begin_anew_after_a_gap_as_the_filter_does():
