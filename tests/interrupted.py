@@ -15,7 +15,8 @@ import pytest
 
 from nailoptics.cli import run
 
-ENVIRONMENT = {"PYTHONPATH": str(Path(__file__).parents[1])}
+# In coarse cells, as no light is compared.
+ENVIRONMENT = {"PYTHONPATH": os.pathsep.join(map(str, (Path(__file__).with_name("fewer"), Path(__file__).parents[1])))}
 # At the call it waits on stdin, until the signal has come; every call is reported.
 CHILD = """
 import functools, importlib, sys

@@ -302,7 +302,7 @@ sys.exit(max(run(command.split()) for command in sys.argv[1:]))
 """
 
 
-def test_nothing_is_needed_that_only_posix_has(chosen_jit, tmp_path):
+def test_nothing_is_needed_that_only_posix_has(chosen_jit, coarse_cells, tmp_path):
     """Rationale: no machine with Windows was at hand. Expected: without the modules, functions and signals that Python
     has not got there, and with no text in the system's own encoding, a scene is checked, its light traced and kept."""
     trace = f"trace prototype --photons 2000 --backend {chosen_jit.name} -o light.npz"

@@ -41,6 +41,15 @@ def few_from_outside(ambient: ModuleType) -> None:
     ambient.trace_ambient.__kwdefaults__["photons"] = PHOTONS_FROM_OUTSIDE
 
 
+def without_dask(pycompat: ModuleType) -> None:
+    """No array is Dask's, which xarray would load as the first one is made, as commands have it; who asks for it still
+    has it."""
+    if "dask" not in sys.modules:
+        sys.modules["dask"] = None  # type: ignore[assignment]
+        pycompat._get_cached_duck_array_module("dask")
+        del sys.modules["dask"]
+
+
 def with_values(**values: Any) -> Callable[[ModuleType], None]:
     return lambda module: vars(module).update(values)
 
@@ -59,6 +68,7 @@ CHANGES = {
     "nailoptics.studies.placement.search": with_values(FINEST=1, SHORTLIST=1, REGULAR=1),
     "nailoptics.studies.placement.verification": with_values(PHOTONS=1 << 14),
     "nailoptics.studies.prior_uncertainty": with_values(LEAST_OWN_PHOTONS=1 << 12),
+    "xarray.namedarray.pycompat": without_dask,
 }
 
 
