@@ -199,6 +199,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: str(item.path).startswith(QUICK))
 
 
+def pytest_collection_finish() -> None:
+    # What is loaded by now stays to the end: the collector need not look through it again, nor when pytest ends.
+    gc.freeze()
+
+
 def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
     """Turn a skip into a failure in CI: what is not run there is run nowhere."""
     if IN_CI and report.skipped and not hasattr(report, "wasxfail"):
