@@ -35,13 +35,13 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     scene = scene.model_copy(update={"leds": dim})
     path = tmp_path / "explore.html"
     monkeypatch.setenv("NAILOPTICS_STORE", str(tmp_path / "light"))
-    explored = study.explore(scene, photons=EXPLORED, seed=3)
+    explored = study.explore(scene, photons=EXPLORED, seed=4)
     path.write_text(page(explored), encoding="utf-8")
     with monkeypatch.context() as patch:
         # What is stored is not traced again, also for other electronics.
         patch.delattr(study.ColourSums, "traced")
         again = study.explore(
-            scene.model_copy(update={"electronics": type(scene.electronics)()}), photons=EXPLORED, seed=3
+            scene.model_copy(update={"electronics": type(scene.electronics)()}), photons=EXPLORED, seed=4
         )
     np.testing.assert_equal(again.colours[0].blocks, explored.colours[0].blocks)
     np.testing.assert_equal(again.colours[0].fluence.values, explored.colours[0].fluence.values)

@@ -25,7 +25,7 @@ def test_the_best_of_each_number_is_chosen_by_one_half_and_judged_by_the_other(j
     requested = parse_scene(text.replace("[blood]", "[electronics]\nfeedback_ohm = 1e6\n[blood]"))
     rules, base = boards.rules(requested), boards.base_board(requested)
     condition = place.finger_condition(base, FingerCase(name="one"), rules)
-    cache, objective = photon_map_cache([condition], seed=0, stream=1, blocks=16), Objective(rules, [condition.point])
+    cache, objective = photon_map_cache([condition], seed=4, stream=1, blocks=16), Objective(rules, [condition.point])
     pd = requested.photodiodes[0]
     driven = base.leds[0].model_copy(update={"current_ma": 20.0, "max_current_ma": 50.0, "price": 1.5})
     drawn = base.model_copy(
