@@ -1,6 +1,5 @@
 """Calibrate a person's sensor with recordings of a known force, and what recordings must have."""
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from ...sensor import electronics
 from ...variables import variable
 from .body_noise import REST_FORCE_N, estimate_noise
 from .fit import FARTHEST_SPREADS, LEAST_TOUCHES_OF_ALL, Fit, Fitted, joined
-from .person import LONGEST_GAP_S, NAMES, SIDES, SPREAD_LN, nominal_finger
+from .person import LONGEST_GAP_S, NAMES, PRIORS, SIDES, SPREAD_LN, nominal_finger
 from .reading_table import ReadingTable, nodes_of, reading_names, reading_table, site_of
 from .scores import runs, touches_by_kind, train_baselines
 from .subject import Quality, Readings, Subject, subject_toml
@@ -147,9 +146,11 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, quality = [*lacking(recordings)], subject.quality
     factors = subject.factor_table()
-    at_bound = np.abs(subject.factors_ln) > 0.98 * FARTHEST_SPREADS * SPREAD_LN
-    if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in itertools.compress(NAMES, at_bound)]:
-        warnings.append(f"the fit ends at a bound for {', '.join(bounded)}: its vessels are not quite this finger's.")
+    # Of what is no constant of the vessels, as the pulp's creep, there may be hardly any.
+    of_vessels = [bool(prior.fields) for prior in PRIORS.values()]
+    part = np.where(of_vessels, np.abs(subject.factors_ln), subject.factors_ln) / (FARTHEST_SPREADS * SPREAD_LN)
+    if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in np.array(NAMES)[part > 0.98]]:
+        warnings.append(f"the fit ends at a bound for {', '.join(bounded)}: its model is not quite this finger.")
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
         unknown = "the refill rate of the vessels is not identifiable"
         warnings.append(f"{unknown}, estimates of quick touches rely on priors.")
