@@ -149,11 +149,11 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     # Of what is no constant of the vessels, as the pulp's creep, there may be hardly any.
     of_vessels = [bool(prior.fields) for prior in PRIORS.values()]
     part = np.where(of_vessels, np.abs(subject.factors_ln), subject.factors_ln) / (FARTHEST_SPREADS * SPREAD_LN)
-    if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in np.array(NAMES)[part > 0.98]]:
+    at_bound = np.array(NAMES)[np.isclose(part, 1.0, atol=0.02)]
+    if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in at_bound]:
         warnings.append(f"the fit ends at a bound for {', '.join(bounded)}: its model is not quite this finger.")
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
-        unknown = "the refill rate of the vessels is not identifiable"
-        warnings.append(f"{unknown}, estimates of quick touches rely on priors.")
+        warnings.append("the refill rate of the vessels is not identifiable: estimates of quick touches rest on priors")
     if quality.fault:
         held_out = "held-out touches" if subject.ensemble else "own touches"
         off = f"{1e3 * quality.rms_n:.0f} mN off (rms), {quality.relative_error:.0%} of their size"
