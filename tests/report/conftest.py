@@ -1,6 +1,5 @@
 """Results made up in the form of a real one, for any LEDs, times and force."""
 
-import hashlib
 import json
 from pathlib import Path
 
@@ -93,19 +92,6 @@ def made_up(*, leds=1, times=41, swing=1.0, section=True):
 def undrawn(monkeypatch):
     """Figures are made, but not drawn: for pages of which tables and sentences are read."""
     monkeypatch.setattr(style, "to_svg", lambda figure, **_: "<svg></svg>")
-
-
-@pytest.fixture
-def sketched(monkeypatch):
-    """Figures are told apart by their titles, lines and images, but not drawn: for pages that are compared."""
-
-    def sketch(figure, **_):
-        what = [(one.get_title("left"), one.get_title(), one.get_xlabel(), one.get_ylabel()) for one in figure.axes]
-        what += [line.get_xydata().tolist() for axes in figure.axes for line in axes.lines]
-        what += [np.asarray(image.get_array()).tolist() for axes in figure.axes for image in axes.images]
-        return f'<svg id="{hashlib.sha256(json.dumps(what).encode()).hexdigest()}"></svg>'
-
-    monkeypatch.setattr(style, "to_svg", sketch)
 
 
 @pytest.fixture(scope="session")
