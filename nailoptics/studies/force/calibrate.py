@@ -153,7 +153,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     if bounded := [f"{name} ({factors[name]['value']:.2g})" for name in at_bound]:
         warnings.append(f"the fit ends at a bound for {', '.join(bounded)}: its model is not quite this finger.")
     if not any(factors[name]["informed"] for name in REFILL_FACTORS):
-        warnings.append("the refill rate of the vessels is not identifiable: estimates of quick touches rest on priors")
+        warnings.append("the refill rate of the vessels is unidentifiable: estimates of quick touches rely on priors.")
     if quality.fault:
         held_out = "held-out touches" if subject.ensemble else "own touches"
         off = f"{1e3 * quality.rms_n:.0f} mN off (rms), {quality.relative_error:.0%} of their size"
