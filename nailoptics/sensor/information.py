@@ -10,7 +10,7 @@ still add up one by one.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -256,9 +256,6 @@ def total_information(by_led: Iterable[Response], *, electronics_alone: bool = F
     return np.sum(informations, axis=0)
 
 
-upper_triangle = lru_cache(np.triu_indices)  # of so many rows: asked for thousands of times
-
-
 def pressure_information(information: Array) -> Array:
     """Information on the two pressures with the body's unknowns marginalised, (..., 3) float: 11, 12, 22. [Pa^-2]
 
@@ -266,13 +263,13 @@ def pressure_information(information: Array) -> Array:
     """
     if (count := math.isqrt(2 * information.shape[-1])) == 2:
         return information
-    rows, columns = upper_triangle(count)
-    matrix = np.empty((*information.shape[:-1], count, count))
-    matrix[..., rows, columns] = matrix[..., columns, rows] = information
+    at = dict(zip(combinations_with_replacement(range(count), 2), information.T.copy(), strict=True))
     for last in range(count - 1, 1, -1):
-        beside, variance = matrix[..., :last, last], 1.0 + matrix[..., last, last]
-        matrix = matrix[..., :last, :last] - beside[..., :, None] * beside[..., None, :] / variance[..., None, None]
-    return matrix[..., [0, 0, 1], [0, 1, 1]]
+        for i in range(last):
+            part = at[i, last] / (1.0 + at[last, last])
+            for j in range(i, last):
+                at[i, j] -= part * at[j, last]
+    return np.stack([at[0, 0].T, at[0, 1].T, at[1, 1].T], -1)
 
 
 def force_resolution_n(information: Array, point: OperatingPoint) -> Array:

@@ -17,7 +17,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import NotReachedError
 from nailoptics.studies.placement import boards, candidates, photon_maps, place, result
-from nailoptics.studies.placement.objective import Objective, score_layout
+from nailoptics.studies.placement.objective import Objective, scores_of
 
 CANDIDATES = 20
 
@@ -58,7 +58,7 @@ def further(scene: nail.Scene, computed: xr.Dataset) -> float:
         begin = time.perf_counter()
         moved, leds = [(u, v + 0.01 * i) for u, v in places], [r.center_mm for r in best.layout.leds]
         layout = candidates.candidate_scene(base, nail.scene.Candidate(name="one", leds_mm=leds, photodiodes_mm=moved))
-        score_layout(candidates.CandidateLayout("one", layout, board, "given"), cache, objective)
+        scores_of([cache.read(layout, board)], objective)
         spent.append(time.perf_counter() - begin)
     return statistics.median(spent[1:])
 

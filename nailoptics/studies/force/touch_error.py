@@ -45,16 +45,17 @@ EXACT_SLOPE = 1e6
 
 
 class _Step(NamedTuple):
-    """The filter's model from one sample to the next, without the readings' drift: n states.
+    """The filter's model from one sample to the next, without the readings' drift: n states. Walls, touch and pulp come
+    first and depend on all; the others are the body's waves, each as it was when the touches began.
 
-    transition, noise : (n, n) float. Of the process, that of the touch left out. rate : of its random walk.
-    by_state : (2, n) float. Change of the blood of both zones with the state. blood : (2,) float. It, over rest.
+    transition : (6, n) float. Of the first states. noise : (2, n, n) float. Of the process, to the filter and in truth.
+    by_state : (2, n) float. Change of the blood of both zones with the state.
+    blood : (2, 2) float. Its distance from rest and recent change one sample before: what the model's error follows.
     moved : (2,) float. By how much both touches move, of which the filter knows nothing.
     """
 
     transition: Array
     noise: Array
-    rate: float
     by_state: Array
     blood: Array
     moved: Array
@@ -75,7 +76,7 @@ class TouchError:
             raise InputError(f"the filter of predict cannot follow this: {explain(error, BaseModel).args[0]}") from None
         parts, height = np.array(TOUCHES).T
         corner_s = np.cumsum([0.0, FIRST_REST_S, *parts, *parts])
-        time_s = np.arange(0.0, corner_s[-1], 1.0 / RATE_HZ)
+        time_s = np.arange(0.0, corner_s[-2], 1.0 / RATE_HZ)  # nothing counts after the last touch
         self._force_n = force_n * np.interp(time_s, corner_s, [0.0, 0.0, *height, *height])
         self._proximal = time_s < corner_s[1 + len(TOUCHES)]
         model = StateSpace(_blood_meter(scene, self.noise))
@@ -84,28 +85,39 @@ class TouchError:
 
     def _linearised(self, model: StateSpace) -> Iterator[_Step]:
         """The model along the touches, from the first sample on."""
-        since_s = 1.0 / RATE_HZ
+        since_s, kept = 1.0 / RATE_HZ, np.exp(-1.0 / (RATE_HZ * READING_CORRELATION_S))
         model.resolve_harmonics(since_s)
         touch = self.person.pressures_n_per_cm2(self._force_n, self._proximal.astype(float))
         state, relaxed, size = model.initial()[0], np.zeros(2), model.drift.start
         if self.noise.beat:
             state[model.beat.start + 1 : model.beat.stop : 2] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
+        # Waves turn and fade by themselves: back at the beginning only what is added to them on the way changes them.
+        waves, onward, before = slice(kalman.FIRST_WAVE, size), np.eye(size), np.zeros((2, 2))
         for moved in np.diff(touch, axis=1, prepend=0.0).T:
             after, transition, noise = model.process(state, np.zeros(kalman.WALL_STATES), relaxed, since_s)
             relaxed, after[TOUCH] = model.relax(state, relaxed, since_s), state[TOUCH] + moved
             state = after
             quick = np.abs(moved).max() > QUICK * kalman.TOUCH_RATE_N_PER_CM2_RT_S * np.sqrt(since_s)
+            rate = kalman.TOUCH_RATE_N_PER_CM2_RT_S * kalman.MODE_RATE[int(quick)]
             # The meter's readings are exp(blood over that at rest).
             volts, jacobian = model.measurement(state)
-            blood, rest = np.log(volts), self.person.rest_blood
+            blood, rest = self.person.rest_blood * (np.log(volts) - 1.0), self.person.rest_blood
+            transition, noise = transition[:size, :size], noise[:size, :size]
+            noise += since_s * rate**2 * transition[:, TOUCH] @ transition[:, TOUCH].T
+            transition = transition @ onward
+            onward[waves, waves] = transition[waves, waves]
+            back = np.linalg.inv(onward)
+            noise = np.stack([back @ noise @ back.T, np.zeros((size, size))])
+            # What the filter takes for noise of touch, walls and pulp is none of the body's.
+            noise[1, waves, waves] = noise[0, waves, waves]
             yield _Step(
-                transition=transition[:size, :size],
-                noise=noise[:size, :size],
-                rate=kalman.TOUCH_RATE_N_PER_CM2_RT_S * kalman.MODE_RATE[int(quick)],
-                by_state=rest * jacobian[:, :size] / volts[:, None],
-                blood=rest * (blood - 1.0),
+                transition=transition[: kalman.FIRST_WAVE],
+                noise=noise,
+                by_state=rest * jacobian[:, :size] @ onward / volts[:, None],
+                blood=before,
                 moved=moved,
             )
+            before = np.stack([blood, kept * (before[1] + blood - before[0])])
 
     def rms_n(self, slopes: Array, noise: Array, led: Array) -> Array:
         """The error over the touches, (...) float. [N]
@@ -116,11 +128,10 @@ class TouchError:
         """
         *shape, count = noise.shape
         slopes, noise = slopes.reshape(-1, count, 2), noise.reshape(-1, count)
-        side = np.where(self._proximal, 0, 1)
         touched = self._force_n >= min(TOUCH_N, 0.5 * self._force_n.max())
-        error2 = np.stack([error2[:, i] for error2, i in zip(self._errors2(slopes, noise, led), side, strict=True)])
-        error2 *= (self.person.side_areas_cm2**2)[side, None]
-        return np.asarray(np.sqrt(error2[touched].mean(0)).reshape(shape))
+        areas2 = self.person.side_areas_cm2**2 * np.eye(2)[np.where(self._proximal, 0, 1)] * touched[:, None]
+        errors2 = (error2 @ area2 for error2, area2 in zip(self._errors2(slopes, noise, led), areas2, strict=True))
+        return np.asarray(np.sqrt(sum(errors2) / touched.sum()).reshape(shape))
 
     @cached_property
     def floor_n(self) -> float:
@@ -133,41 +144,31 @@ class TouchError:
         """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
         batch, count = noise.shape
         size, since_s, drift = len(self._initial), 1.0 / RATE_HZ, self.noise.drift_covariance(led)
-        # The covariance that the filter believes, and the true one, all of their rows, and what a sample adds to them.
-        everything, added = (np.zeros((2, n, size + count, size + count)) for n in (batch, 1))
-        rows, once = everything.reshape(-1, size + count), np.empty((2, batch, size + count, size))
+        # The covariance that the filter believes, and the true one, and all of their rows.
+        everything = np.zeros((2, batch, size + count, size + count))
+        rows, driven = everything.reshape(-1, size + count)[:, :size], slice(kalman.FIRST_WAVE)
         everything[..., :size, :size], everything[..., size:, size:] = self._initial, drift
-        added[..., size:, size:] = drift * since_s / 60.0
         # Of readings, and of the touch, which is read as 0 at rest; and variances of their noise, believed and true.
         jacobian, noise2 = np.zeros((batch, count + 2, size + count)), np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
         noise2[0, :, count:], noise2[1, :, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
-        lag, waves, touch2 = np.zeros((batch, size + count)), slice(kalman.FIRST_WAVE, size), _diagonal(everything)
-        for step, force_n, error2 in zip(self._steps, self._force_n, self._model_error2(slopes), strict=True):
-            touch2[0, :, TOUCH] += since_s * step.rate**2
-            # F P F^T by rows, then by columns, as P is symmetric.
-            np.matmul(rows[:, :size], step.transition.T, out=once.reshape(-1, size))
-            np.matmul(step.transition, once[:, :, :size], out=everything[:, :, :size, :size])
-            everything[:, :, size:, :size] = once[:, :, size:]
-            everything[:, :, :size, size:] = np.swapaxes(once[:, :, size:], 2, 3)
-            # What the filter takes for noise of walls and pulp is none of the body's.
-            added[0, 0, :size, :size], added[1, 0, waves, waves] = step.noise, step.noise[waves, waves]
-            everything += added
-            lag[:, :size] = lag[:, :size] @ step.transition.T
+        lag, touch2 = np.zeros((batch, size + count)), _diagonal(everything[1])[:, TOUCH]
+        for step, force_n in zip(self._steps, self._force_n, strict=True):
+            # F P F^T of a symmetric P, kept so: what rounding leaves of it grows.
+            moved = (rows @ step.transition.T).reshape(2, batch, size + count, -1)
+            everything[:, :, driven], everything[..., driven] = np.swapaxes(moved, 2, 3), moved
+            both = step.transition @ moved[:, :, :size]
+            everything[:, :, driven, driven] = 0.5 * (both + both.swapaxes(2, 3))
+            everything[..., :size, :size] += step.noise[:, None]
+            everything[..., size:, size:] += drift * since_s / 60.0
+            lag[:, driven] = lag[:, :size] @ step.transition.T
             lag[:, TOUCH] += step.moved
-            jacobian[:, :count, :size], noise2[0, :, :count] = slopes @ step.by_state, noise**2 + error2
+            jacobian[:, :count, :size] = slopes @ step.by_state
+            from_rest, recent = np.moveaxis(slopes @ step.blood.T, 2, 0)
+            noise2[0, :, :count] = noise**2 + self.noise.model_error2(from_rest, recent, since_s)
             read = slice(count if force_n else count + 2)
             _update(everything, lag, jacobian[:, read], noise2[..., read])
-            yield lag[:, TOUCH] ** 2 + touch2[1, :, TOUCH]
-
-    def _model_error2(self, slopes: Array) -> Array:
-        """Variance of readings by the model's error at each sample, by those before it, (samples, batch, R) float."""
-        kept, before, recent = np.exp(-1.0 / (RATE_HZ * READING_CORRELATION_S)), [np.zeros(2)], [np.zeros(2)]
-        for step in self._steps[:-1]:
-            recent.append(kept * (recent[-1] + step.blood - before[-1]))
-            before.append(step.blood)
-        from_rest, moved = (np.einsum("tz,brz->tbr", blood, slopes) for blood in (before, recent))
-        return self.noise.model_error2(from_rest, moved, 1.0 / RATE_HZ)
+            yield lag[:, TOUCH] ** 2 + touch2
 
 
 def _diagonal(matrices: Array) -> Array:
@@ -181,15 +182,12 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
     by_state = jacobian @ covariances
     innovation = by_state @ np.swapaxes(jacobian, 1, 2)
     _diagonal(innovation)[...] += noise2
-    # K^T, of both.
-    gain = np.broadcast_to(np.linalg.inv(innovation[0]) @ by_state[0], by_state.shape)
-    # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T, as P - K H P - (P H^T - K S) K^T, both products in one; with its
-    # sides summed up to one product, or not kept symmetric, variances fall below 0 by rounding.
-    left, right = (gain, by_state - innovation @ gain), (by_state, gain)
-    covariances -= np.swapaxes(np.concatenate(left, 2), 2, 3) @ np.concatenate(right, 2)
-    covariances += np.swapaxes(covariances, 2, 3).copy()
-    covariances *= 0.5
-    lag -= ((jacobian @ lag[..., None]).swapaxes(1, 2) @ gain[0])[:, 0]
+    gain = np.linalg.inv(innovation[0]) @ by_state[0]  # K^T, of both
+    # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T: P less K (H P - S K^T / 2) and its transpose.
+    change = gain.swapaxes(1, 2) @ (by_state - 0.5 * innovation @ gain)
+    covariances -= change
+    covariances -= np.swapaxes(change, 2, 3)
+    lag -= ((jacobian @ lag[..., None]).swapaxes(1, 2) @ gain)[:, 0]
 
 
 def scene_noise(body: Body | None, person: Person) -> Noise:

@@ -31,7 +31,7 @@ from ...statistics import Array, jackknife
 from ...variables import Estimate, described, jackknifed
 from . import boards, candidates
 from .candidates import CandidateLayout
-from .objective import ALIKE, WAVES_LEFT, LayoutScore, Objective, score_layout
+from .objective import ALIKE, WAVES_LEFT, LayoutScore, Objective, scores_of
 from .photon_maps import PhotonMapCache
 from .row_design import RowDesign, SearchedSite, coordinate_exchange
 from .search import LAST_STARTS, SEARCH_PHOTONS, SEARCH_SHARE, Search
@@ -226,7 +226,7 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     score = replace(objective, filter_groups=GROUPS)
     bears = [led.max_current_ma / led.current_ma for led in full.leds if led.max_current_ma and led.current_ma]
     powers = [power for power in POWERS if power <= max(1.0, min([POWERS[-1], *bears]))]
-    counts, ranked, prices = list[int](), list[Array](), list[float]()
+    counts, read, prices = list[int](), list[Any](), list[float]()
     wall = (walls[0].name, full.board.barrier_gap_mm or 0.0) if walls else None
     fixed = len(places.areas) - places.free
     for n in sorted({count, *(n for n in COUNTS if fixed <= n <= 2 * count)}):
@@ -244,10 +244,10 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
             leds = tuple(led.model_copy(update={"flux_mw": power * led.flux_mw}) for led in scene.leds)
             lit = scene.model_copy(update={"leds": leds})
             judging.ambient_a[digest(lit)] = ambient_a
-            ranked.append(score_layout(replace(layout, scene=lit), judging, score).ranked)
+            read.append(judging.read(lit, layout.board, len(score.points)))
     if not counts:
         return xr.Dataset()
-    table = np.array(ranked).T.reshape(-1, len(counts), len(powers))
+    table = np.array([one.ranked for one in scores_of(read, score)]).T.reshape(-1, len(counts), len(powers))
     front = np.zeros(table.shape[1:], bool)
     for i, j in np.ndindex(front.shape):
         *others, here = table[0, : i + 1, : j + 1].ravel()

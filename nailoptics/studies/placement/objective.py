@@ -4,6 +4,8 @@ score from traced light, of which there is more where the best is undecided."""
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,10 @@ UNRESOLVED = (
 UNREADABLE = 1e3
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
+
+
+# What a layout reads, by finger and LED, each (1 + blocks, photodiodes).
+ByFinger = Sequence[Sequence[sensor_information.Response]]
 
 
 @dataclass(frozen=True)
@@ -135,7 +141,7 @@ class Objective:
                 sums[..., -1] = (oxygen.log_ratio_per_percent * shape_rms) ** 2 * oxygen.frames / sums[..., -1]
         return np.asarray(total)
 
-    def total(self, responses: Sequence[Sequence[sensor_information.Response]]) -> Array:
+    def total(self, responses: ByFinger) -> Array:
         """Information of all photodiodes and LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
         by_led = [
             np.stack([self.columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
@@ -156,7 +162,7 @@ class Objective:
         if name == "force" and self.waves_left < 1 and self.points[0].body is not None:
             part = np.ones(math.isqrt(2 * information.shape[-1]))
             part[2:4] = self.waves_left  # the waves' two shapes come after the pressures
-            information = information * np.outer(part, part)[sensor_information.upper_triangle(len(part))]
+            information = information * np.outer(part, part)[np.triu_indices(len(part))]
         resolutions = [resolution(*both) for both in zip(information, self.points, strict=True)]
         return self.over(np.stack(resolutions), name)
 
@@ -181,28 +187,26 @@ class Objective:
             logs = [weight * np.log(values[name]) for name, weight in weights.items()]
         return np.asarray(np.exp(np.sum(logs, axis=0)))
 
-    def force_over_touches(
-        self, responses: Sequence[Sequence[sensor_information.Response]]
-    ) -> "ForceResolution | None":
-        """Error of the force that a filter estimates over touches, by finger and LED (1 + blocks, photodiodes); None
-        where it does not count."""
+    def force_over_touches(self, layouts: Sequence[ByFinger]) -> "Sequence[ForceResolution | None]":
+        """Error of the force that a filter estimates over touches, of layouts of as many photodiodes; None where it
+        does not count."""
         if not self.filters:
-            return None
+            return [None] * len(layouts)
         fingers_n = []
-        for of_leds, touches in zip(responses, self.filters, strict=True):
-            light_v, noise_v, unsaturated = (
-                np.concatenate([getattr(read, name) for read in of_leds], -1)
-                for name in ("light_v", "noise_v", "unsaturated")
+        for touches, by_led in zip(self.filters, zip(*layouts, strict=True), strict=True):
+            light_v, noise_v, unsaturated, zone_v = (
+                np.stack([np.concatenate([getattr(read, name) for read in of_leds], 1) for of_leds in by_led], 1)
+                for name in ("light_v", "noise_v", "unsaturated", "zone_v")
             )
-            zone_v = np.concatenate([read.zone_v for read in of_leds], -2)
             with np.errstate(divide="ignore", invalid="ignore"):
                 noise = np.nan_to_num(noise_v / light_v / np.sqrt(unsaturated), nan=UNREADABLE)
                 slopes = np.where(noise[..., None] < UNREADABLE, zone_v / light_v[..., None], 0.0)
-            led = np.repeat(np.eye(len(of_leds)), of_leds[0].volts.shape[-1], axis=0)
+            led = np.repeat(np.eye(len(by_led[0])), by_led[0][0].volts.shape[-1], axis=0)
             noise = np.minimum(noise, UNREADABLE)
             slopes, noise = (fewer_groups(values, self.filter_groups) for values in (slopes, noise))
             fingers_n.append(touches.rms_n(slopes, noise, led))
-        return ForceResolution(np.stack(fingers_n, 1), np.array([one.floor_n for one in self.filters]), self)
+        floors_n = np.array([one.floor_n for one in self.filters])
+        return [ForceResolution(layout_n, floors_n, self) for layout_n in np.stack(fingers_n, 2).swapaxes(0, 1)]
 
 
 @dataclass(frozen=True)
@@ -257,7 +261,7 @@ class LayoutScore:
     electronics: ForceResolution
     over_touches: ForceResolution | None
     information_per_pa2: Array
-    responses: list[list[sensor_information.Response]]
+    responses: ByFinger
     share: Array
     spo2_percent: Array | None
     ranked: Array
@@ -298,10 +302,18 @@ def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(resolution_n**2 - np.nan_to_num(noise_floor_n) ** 2, np.finfo(float).tiny)))
 
 
-def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Objective) -> LayoutScore:
-    """A layout's score from light that is traced; a further layout on a traced board costs milliseconds."""
+def scores_of(layouts: Sequence[ByFinger], objective: Objective) -> list[LayoutScore]:
+    """Scores of layouts from what they read: milliseconds for one, and half as long for each of many."""
+    scores = list[LayoutScore]()
+    for _, some in groupby(layouts, lambda by_finger: by_finger[0][0].volts.shape[-1]):
+        alike = list(some)
+        scores += map(partial(_score, objective), alike, objective.force_over_touches(alike))
+    return scores
+
+
+def _score(objective: Objective, responses: ByFinger, over_touches: ForceResolution | None) -> LayoutScore:
+    """A layout's score from what it reads and its error over touches, if that counts."""
     points = objective.points
-    responses = cache.read(layout.scene, layout.board, len(points))
     total = objective.total(responses)
     information = total if objective.oxygen is None else total[..., :-1]
     still = [sensor_information.total_information(by_led, electronics_alone=True) for by_led in responses]
@@ -310,7 +322,7 @@ def score_layout(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
         for matrix in (information, still)
     )
     floors_n = np.array([sensor_information.physiological_noise_force_n(point) for point in points])
-    over_touches, ranked_total = objective.force_over_touches(responses), total
+    ranked_total = total
     if over_touches is not None:
         ranked_total = np.stack([fewer_groups(of_finger, objective.filter_groups) for of_finger in total])
     ranked = objective.score(ranked_total, None if over_touches is None else over_touches.all_n)
@@ -358,8 +370,9 @@ def score_layouts(
     while True:
         # Those whose board was not traced further have the scores that they had.
         known = [(i, cache.of(layout.board).photons_in_all) for i, layout in enumerate(layouts)]
-        for key in (key for key in known if key not in scored):
-            scored[key] = score_layout(layouts[key[0]], cache, objective)
+        unknown = [key for key in known if key not in scored]
+        read = [cache.read(layouts[i].scene, layouts[i].board, len(objective.points)) for i, _ in unknown]
+        scored |= zip(unknown, scores_of(read, objective), strict=True)
         scores = [scored[key] for key in known]
         tied = np.flatnonzero(ties(scores))
         worst = max(scores[i].relative_error for i in tied)

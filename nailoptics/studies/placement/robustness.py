@@ -23,7 +23,7 @@ from .. import prior_uncertainty as uncertainty
 from . import boards, candidates
 from .boards import PartT
 from .candidates import CandidateLayout
-from .objective import LayoutScore, Objective, score_layout
+from .objective import LayoutScore, Objective, scores_of
 from .photon_maps import COARSE_MM, PhotonMapCache, Stopped, batch_seed, recorded
 
 # The best layouts that are read again at every node of every prior.
@@ -208,15 +208,15 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
         part, has no room, or was not traced, and which of the two.
     """
     objective = replace(objective, filter_groups=GROUPS)
-    scene, ranked = layout.scene, score_layout(layout, cache, objective).ranked
-    fingers = cache.conditions[: len(objective.points)]
+    scene, count = layout.scene, len(objective.points)
+    fingers = cache.conditions[:count]
     photons = min(MOST_PHOTONS, cache.most_photons or MOST_PHOTONS)
     elsewhere = replace(cache, conditions=fingers, distance_mm=COARSE_MM, batch_photons=photons)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, photodiodes = ([part.name for part in parts] for parts in (scene.leds, scene.photodiodes))
     parts = ["board", *photodiodes, *leds]
-    table = np.full((len(ranked), len(parts), len(KINDS)), np.nan)
-    missing = np.full(table.shape[1:], "", "<U7")
+    read = dict[tuple[int, int], Any]()
+    missing = np.full((len(parts), len(KINDS)), "", "<U7")
     for part, kind, vary in _varied(scene):
         at = parts.index(part), KINDS.index(kind)
         try:
@@ -227,11 +227,15 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
                 moved, light = replace(layout, scene=vary()), cache
                 candidates.check(moved.scene, layout.name)
             if light.of(moved.board).photons:
-                table[:, *at] = score_layout(moved, light, objective).ranked / ranked - 1
+                read[at] = light.read(moved.scene, moved.board, count)
             else:
                 missing[at] = "no time"
         except InputError:
             missing[at] = "no room"
+    best, *others = scores_of([cache.read(scene, layout.board, count), *read.values()], objective)
+    table = np.full((len(best.ranked), *missing.shape), np.nan)
+    for at, other in zip(read, others, strict=True):
+        table[:, *at] = other.ranked / best.ranked - 1
     data = described(__package__, tolerance_ranking=jackknifed(table), tolerance_missing=missing)
     return xr.Dataset(data, coords={"toleranced_part": parts, "deviation": list(KINDS)})
 

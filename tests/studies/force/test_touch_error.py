@@ -51,13 +51,11 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
     model, truth, made = np.zeros((samples, size) * 2), np.zeros((samples, size) * 2), np.zeros((samples, size))
     before, true_before, mean = first, first, np.zeros(size)
     for k, step in enumerate(short._steps):
-        transition, touch = np.eye(size), np.zeros((size, size))
-        transition[:states, :states] = step.transition
-        touch[[3, 4], [3, 4]] = since_s * step.rate**2
-        noise, true_noise = np.zeros((size, size)), np.zeros((size, size))
-        noise[:states, :states], true_noise[6:states, 6:states] = step.noise, step.noise[6:, 6:]
+        transition, noise, true_noise = np.eye(size), np.zeros((size, size)), np.zeros((size, size))
+        transition[:6, :states] = step.transition
+        noise[:states, :states], true_noise[:states, :states] = step.noise
         noise[states:, states:] = true_noise[states:, states:] = drift * since_s / 60
-        before = transition @ (before + touch) @ transition.T + noise
+        before = transition @ before @ transition.T + noise
         true_before = transition @ true_before @ transition.T + true_noise
         mean = transition @ mean
         mean[3:5] += step.moved
@@ -68,11 +66,12 @@ def test_the_recursion_is_least_squares_over_all_samples(scene: Scene) -> None:
                 joint[j, :, k] = joint[k, :, j].T
     joint_model, joint_truth = (joint.reshape((samples * size,) * 2) for joint in (model, truth))
     rows, variance, true_variance = [], [], []
-    moved = change = np.zeros(count)
+    from_rest, moved = short._steps[0].blood
     for k, step in enumerate(short._steps):
-        moved = moved * np.exp(-since_s / READING_CORRELATION_S)
-        measured = NOISE**2 + short.noise.model_error2(change, moved, since_s)
-        moved, change = moved + SLOPES @ step.blood - change, SLOPES @ step.blood
+        if k:
+            moved = np.exp(-since_s / READING_CORRELATION_S) * (moved + step.blood[0] - from_rest)
+            from_rest = step.blood[0]
+        measured = NOISE**2 + short.noise.model_error2(SLOPES @ from_rest, SLOPES @ moved, since_s)
         jacobian = np.concatenate([SLOPES @ step.by_state, np.eye(count)], 1)
         zero = np.eye(2, size, 3) if short._force_n[k] == 0 else np.zeros((0, size))
         for row in (*jacobian, *zero):

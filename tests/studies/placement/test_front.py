@@ -5,11 +5,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from layout_scores import score_layout
 from small_scenes import PLACEMENT
 
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.studies.placement import boards, candidates, certificate, place, search
-from nailoptics.studies.placement.objective import Objective, score_layout
+from nailoptics.studies.placement.objective import Objective
 
 from .test_place import photon_map_cache
 

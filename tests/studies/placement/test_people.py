@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from layout_scores import score_layout
 from small_scenes import TWO_LAYOUTS as SCENE
 
 from nailoptics.scene import FingerCase, parse_scene
 from nailoptics.sensor.information import over_fingers
 from nailoptics.statistics import jackknife
 from nailoptics.studies.placement import boards, candidates, photon_maps, place, robustness
-from nailoptics.studies.placement.objective import Objective, score_layout
+from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.robustness import over_people, tolerances
 from nailoptics.studies.prior_uncertainty import draw_people, known_priors, value_of
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from layout_scores import score_layout
 from small_scenes import TWO_LAYOUTS
 
 from nailoptics import hemodynamics
@@ -20,7 +21,7 @@ from nailoptics.sensor.information import PhysiologicalNoise, operating_point
 from nailoptics.statistics import covariance_root, left_out
 from nailoptics.studies.force.touch_error import TouchError
 from nailoptics.studies.placement import place, result
-from nailoptics.studies.placement.objective import LayoutScore, Objective, score_layout
+from nailoptics.studies.placement.objective import LayoutScore, Objective
 
 SCENE = TWO_LAYOUTS.replace("[board]", "[body.heartbeat]\n[body.breathing]\n[body.vasomotion]\n[board]")
 BLOOD_PER_PA = np.array([[1.5e-6, -2e-7], [1.8e-6, -3e-6]])

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
+from layout_scores import score_layout
 from listed_variables import assert_listed
 from shown import all_shown
 from small_scenes import TWO_LAYOUTS as SCENE
@@ -37,7 +38,7 @@ from nailoptics.studies.placement import (
     sites,
     verification,
 )
-from nailoptics.studies.placement.objective import ForceResolution, Objective, score_layout
+from nailoptics.studies.placement.objective import ForceResolution, Objective
 from nailoptics.studies.placement.robustness import MOVED, _varied, tolerances
 
 AT = information.OperatingPoint(

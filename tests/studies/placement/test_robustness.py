@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from layout_scores import score_layout
 
 from nailoptics import load_scene
 from nailoptics.assets import data_dir
@@ -12,7 +13,7 @@ from nailoptics.report.uncertainty_section import spread_section, spread_summary
 from nailoptics.scene import Body, Breathing, Candidate, Placement, Priors
 from nailoptics.scene.priors import PriorRange
 from nailoptics.studies.placement import boards, candidates
-from nailoptics.studies.placement.objective import Objective, score_layout
+from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import PhotonMapCache
 from nailoptics.studies.placement.place import finger_condition
 from nailoptics.studies.placement.robustness import resolution_over_priors

@@ -99,7 +99,8 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
     rules = Placement(photodiodes=3, rank_by={"worst": 2.0, "share": 1.0} if seed % 2 else "worst")
     objective = Objective(rules, [AT])
     board = SimpleNamespace(rules=rules, go_together=lambda leds: len(set(leds)) == 3)
-    where = SimpleNamespace(areas=range(10), free=10, staying=0, centers_mm=places, spacing_mm=(0.1, 1.0))
+    exclude = np.abs(np.subtract.outer(places[:, 1], places[:, 1])) < 1.0
+    where = SimpleNamespace(areas=range(10), free=10, staying=0, exclude=exclude)
     design = RowDesign(board, objective, LedRow("left"), where, columns, 1, starts=10)
 
     def score(leds: tuple[int, ...], chosen: tuple[int, ...]) -> float:
