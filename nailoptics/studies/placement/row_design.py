@@ -49,25 +49,20 @@ def coordinate_exchange(
     allowed : (m,) bool. Places that may be taken; all if not given.
     starts : number of first places, the best by themselves that leave room for each other, from which it begins.
     """
-    places, spacing_mm = free.centers_mm, free.spacing_mm
-    given = np.zeros((len(information), information.shape[-1])) + given
-    excluded = np.zeros(len(places), bool) if allowed is None else ~allowed
+    allowed = np.ones(free.free, bool) if allowed is None else allowed
 
     def scores(others: list[int]) -> np.ndarray:
         """Of each place beside others that are taken."""
-        total = given + information[:, others].sum(1)
-        values = np.where(excluded, np.inf, score(total[:, None] + information))
-        for k in others:
-            away = np.abs(places - places[k])
-            values[np.all(away < np.array(spacing_mm) - 1e-9, axis=1)] = values[k] = np.inf
+        values, left = np.full(free.free, np.inf), allowed & ~free.exclude[others].any(0)
+        values[left] = score((given + information[:, others].sum(1))[:, None] + information[:, left])
         return values
 
     if count == 0:
-        return [], float(score(given))
+        return [], float(score(given + information[:, :0].sum(1)))
     alone = scores([])
-    ranked = _separate(np.argsort(alone), places, spacing_mm) if count > 1 else iter(())
+    ranked = _separate(np.argsort(alone), free.exclude) if count > 1 else iter(())
     best: tuple[list[int], float] = ([], np.inf)
-    for first in [None, *(k for k in islice(ranked, starts - 1) if not excluded[k])]:
+    for first in [None, *(k for k in islice(ranked, starts - 1) if allowed[k])]:
         chosen, reached = ([], np.inf) if first is None else ([first], float(alone[first]))
         while len(chosen) < count:
             values = scores(chosen)
@@ -87,12 +82,11 @@ def coordinate_exchange(
     return best
 
 
-def _separate(ranked: np.ndarray, places: np.ndarray, spacing_mm: tuple[float, float]) -> Iterator[int]:
+def _separate(ranked: np.ndarray, exclude: np.ndarray) -> Iterator[int]:
     """Numbers of places in their order, each of a place that leaves room for those before it."""
     while ranked.size:
         yield int(ranked[0])
-        away = np.abs(places[ranked] - places[ranked[0]])
-        ranked = ranked[np.any(away >= spacing_mm, axis=1)]
+        ranked = ranked[~exclude[ranked[0], ranked]]
 
 
 @dataclass(frozen=True)

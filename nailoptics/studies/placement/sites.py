@@ -50,12 +50,17 @@ class PhotodiodePlaces:
         return np.array([area.center_mm for area in self.areas[: self.free]]).reshape(-1, 2)
 
     @cached_property
+    def exclude(self) -> np.ndarray:
+        """Which of the free places exclude each other, and each itself, (free, free) bool."""
+        (u, v), (across_mm, along_mm) = self.centers_mm.T, np.array(self.spacing_mm) - 1e-9
+        near = (np.abs(u - u[:, None]) < across_mm) & (np.abs(v - v[:, None]) < along_mm)
+        return near | np.eye(self.free, dtype=bool)
+
+    @cached_property
     def windows(self) -> csr_array:
-        """Which of the free places (columns) lie within one spacing of another across and along: a photodiode at one of
-        them excludes the others."""
-        ahead = self.centers_mm - self.centers_mm[:, None]
-        is_near = np.all((ahead > -1e-9) & (ahead < np.array(self.spacing_mm) - 1e-9), axis=-1)
-        return csr_array((is_near | np.eye(self.free, dtype=bool)).astype(float))
+        """Which of the free places (columns) exclude one (rows) that is no further across or along: each other, too."""
+        u, v = self.centers_mm.T
+        return csr_array((self.exclude & (u > u[:, None] - 1e-9) & (v > v[:, None] - 1e-9)).astype(float))
 
     def in_rows(
         self, count: int, axis: int, middle_mm: float, step_mm: float, allowed: np.ndarray | None
