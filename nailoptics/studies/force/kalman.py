@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-from scipy.special import expit
+from scipy.special import expit, gammaincinv
 
 from ...hemodynamics.rosenbrock import step
 from .person import LONGEST_GAP_S, LONGEST_STEP_S, NAMES, Array, PulsatileGain, touch_on_walls
@@ -305,7 +304,8 @@ class KalmanFilter:
         valid = np.isfinite(volts)
         self.informed |= bool(valid.any())
         variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
-        nis = self._update(volts, valid, variance)
+        gate = 2.0 * float(gammaincinv(max(valid.sum(), 1) / 2, OUTLIER_GATE))  # quantile of chi-squared
+        nis = self._update(volts, valid, variance, gate)
         # That the touch is 0 is known with the probability that the finger rests.
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
         odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S)
@@ -321,7 +321,7 @@ class KalmanFilter:
             arterial_pa=self.model.arterial_pa(self.state),
             nis=nis,
             count=int(valid.sum()),
-            outlier=nis > _chi2_quantile(int(valid.sum()), OUTLIER_GATE),
+            outlier=nis > gate,
             informed=self.informed,
         )
 
@@ -354,7 +354,7 @@ class KalmanFilter:
         self.mode_covariance = transition @ before @ transition.T + noise
         self.state = after
 
-    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array) -> float:
+    def _update(self, volts: Array, valid: NDArray[np.bool_], variance: Array, gate: float) -> float:
         """Iterated update of all modes by the valid readings, merged; returns the normalized innovation squared."""
         predicted = state = self.state
         farthest = TOUCH_GATE * np.sqrt(np.einsum("mii->mi", self.mode_covariance)[:, TOUCH].max(0))
@@ -373,7 +373,7 @@ class KalmanFilter:
                 probability /= probability.sum()
                 nis = float(probability @ mode_nis)
                 # Outliers count for less.
-                measurement_noise = measurement_noise * max(1.0, nis / _chi2_quantile(len(innovation), OUTLIER_GATE))
+                measurement_noise = measurement_noise * max(1.0, nis / gate)
             innovation_covariance = innovation_covariance + measurement_noise
             gain = np.linalg.solve(innovation_covariance, innovation_by_state).swapaxes(1, 2)
             corrections = gain @ (innovation - jacobian @ (predicted - state))
@@ -402,8 +402,3 @@ def estimate_pressures(subject: Subject, time_s: Array, volts: Array) -> Pressur
     """Estimates of samples (T,) from volts (R, T)."""
     kalman, since_s = KalmanFilter(subject), [None, *np.diff(time_s)]
     return stacked(kalman.update_sample(*sample) for sample in zip(volts.T, since_s, strict=True))
-
-
-@lru_cache
-def _chi2_quantile(readings: int, part: float) -> float:
-    return float(stats.chi2.ppf(part, max(readings, 1)))
