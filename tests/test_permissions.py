@@ -4,6 +4,7 @@ import ctypes
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,8 @@ RUN = """
 import contextlib, io, os, sys
 from nailoptics.cli import run
 for line in sys.stdin:
-    store, *arguments = line.split()
+    folder, store, *arguments = line.split()
+    os.chdir(folder)
     os.environ["NAILOPTICS_STORE"] = store
     said = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(said):
@@ -39,20 +41,35 @@ def as_ordinary_user() -> None:
         libc.prctl(DROP, capability, 0, 0, 0)
 
 
-def commands(folder: Path, *lines: str) -> list[tuple[int, str]]:
-    """Codes and messages of commands, each after its store, of one process of a user whom modes hold."""
-    done = subprocess.run(
+Commands = Callable[..., list[tuple[int, str]]]
+
+
+@pytest.fixture(scope="module")
+def commands() -> Iterator[Commands]:
+    """Runs commands in a folder, each after its store, in one process of a user whom modes hold: their codes and
+    messages."""
+    process = subprocess.Popen(
         [sys.executable, "-c", RUN],
-        input="\n".join(lines),
-        cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
         text=True,
         preexec_fn=as_ordinary_user,
     )
-    assert done.returncode == 0, done.stderr
-    result = [line.partition(" ") for line in done.stdout.splitlines()]
-    return [(int(code), said) for code, _, said in result]
+    assert process.stdin and process.stdout
+
+    def run(folder: Path, *lines: str) -> list[tuple[int, str]]:
+        result = []
+        for line in lines:
+            print(folder, line, file=process.stdin, flush=True)
+            code, _, said = process.stdout.readline().partition(" ")
+            result.append((int(code), said))
+        return result
+
+    with process:
+        yield run
+        process.stdin.close()
+    assert process.returncode == 0
 
 
 @pytest.fixture
@@ -67,7 +84,7 @@ def folder(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, folder):
+def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, commands, folder):
     """Rationale: a store that could not be searched once ended every command."""
     trace = "trace slab.toml --photons 500"
     assert commands(folder, f"open {trace}")[0][0] == 0 and any((folder / "open").iterdir())
@@ -88,7 +105,7 @@ def test_light_is_traced_where_its_store_may_not_be_read(jit_backend, folder):
 
 @pytest.mark.long
 @pytest.mark.jit
-def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, folder):
+def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, commands, folder):
     batch, out = "off batch sweep.toml -o out --photons 500 --workers 1", folder / "out"
     assert commands(folder, batch)[0][0] == 0
     before = (out / "plan.json").read_text()
@@ -111,7 +128,7 @@ def test_a_batch_overwrites_no_plan_that_it_may_not_read(jit_backend, folder):
         assert code == 2 and "Permission denied" in said and "internal" not in said
 
 
-def test_unreadable_files_give_one_line(folder):
+def test_unreadable_files_give_one_line(commands, folder):
     for name in ("shut.toml", "shut.csv", "shut.npz"):
         (folder / name).touch(mode=0o000)
     (folder / "shut").mkdir(mode=0o000)

@@ -252,7 +252,8 @@ def read(finger, engine, *, seed, batches, keep=slice(None), optics=None):
         photodiodes=(0,),
         backend=engine,
     )
-    return np.stack([traced.batch(paths=2048, seed=seed_of(seed, k)) for k in range(batches)])
+    with readings.stock_mitsuba(engine, readings.SPECTRAL):
+        return np.stack([traced.batch(paths=2048, seed=seed_of(seed, k)) for k in range(batches)])
 
 
 @pytest.mark.long
@@ -296,7 +297,8 @@ size_mm = [1.0, 1.0]
 
     def trace(photodiodes, seed):
         traced = readings.finger_paths(shape, media, bed=rest, led=0, photodiodes=photodiodes, backend=scalar)
-        return statistics(np.stack([traced.batch(paths=1024, seed=100 * seed + k) for k in range(6)]))
+        with readings.stock_mitsuba(scalar, readings.SPECTRAL):
+            return statistics(np.stack([traced.batch(paths=1024, seed=100 * seed + k) for k in range(6)]))
 
     together, error = trace((0, 1), 1)
     for i in (0, 1):
