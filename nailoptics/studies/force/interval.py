@@ -80,10 +80,9 @@ class ForceInterval:
         # Of readings at rest: white noise and a minute's drift. [V^2]
         noise_v2 = np.outer(rest_v, rest_v) * subject.drift_covariance + np.diag(subject.readings.noise_v**2)
         self._information = np.linalg.inv(noise_v2)
-        self._roots = [
-            make_interp_spline(bends, [self._jacobian(side, bend) @ root for bend in bends], k=1)
-            for side, bends in enumerate(closure_n_per_cm2[:, None] * PARTS)
-        ]
+        bends = closure_n_per_cm2[:, None] * PARTS
+        roots = self._jacobians((np.eye(2)[..., None] * bends).reshape(2, -1)) @ root
+        self._roots = [make_interp_spline(*side, k=1) for side in zip(bends, np.split(roots, 2), strict=True)]
         self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
         covariance = self._calibration_covariance(np.diag(closure_n_per_cm2))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure_n_per_cm2
@@ -136,25 +135,26 @@ class ForceInterval:
         jacobian[:, [0, 1], 2], jacobian[:, 0, 3] = pressure_n_per_cm2.T, pressure_n_per_cm2[0]
         return jacobian @ known @ jacobian.swapaxes(1, 2), known[:, :2, :2]
 
-    def _jacobian(self, side: int, pressure_n_per_cm2: float) -> Array:
-        """Derivatives of the estimate of a held touch by all parameters of the calibration, (4, P + 4 R) float. Of both
-        pressures and of the logarithms of the contact's areas. A person who is not quite the calibrated one gives other
-        readings; the pressures that explain them best, beside drift and noise, are off by so much."""
-        subject, count = self.subject, len(NAMES)
-        held = np.where(np.arange(2) == side, pressure_n_per_cm2, 0.0)[:, None]
-        steps = STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
-        moved, _ = self._risen_v(subject.scene.person(subject.factors_ln[:, None] + steps), held)
-        by_factor = (moved[:, :count] - moved[:, count:]) / (2 * STEP_LN)
-        around = np.maximum(held + STEP_N_PER_CM2 * np.hstack([np.eye(2), -np.eye(2), np.zeros((2, 1))]), 0)
-        near, steeper = self._risen_v(subject.person, around)
-        slopes = (near[:, :2] - near[:, 2:4]) / np.diag(around[:, :2] - around[:, 2:4])
-        by_gain = np.diag(near[:, 4] / subject.readings.gain)
-        by_slope = [np.diag(zone[:, 4]) for zone in steeper]
-        by_parameter = np.column_stack([by_factor, by_gain, np.zeros_like(by_gain), *by_slope])
-        weighted = slopes.T @ self._information
-        precision = weighted @ slopes + np.eye(2) / PRESSURE_PRIOR_N_PER_CM2**2
+    def _jacobians(self, held_n_per_cm2: Array) -> Array:
+        """Derivatives of the estimates of held touches (2, H) by all parameters of the calibration, (H, 4, P + 4 R)
+        float. Of both pressures and of the logarithms of the contact's areas. A person who is not quite the calibrated
+        one gives other readings; the pressures that explain them best, beside drift and noise, are off by so much."""
+        subject, person, held = self.subject, self.subject.scene.person, held_n_per_cm2[..., None]
+        count, touches, eye = len(NAMES), held.shape[1], np.eye(2)
+        steps = subject.factors_ln[:, None] + STEP_LN * np.hstack([np.eye(count), -np.eye(count)])
+        moved, _ = self._risen_v(person(np.tile(steps, touches)), np.repeat(held_n_per_cm2, 2 * count, axis=1))
+        higher, lower = np.moveaxis(moved.reshape(-1, touches, 2, count), (2, 1), (0, 1))
+        around = np.maximum(held + STEP_N_PER_CM2 * np.hstack([eye, -eye, 0.0 * eye])[:, None, :5], 0.0)
+        near, steeper = self._risen_v(subject.person, around.reshape(2, -1))
+        near, steeper = near.reshape(-1, touches, 5).swapaxes(0, 1), steeper.reshape(2, -1, touches, 5)[..., 4]
+        slopes = (near[..., :2] - near[..., 2:4]) / np.einsum("iti->ti", around[..., :2] - around[..., 2:4])[:, None]
+        by_gain = near[..., 4] / subject.readings.gain
+        diagonal = [part[..., None] * np.eye(near.shape[1]) for part in (by_gain, 0 * by_gain, *steeper.swapaxes(1, 2))]
+        by_parameter = np.concatenate([(higher - lower) / (2 * STEP_LN), *diagonal], axis=2)
+        weighted = slopes.swapaxes(1, 2) @ self._information
+        precision = weighted @ slopes + eye / PRESSURE_PRIOR_N_PER_CM2**2
         by_touch = -np.linalg.solve(precision, weighted @ by_parameter)
-        return np.vstack([by_touch, np.eye(by_parameter.shape[1])[AREAS]])
+        return np.hstack([by_touch, np.broadcast_to(np.eye(by_parameter.shape[2])[AREAS], by_touch.shape)])
 
     def _risen_v(self, who: Person, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S). And
