@@ -97,6 +97,12 @@ class Moments:
         stderr = np.divide(np.sqrt(spread), total, out=np.full_like(mean, np.nan), where=total > 0)
         return mean, statistics.stderr_or_nan(stderr, self.path, self.path_square)
 
+    @property
+    def derivative(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative of the fraction to each absorber's mu_a and its standard error, (p, r) each. [mm]"""
+        stderr = statistics.stderr_of_mean(self.path, self.path_square, self.photons)
+        return -self.path / self.photons, statistics.stderr_or_nan(stderr, self.path, self.path_square)
+
 
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:
     """Moments of records; weights are those of the state that is read."""
