@@ -102,9 +102,8 @@ class TouchError:
             # The meter's readings are exp(blood over that at rest).
             volts, jacobian = model.measurement(state)
             blood, rest = self.person.rest_blood * (np.log(volts) - 1.0), self.person.rest_blood
-            transition, noise = transition[:size, :size], noise[:size, :size]
-            noise += since_s * rate**2 * transition[:, TOUCH] @ transition[:, TOUCH].T
-            transition = transition @ onward
+            noise = noise[:size, :size] + since_s * rate**2 * transition[:size, TOUCH] @ transition[:size, TOUCH].T
+            transition = transition[:size, :size] @ onward
             onward[waves, waves] = transition[waves, waves]
             back = np.linalg.inv(onward)
             noise = np.stack([back @ noise @ back.T, np.zeros((size, size))])
@@ -144,28 +143,29 @@ class TouchError:
         """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
         batch, count = noise.shape
         size, since_s, drift = len(self._initial), 1.0 / RATE_HZ, self.noise.drift_covariance(led)
-        # The covariance that the filter believes, and the true one, and all of their rows.
-        everything = np.zeros((2, batch, size + count, size + count))
+        # The covariance that the filter believes, and the true one, all of their rows, and what a sample adds to them.
+        everything, added = (np.zeros((2, n, size + count, size + count)) for n in (batch, 1))
         rows, driven = everything.reshape(-1, size + count)[:, :size], slice(kalman.FIRST_WAVE)
         everything[..., :size, :size], everything[..., size:, size:] = self._initial, drift
+        added[..., size:, size:] = drift * since_s / 60.0
         # Of readings, and of the touch, which is read as 0 at rest; and variances of their noise, believed and true.
         jacobian, noise2 = np.zeros((batch, count + 2, size + count)), np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
         noise2[0, :, count:], noise2[1, :, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
         lag, touch2 = np.zeros((batch, size + count)), _diagonal(everything[1])[:, TOUCH]
-        for step, force_n in zip(self._steps, self._force_n, strict=True):
+        from_rest, recent = np.einsum("tkz,brz->ktbr", [step.blood for step in self._steps], slopes)
+        model_error2 = self.noise.model_error2(from_rest, recent, since_s)
+        for step, force_n, error2 in zip(self._steps, self._force_n, model_error2, strict=True):
             # F P F^T of a symmetric P, kept so: what rounding leaves of it grows.
             moved = (rows @ step.transition.T).reshape(2, batch, size + count, -1)
             everything[:, :, driven], everything[..., driven] = np.swapaxes(moved, 2, 3), moved
             both = step.transition @ moved[:, :, :size]
             everything[:, :, driven, driven] = 0.5 * (both + both.swapaxes(2, 3))
-            everything[..., :size, :size] += step.noise[:, None]
-            everything[..., size:, size:] += drift * since_s / 60.0
+            added[:, 0, :size, :size] = step.noise
+            everything += added
             lag[:, driven] = lag[:, :size] @ step.transition.T
             lag[:, TOUCH] += step.moved
-            jacobian[:, :count, :size] = slopes @ step.by_state
-            from_rest, recent = np.moveaxis(slopes @ step.blood.T, 2, 0)
-            noise2[0, :, :count] = noise**2 + self.noise.model_error2(from_rest, recent, since_s)
+            jacobian[:, :count, :size], noise2[0, :, :count] = slopes @ step.by_state, noise**2 + error2
             read = slice(count if force_n else count + 2)
             _update(everything, lag, jacobian[:, read], noise2[..., read])
             yield lag[:, TOUCH] ** 2 + touch2

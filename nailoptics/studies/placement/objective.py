@@ -39,6 +39,8 @@ UNRESOLVED = (
 )
 # Noise of a reading, over itself, that says nothing: a dark photodiode, or one whose converter is at its limit.
 UNREADABLE = 1e3
+# Layouts that are filtered at once: with more of them covariances leave the processor's cache, and take twice as long.
+AT_ONCE = 5
 # Change of the saturation over which its part in the logarithm of R is taken.
 STEP = 0.005
 
@@ -304,11 +306,9 @@ def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:
 
 def scores_of(layouts: Sequence[ByFinger], objective: Objective) -> list[LayoutScore]:
     """Scores of layouts from what they read: milliseconds for one, and half as long for each of many."""
-    scores = list[LayoutScore]()
-    for _, some in groupby(layouts, lambda by_finger: by_finger[0][0].volts.shape[-1]):
-        alike = list(some)
-        scores += map(partial(_score, objective), alike, objective.force_over_touches(alike))
-    return scores
+    groups = groupby(enumerate(layouts), lambda one: (one[0] // AT_ONCE, one[1][0][0].volts.shape[-1]))
+    alike = ([by_finger for _, by_finger in group] for _, group in groups)
+    return [one for some in alike for one in map(partial(_score, objective), some, objective.force_over_touches(some))]
 
 
 def _score(objective: Objective, responses: ByFinger, over_touches: ForceResolution | None) -> LayoutScore:
