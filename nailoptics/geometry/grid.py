@@ -36,18 +36,15 @@ class Grid:
 
     def tetrahedra(self) -> tuple[Array, Indices]:
         """Corners (m, 4, 3) of all cells but air, and region (m,) of each; volumes are positive where nothing folds."""
-        cells = np.nonzero(self.labels != AIR)
-        a, n, k = cells
-        around = self.nodes.shape[0]
-        corners = []
+        cells, nodes, paths = np.nonzero(self.labels != AIR), np.concatenate([self.nodes, self.nodes[:1]]), []
+        steps = np.asarray(np.ravel_multi_index(np.eye(3, dtype=int), nodes.shape[:3]))
         for order in itertools.permutations(range(3)):
-            path = np.cumsum([(0, 0, 0), *np.eye(3, dtype=int)[list(order)]], axis=0)
+            path = np.cumsum([0, *steps[list(order)]])
             odd = order in ((0, 2, 1), (1, 0, 2), (2, 1, 0))
-            if odd:
-                path[[1, 2]] = path[[2, 1]]
-            corners.append(np.stack([self.nodes[(a + i) % around, n + j, k + m] for i, j, m in path], axis=1))
-        labels = self.labels[cells].astype(np.int32)
-        return np.concatenate(corners), np.tile(labels, 6)
+            paths.append(path[[0, 2, 1, 3]] if odd else path)
+        first = np.ravel_multi_index(cells, nodes.shape[:3])
+        corners = nodes.reshape(-1, 3)[np.array(paths)[:, None] + first[:, None]].reshape(-1, 4, 3)
+        return corners, np.tile(self.labels[cells].astype(np.int32), 6)
 
     def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
         """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""

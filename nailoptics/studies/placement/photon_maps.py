@@ -1,5 +1,6 @@
 """Photon maps of boards on every finger: traced once, extended where more photons are needed, read as any layout."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -84,7 +85,7 @@ class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
     distance_mm : cells of the distances that the walk asks for.
-    batch_photons : of one batch; as the tracer's if not given. most_photons : of an LED; bounds batches, too.
+    most_photons : of an LED.
     stores : where traced light is stored.
     stop : whether nothing more is to be traced, tested before every batch.
     ambient_a : by digest of a layout, photocurrents by light from outside to which "auto" fits. [A]
@@ -97,7 +98,6 @@ class PhotonMapCache:
     backend: BackendName
     blocks: int
     distance_mm: float = SPACING_MM
-    batch_photons: int | None = None
     most_photons: int | None = None
     stores: Sequence[LightStore] = ()
     stop: Callable[[], bool] = lambda: False
@@ -164,15 +164,13 @@ class PhotonMapCache:
             if condition.case.digit == key:
                 worn, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
                 members.append((by_led[led], blood_point(worn, led, blood_fraction=blood)))
-        per_batch = self.batch_photons or tracer.batch_photons
-        if self.most_photons or not members:
-            per_batch = round(min(max(photons, LEAST_PHOTONS), per_batch))
-        for _ in range(max(1, round(photons / per_batch))):
+        batches = math.ceil((photons := max(photons, LEAST_PHOTONS)) / tracer.batch_photons)
+        for _ in range(batches):
             if self.stop():
                 return
             batch = held.batches.get((key, led), 0)
             seed = batch_seed(self.seed, self.stream, tracer.scene, led, batch)
-            arrivals = tracer.arrivals(led, photons=per_batch, seed=seed)
+            arrivals = tracer.arrivals(led, photons=round(photons / batches), seed=seed)
             held.batches[key, led] = batch + 1
             self.photons += arrivals.photons
             if held.areas:

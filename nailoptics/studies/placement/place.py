@@ -81,7 +81,6 @@ def place(
     ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
     ranking.most_photons = photons
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=COARSE_MM)
-    searching.batch_photons = search.FIRST_PHOTONS
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)
     ranking.stop = partial(_evaluated_enough, ranking, layouts if searched else [], report_progress)

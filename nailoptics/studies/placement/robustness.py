@@ -211,7 +211,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
     scene, count = layout.scene, len(objective.points)
     fingers = cache.conditions[:count]
     photons = min(MOST_PHOTONS, cache.most_photons or MOST_PHOTONS)
-    elsewhere = replace(cache, conditions=fingers, distance_mm=COARSE_MM, batch_photons=photons)
+    elsewhere = replace(cache, conditions=fingers, distance_mm=COARSE_MM)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, photodiodes = ([part.name for part in parts] for parts in (scene.leds, scene.photodiodes))
     parts = ["board", *photodiodes, *leds]

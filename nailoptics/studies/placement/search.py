@@ -143,8 +143,10 @@ class Search:
                     boards.append(board := self.sites.board_at(i, new_places[k], design.row))
                     # LEDs that shine alike share their light.
                     traced = self.cache.of(board)
-                    if traced.photons < design.photons:
-                        self.cache.extend(board, design.photons - traced.photons)
+                    # The first photons may be stored.
+                    for photons in (min(FIRST_PHOTONS, design.photons), design.photons):
+                        if traced.photons < photons:
+                            self.cache.extend(board, photons - traced.photons)
                     if traced.photons >= design.photons:
                         design.columns[i][new_places[k]] = self.columns(i, board, design.places)
                     traced.tracers.clear()
