@@ -339,8 +339,9 @@ def test_the_search_finds_a_planted_optimum_in_traced_light(chosen_jit):
     assert all(e.area.center_mm[1] > 1.0 for e in best.photodiodes)
 
 
-def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene):
-    """Of a board, and by the fresh trace of its layout; a tolerance takes whole batches."""
+def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene, monkeypatch):
+    """Of a board, in batches of one size no larger than the tracer's, and by the fresh trace of its layout."""
+    monkeypatch.setattr(BoardTracer, "batch_photons", 4000)
     base, rules = boards.base_board(scene), boards.rules(scene)
     layout, required = place.given(base, rules)[0], 5000
     conditions = [place.finger_condition(base, FingerCase(name="one"), rules)]
@@ -348,6 +349,7 @@ def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene):
     cache.most_photons = required
     cache.extend(layout.board, required)
     assert cache.photons == cache.of(layout.board).photons == required
+    assert [*cache.of(layout.board).batches.values()] == [2]
     traced = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BoardTracer, "detected", lambda *_, photons, **__: traced.append(photons) or np.ones((4, 4)))
