@@ -49,8 +49,8 @@ class Grid:
     def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
         """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""
         a, n, k = self.labels.shape
-        index = np.arange(a * (n + 1) * (k + 1)).reshape(a, n + 1, k + 1)
-        index = np.concatenate([index, index[:1]])
+        i = np.arange(a * (n + 1) * (k + 1)).reshape(a, n + 1, k + 1)
+        i = np.concatenate([i, i[:1]])
         quads, below, above = [], [], []
 
         def add(low: Indices, high: Indices, corners: list[NDArray[np.int64]]) -> None:
@@ -60,7 +60,6 @@ class Grid:
             above.append(high[differ])
 
         labels = np.pad(self.labels, ((0, 0), (1, 1), (0, 1)), constant_values=AIR)
-        i = index
         add(labels[:, 1:-1, :-1], labels[:, 1:-1, 1:], [i[:-1, :-1, 1:], i[1:, :-1, 1:], i[1:, 1:, 1:], i[:-1, 1:, 1:]])
         inner = labels[:, 1:-1, :-1]
         add(np.roll(inner, 1, 0), inner, [i[:-1, :-1, :-1], i[:-1, 1:, :-1], i[:-1, 1:, 1:], i[:-1, :-1, 1:]])
@@ -68,9 +67,11 @@ class Grid:
         q = np.concatenate(quads)
         triangles = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
         # Merge equal vertices; adding zero makes one of the two zeros that are equal but differ in their bits.
-        used, flat = np.unique(triangles, return_inverse=True)
-        vertices, merged = np.unique(self.nodes.reshape(-1, 3)[used] + 0.0, axis=0, return_inverse=True)
-        triangles = merged.reshape(-1)[flat.reshape(-1)].reshape(-1, 3)
+        points = self.nodes.reshape(-1, 3) + 0.0
+        ranks = np.stack([np.unique(x, return_inverse=True)[1] for x in points.T])
+        at = np.ravel_multi_index(tuple(ranks), tuple(ranks.max(1) + 1))
+        _, first, merged = np.unique(at, return_index=True, return_inverse=True)
+        vertices, triangles = points[first], merged[triangles]
         # Drop triangles without area, and join those that a collapsed cell left on one another.
         p, q, r = (vertices[triangles[:, i]] for i in range(3))
         keep = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2 > MIN_AREA_MM2

@@ -265,10 +265,8 @@ def pressure_information(information: Array) -> Array:
         return information
     at = dict(zip(combinations_with_replacement(range(count), 2), information.T.copy(), strict=True))
     for last in range(count - 1, 1, -1):
-        for i in range(last):
-            part = at[i, last] / (1.0 + at[last, last])
-            for j in range(i, last):
-                at[i, j] -= part * at[j, last]
+        for i, j in combinations_with_replacement(range(last), 2):
+            at[i, j] -= at[i, last] * at[j, last] / (1.0 + at[last, last])
     return np.stack([at[0, 0].T, at[0, 1].T, at[1, 1].T], -1)
 
 
