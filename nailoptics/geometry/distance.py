@@ -186,6 +186,6 @@ def _lattice(corners: Array, pieces: NDArray[np.int64]) -> tuple[Array, NDArray[
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
         inside = i + j <= n
         weights = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
-        points.append(np.einsum("sc,tcx->tsx", weights, corners[pieces == n]).reshape(-1, 3))
+        points.append((weights @ corners[pieces == n]).reshape(-1, 3))
         triangles.append(np.repeat(np.flatnonzero(pieces == n), len(weights)))
     return np.concatenate(points), np.concatenate(triangles)
