@@ -71,6 +71,19 @@ def test_no_strides_near_photodiodes_or_in_direct_light(prototype):
 
 
 @pytest.mark.jit
+def test_a_batch_without_room_for_all_arrivals_is_walked_again_with_more(jit_backend, coarse_cells, prototype):
+    from nailoptics.light.walk.finger import FingerTracer
+
+    tracer = FingerTracer(prototype)
+    enough = tracer.batch(0, photons=1 << 12, seed=3)
+    tracer.reach[0].arrivals = little = 0.01
+    again = tracer.batch(0, photons=1 << 12, seed=3)
+    assert tracer.reach[0].arrivals > len(enough.photon) / (1 << 12) > little
+    for name in ("photon", "photodiode", "weight", "path_mm"):
+        assert np.array_equal(getattr(again, name), getattr(enough, name))
+
+
+@pytest.mark.jit
 def test_a_photon_has_the_weight_of_its_copies_and_the_path_of_one_drawn_by_weight(jit_backend):
     """Three copies of each photon reach one photodiode, and one another photodiode."""
     import mitsuba as mi

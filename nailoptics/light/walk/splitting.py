@@ -44,7 +44,7 @@ class Reach:
         strides, low = strides_made(geometry, led)
         count = int(strides.max(initial=0))
         self.copies = [STRIDE_COPIES] * count + [COPIES]
-        self.arrivals = 0.5
+        self.arrivals = 1.0
         if count:
             self.strides = mi.UInt32(strides.ravel())
             self.way = CellGrid(low, [STRIDE_CELL_MM] * 3, strides.shape)
