@@ -41,9 +41,9 @@ def config(session: dict[str, Any], *, photons: int, seed: int) -> dict[str, Any
 
 def mmc_config(session: dict[str, Any], *, source: int, photons: int, seed: int, threads: int = 0) -> dict[str, Any]:
     """Keyword arguments of `pmmc.run` for one of a session's cones of light, which make up the Lambertian die."""
-    cone, elements = session["nailoptics"]["sources"][source], np.array(session["Mesh"]["MeshElem"])
+    cone, elements = session["nailoptics"]["sources"][source], np.asarray(session["Mesh"]["MeshElem"])
     own = {
-        "node": np.array(session["Mesh"]["MeshNode"]),
+        "node": np.asarray(session["Mesh"]["MeshNode"]),
         "elem": elements[:, :4],
         "elemprop": elements[:, 4],
         "srctype": "cone",
@@ -61,7 +61,7 @@ def mmc_config(session: dict[str, Any], *, source: int, photons: int, seed: int,
 def photodiode_at(session: dict[str, Any], places_mm: np.ndarray) -> np.ndarray:
     """Which photodiode of MMC's mesh each place (n, 3) lies in, (n,) int; -1 where none."""
     mesh, photodiode = session["Mesh"], np.full(len(places_mm), -1)
-    nodes, elements = np.array(mesh["MeshNode"]), np.array(mesh["MeshElem"])
+    nodes, elements = np.asarray(mesh["MeshNode"]), np.asarray(mesh["MeshElem"])
     for number, own in enumerate(session["nailoptics"]["photodiode_elements"]):
         corners = nodes[elements[np.array(own) - 1, :4] - 1]
         inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).swapaxes(1, 2))
@@ -155,6 +155,8 @@ def main() -> None:
     photons = given.photons or session["Session"]["Photons"]
     if "Mesh" in session:
         program = "pmmc"
+        # Once, not for every source.
+        session["Mesh"] |= {name: np.array(session["Mesh"][name]) for name in ("MeshNode", "MeshElem")}
         which, paths, photons = run_mmc(session, photons=photons, seed=given.seed, threads=given.threads)
     else:
         program = "pmcxcl" if given.opencl else "pmcx"
