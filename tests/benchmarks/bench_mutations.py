@@ -184,6 +184,13 @@ MUTATIONS = (
         "light/test_layered_walk.py",
     ),
     Mutation(
+        "arrivals for which a batch has no room are left out",
+        "light/walk/splitting.py",
+        "return bool(self.count[0] <= self.room[0])",
+        "return True",
+        "light/test_splitting.py",
+    ),
+    Mutation(
         "the copy that stands for a photon is drawn one weight too far on",
         "light/walk/splitting.py",
         "lot = up_to[first] - weight[first] + part * total",
@@ -679,6 +686,20 @@ MUTATIONS = (
         "np.maximum(1.0 - np.abs(2.0 * share - 1.0) / ONE_SIDED, 0.0)",
         "np.minimum(np.abs(2.0 * share - 1.0) / ONE_SIDED, 1.0)",
         FORCE,
+    ),
+    Mutation(
+        "an error of the calibration counts twice in its intervals",
+        "studies/force/interval.py",
+        "(higher - lower) / (2 * STEP_LN)",
+        "(higher - lower) / STEP_LN",
+        "studies/force/test_open_error.py studies/force/test_interval_coverage.py",
+    ),
+    Mutation(
+        "held touches of one side alone are looked at",
+        "studies/force/interval.py",
+        "(np.eye(2)[..., None] * bends)",
+        "(np.ones((2, 2))[..., None] * bends)",
+        "studies/force/test_open_error.py studies/force/test_interval_coverage.py",
     ),
     Mutation(
         "the interval of a share is one standard error",
