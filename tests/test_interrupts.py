@@ -27,7 +27,7 @@ SMALL_PAGE = {
     "FLUENCE_PHOTONS": 1 << 12,
 }
 # Rays of a colour's first round and of its parts, as one to ten, as they are in the package.
-PILOT = 60_000
+PILOT = 30_000
 SMALL_ROUNDS = {"PILOT": PILOT, "MOST_AT_ONCE": 10 * PILOT}
 FINGER = SMALL_FINGER_BEST + "[priors]\nspread = false\n"
 SIMULATE = ("simulate", "finger.toml", "--photons", "8000", "-o", "out")
