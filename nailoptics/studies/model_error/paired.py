@@ -302,14 +302,14 @@ def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
 
 def _side_by_side(base: PairedReadings, other: PairedReadings, led: int) -> tuple[np.ndarray, ...]:
     """Photons and photodiodes, (n,) int each, and what the one adds to the other in both scenes, (n, 2) float each. A
-    photon of one seed has the same random numbers in both scenes, and goes the same way up to where they differ."""
+    photon of one seed has the same random numbers in both scenes, and goes the same way up to where they differ; those
+    of two seeds are independent, whichever stand side by side."""
     first, second = base.transfer.traces[led], other.transfer.traces[led]
     a, b = base.parts[led], other.parts[led]
     if first is second:
         return first.photon, first.photodiode, a, b
     count = len(base.transfer.photodiodes)
-    own = 0 if (first.photons, first.seeds) == (second.photons, second.seeds) else first.photons
-    keys = [(t.photon.astype(np.int64) + more) * count + t.photodiode for t, more in ((first, 0), (second, own))]
+    keys = [t.photon.astype(np.int64) * count + t.photodiode for t in (first, second)]
     every, at = np.unique(np.concatenate(keys), return_inverse=True)
     both = np.zeros((2, len(every), 2))
     both[0, at[: len(a)]], both[1, at[len(a) :]] = a, b
