@@ -1,6 +1,5 @@
 """How far the nearest interface is: a grid of safe distances for light that wants to skip the search for a crossing."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,26 +10,19 @@ from .cast import Array
 from .model import Geometry
 from .regions import AIR
 
-# Edge of the cells. Those of 0.1 mm take 1 s more of processor time to make, and a walk among them takes 6 % less,
-# which pays after two million photons.
-SPACING_MM = 0.15
+# Edge of the cells. Smaller ones take longer to make, and a walk among them is no faster.
+SPACING_MM = 0.2
 # Larger distances are capped: light seldom goes further before it scatters. [mm]
 CAP_MM = 0.35
 COVERED = 0.4  # covering radius of the samples, in spacings
 SLACK = 0.02  # relative; lets the search for the nearest sample stop early
 CHUNK = 500_000
-# In the nail plate light scatters every 0.03 mm, so that cells help little. Those near its faces also have a plane,
-# which gives distances up to this one: a ray of three is left, and a walk takes two thirds of the time. [mm]
-PLANE_REACH_MM = 0.06
-# Coarser cells have none: few of them are thin enough to help, and planes take as long to make as all the rest.
-PLANES_BELOW_MM = 0.3
-# Interfaces near such a cell are taken in parts whose edges are no longer.
-PLANE_PART_MM = 0.12
-# So many cells at once: what is between stays small.
-PLANES_AT_ONCE = 1024
-# Planes are whole numbers of these: of a normal, to 1, and of lengths.
-NORMAL_STEPS = 127
-PLANE_STEP_MM = 0.003
+# A triangle is part of a cylinder around the nail's axis where its distance to the axis varies by no more. [mm]
+SHELL_MM = 0.005
+# The shells with most of them are known, if they have so many square millimetres; all others are like any interface.
+SHELLS, LEAST_SHELL_MM2 = 8, 2.0
+# What single precision may add to heights. [mm]
+ROUNDING_MM = 1e-5
 
 
 @dataclass(frozen=True)
@@ -39,21 +31,18 @@ class DistanceGrid:
 
     distance_mm : (nx, ny, nz) float32. From the cell's centre; never more than the true distance, at most CAP_MM; 0 in
         the air. [mm]
-    slack_steps : (nx, ny, nz) uint8. How far interfaces near the cell are from its plane at most, in PLANE_STEP_MM;
-        0 in cells without a plane.
-    offset_steps : (nx, ny, nz) int8. Height of the cell's centre over its plane, likewise.
-    normal_steps : (nx, ny, nz, 2) int8. Components along x and y of the plane's upward normal, in 1 / NORMAL_STEPS.
+    other_mm : (nx, ny, nz) float32. Likewise, to the nearest interface that is no part of a shell. [mm]
+    shells_mm : (s, 2) float. Between which heights over the nail plate's outer face each shell lies; all faces of
+        plate, bed and board are cylinders around one axis. [mm]
     origin_mm : (3,) float. Lowest corner of the first cell; its centre lies half a spacing further. [mm]
     spacing_mm : Edge of the cubic cells. [mm]
 
-    From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|. In a cell with a plane it is
-    also at least p's distance to the plane less the slack, or PLANE_REACH_MM if that is less.
+    From a point p in a cell of centre c, the distance is at least distance_mm - |p - c|.
     """
 
     distance_mm: NDArray[np.float32]
-    slack_steps: NDArray[np.uint8]
-    offset_steps: NDArray[np.int8]
-    normal_steps: NDArray[np.int8]
+    other_mm: NDArray[np.float32]
+    shells_mm: Array
     origin_mm: Array
     spacing_mm: float
 
@@ -77,73 +66,43 @@ def distance_grid(
     """
     low, high = geometry.bounds_mm if bounds_mm is None else np.asarray(bounds_mm, float)
     shape = np.maximum(np.ceil((high - low) / spacing_mm - 1e-9).astype(int), 1)
-    result = np.zeros(shape, np.float32)
-    slack, offset, normal = np.zeros(shape, np.uint8), np.zeros(shape, np.int8), np.zeros((*shape, 2), np.int8)
-    grid = DistanceGrid(result, slack, offset, normal, low, spacing_mm)
     x, y, z = (low[k] + spacing_mm * (np.arange(shape[k]) + 0.5) for k in range(3))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     cells = np.argwhere(geometry.columns(places, z).reshape(shape) != AIR)
     corners = geometry.vertices[geometry.triangles]
-    plate = [region for region, name in enumerate(geometry.regions) if name == "plate"]
-    of_plate = np.isin(geometry.below, plate) | np.isin(geometry.above, plate)
+    in_shell, shells_mm = _shells(corners + [0, 0, geometry.nail_radius_mm])
     # What lies farther from the cells than the cap is nearest to none of them.
     reach = 2 * CAP_MM + spacing_mm
     close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
-    corners, of_plate = corners[close], of_plate[close]
     radius = COVERED * spacing_mm
-    samples = _tree(_samples(corners, radius))
-    for start in range(0, len(cells), CHUNK):
-        chunk = cells[start : start + CHUNK]
-        result[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
-    if of_plate.any() and spacing_mm < PLANES_BELOW_MM:
-        _add_planes(grid, cells, corners, of_plate)
+    distance, other = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    grid = DistanceGrid(distance, other, shells_mm - geometry.nail_radius_mm, low, spacing_mm)
+    distance[tuple(cells.T)] = other[tuple(cells.T)] = CAP_MM
+    for bound_mm, chosen in ((distance, close), (other, close & ~in_shell)):
+        samples = _tree(_samples(corners[chosen], radius)) if chosen.any() else None
+        for start in range(0, len(cells) if samples else 0, CHUNK):
+            chunk = cells[start : start + CHUNK]
+            bound_mm[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
+        # Where no interface is near, no other one is.
+        cells = cells[bound_mm[tuple(cells.T)] < CAP_MM * (1 - 1e-5)]
     return grid
 
 
-def _add_planes(grid: DistanceGrid, cells: NDArray[np.int64], corners: Array, of_plate: NDArray[np.bool_]) -> None:
-    """Find planes for those of the cells (k, 3) that lie near the nail plate's faces, some of all triangles (m, 3, 3).
-
-    A cell's plane is parallel to the face nearest to its centre, halfway between the lowest and the highest place on
-    any interface within reach of the cell. Each such place lies in a part of a triangle whose corners are within the
-    length of its longest edge, one of them no lower and one no higher.
-    """
-    reach = PLANE_REACH_MM + math.sqrt(0.75) * grid.spacing_mm
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    pieces = np.ceil(longest / PLANE_PART_MM).astype(int)
-    faces, face = _lattice(corners[of_plate], pieces[of_plate])
-    upward = np.cross(*np.diff(corners[of_plate], axis=1).transpose(1, 0, 2))
-    upward *= np.copysign(1 / np.linalg.norm(upward, axis=1), upward[:, 2])[:, None]
-    cells = cells[grid.distance_mm[tuple(cells.T)] < reach]
-    away, nearest = _tree(faces).query(grid.centers(cells), distance_upper_bound=reach, workers=-1)
-    cells, nearest = cells[np.isfinite(away)], nearest[np.isfinite(away)]
-    centers = grid.centers(cells)
-    # Rounded towards 0, so that their length is less than 1.
-    plan = np.trunc(upward[face[nearest], :2] * NORMAL_STEPS).astype(np.int8)
-    x, y = plan.T / NORMAL_STEPS
-    normals = np.column_stack([x, y, np.sqrt(1 - x**2 - y**2)])
-    within = reach + PLANE_PART_MM
-    away, _ = _tree(centers).query(corners.mean(axis=1), distance_upper_bound=within + longest.max(), workers=-1)
-    close = away <= within + longest
-    parts = _tree(_distinct(_lattice(corners[close], pieces[close])[0]))
-    lowest, highest = np.full(len(cells), np.inf), np.full(len(cells), -np.inf)
-    for start in range(0, len(cells), PLANES_AT_ONCE):
-        chunk = slice(start, start + PLANES_AT_ONCE)
-        pairs = _tree(centers[chunk]).sparse_distance_matrix(parts, within, output_type="ndarray")
-        cell = pairs["i"] + start
-        height = np.einsum("ij,ij->i", parts.data[pairs["j"]] - centers[cell], normals[cell]) / PLANE_STEP_MM
-        np.minimum.at(lowest, cell, height)
-        np.maximum.at(highest, cell, height)
-    offset = np.rint(-(lowest + highest) / 2)
-    # A little more, for points that were taken for one and what rounding adds where it is read.
-    slack = np.ceil(np.maximum(highest + offset, -lowest - offset) + 0.1)
-    # Only where a plane gives more than the centre's distance, from 27 places of the cell.
-    places = grid.spacing_mm / 3 * (np.indices((3, 3, 3)).reshape(3, -1) - 1)
-    plane = np.abs(normals @ places + PLANE_STEP_MM * offset[:, None]) - PLANE_STEP_MM * slack[:, None]
-    center = grid.distance_mm[tuple(cells.T)][:, None] - np.linalg.norm(places, axis=0)
-    better = plane.clip(0).sum(axis=1) > center.clip(0).sum(axis=1)
-    used = better & (np.abs(offset) < 128) & (slack < 256)
-    at = tuple(cells[used].T)
-    grid.slack_steps[at], grid.offset_steps[at], grid.normal_steps[at] = slack[used], offset[used], plan[used]
+def _shells(corners: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which of some triangles (m, 3, 3) are parts of cylinders around the y axis, (m,), and of each cylinder that has
+    enough of them the least and the largest distance of a place on it to the axis, (s, 2). [mm]"""
+    flat, after = corners[..., ::2], np.roll(corners[..., ::2], -1, axis=1)
+    along = after - flat
+    part = -(flat * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
+    nearest = np.linalg.norm(flat + np.clip(part, 0, 1)[..., None] * along, axis=-1).min(1)
+    farthest = np.linalg.norm(flat, axis=-1).max(1)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    shell, thin = np.rint(farthest / SHELL_MM).astype(int), farthest - nearest < SHELL_MM
+    area_of = np.bincount(shell[thin], area[thin])
+    known = [one for one in np.argsort(-area_of, kind="stable")[:SHELLS] if area_of[one] >= LEAST_SHELL_MM2]
+    inside = [thin & (shell == one) for one in known]
+    between = [[nearest[one].min() - ROUNDING_MM, farthest[one].max() + ROUNDING_MM] for one in inside]
+    return thin & np.isin(shell, known), np.array(between).reshape(-1, 2)
 
 
 def _tree(points: Array) -> Any:
@@ -151,12 +110,6 @@ def _tree(points: Array) -> Any:
     from scipy.spatial import cKDTree
 
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
-
-
-def _distinct(points: Array) -> Array:
-    """Points (k, 3), of those that agree to 0.1 um one; all within 200 mm."""
-    x, y, z = np.rint((points - points.min(axis=0)) * 1e4).astype(np.int64).T
-    return points[np.unique(x << 42 | y << 21 | z, return_index=True)[1]]
 
 
 def _bound(samples: Any, points: Array, radius: float) -> Array:

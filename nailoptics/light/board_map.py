@@ -20,7 +20,7 @@ from ..variables import Estimate, described
 from . import backend as backends, optics
 from .identity import light_scene
 from .tracing.store import LightStore, made_of, stored_or_made
-from .transfer.records import FINGER_BATCH_PHOTONS, attenuation
+from .transfer.records import attenuation
 
 if TYPE_CHECKING:
     from .walk.finger import FingerTracer
@@ -93,7 +93,7 @@ class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes: the light that all scenes share which
     differ in blood, touch or electronics."""
 
-    batch_photons = FINGER_BATCH_PHOTONS
+    batch_photons = 1 << 18
 
     def __init__(
         self,

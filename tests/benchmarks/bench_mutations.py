@@ -150,9 +150,9 @@ MUTATIONS = (
     ),
     Mutation(
         "copies forget the absorption before they were split",
-        "light/walk/finger.py",
-        "photon.absorption_optical_depth = photon.tau + sampling",
-        "photon.absorption_optical_depth = sampling",
+        "light/walk/splitting.py",
+        "photon.absorption_optical_depth = photon.tau + free",
+        "photon.absorption_optical_depth = free",
         "light/test_splitting.py",
     ),
     Mutation(
@@ -188,6 +188,20 @@ MUTATIONS = (
         "light/walk/splitting.py",
         "return bool(self.count[0] <= self.room[0])",
         "return True",
+        "light/test_splitting.py",
+    ),
+    Mutation(
+        "the second copy of a photon counts for a stride less",
+        "light/walk/splitting.py",
+        "photon.strides = dr.select(from_near, photon.strides, place + 1)",
+        "photon.strides = dr.select(from_near, photon.strides, place)",
+        "light/test_splitting.py",
+    ),
+    Mutation(
+        "a photon that ends within reach of a photodiode takes its copies of earlier strides with it",
+        "light/walk/splitting.py",
+        "left = dr.select(back & ~ended, photon.pending >> latest, photon.pending)",
+        "left = photon.pending >> latest",
         "light/test_splitting.py",
     ),
     Mutation(
@@ -315,6 +329,20 @@ MUTATIONS = (
         '4 * np.pi * tabulated("kapton", "k"',
         '2 * np.pi * tabulated("kapton", "k"',
         "tissue/test_properties.py",
+    ),
+    Mutation(
+        "a chord between two heights dips no lower than its ends",
+        "light/walk/interfaces.py",
+        "low = dr.fma(self.sagitta, step * step, low)",
+        "low = dr.fma(0, step * step, low)",
+        "geometry/test_distance.py",
+    ),
+    Mutation(
+        "steps between two shells meet no other interface",
+        "light/walk/interfaces.py",
+        "(inside & (step < here.other + there.other))",
+        "inside",
+        "geometry/test_distance.py",
     ),
     Mutation(
         "bounds on distances miss the radius within which samples cover an interface",

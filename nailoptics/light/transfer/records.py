@@ -16,7 +16,7 @@ SUMS = ("energy", "absorbed")
 # Where light may go.
 ENERGY = ("reflected", "transmitted", "absorbed", "lost")
 # Photons of a full batch: enough to keep a processor's lanes busy.
-FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 18, 1 << 19
+FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 17, 1 << 19
 
 
 def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> None:

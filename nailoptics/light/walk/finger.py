@@ -17,11 +17,11 @@ from ..transfer.records import LedTrace
 from . import sampling
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
 from .sampling import PhotonEnds, WalkedPhotons, remaining, rotate_direction
-from .splitting import Reach, Splitting
+from .splitting import Reach, Splitting, copies_of
 from .tallies import BoardTally, FluenceTally, Section
 
 # Scatterings without a ray before lanes wait for each other; more leave lanes idle, fewer cast rays for few lanes.
-FREE_EVENTS = 4
+FREE_EVENTS = 3
 # Most scatterings happen so near to the dies and photodiodes; beyond, every step casts a ray, which is only slower.
 ASIDE_MM, BELOW_MM, ABOVE_MM = 5.0, 6.5, 0.1
 PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
@@ -151,7 +151,7 @@ class FingerWalk:
     def run(self, queue: sampling.PhotonQueue) -> Any:
         """Walk all photons to their ends; returns scatterings per lane."""
         photon = self.launch(queue, queue.first)
-        forks = [_fork(photon) for _ in photon.copies]
+        forks = self.splitting.forks() if self.splitting is not None else []
         events = dr.zeros(mi.UInt32, dr.width(queue.first))
         active = photon.index < queue.photons
         while dr.hint(active, label="finger walk"):
@@ -170,13 +170,13 @@ class FingerWalk:
             absorbed = photon.tau > photon.absorption_optical_depth
             photon.outcome = dr.select(absorbed, mi.UInt32(sampling.ABSORBED), photon.outcome)
             # Copies that are still to come start with the weight that this one had there.
-            copies = dr.select(photon.has_no_copies_left(), photon.statistical_weight(), 0)
+            copies = dr.select(photon.has_no_copies_left(), copies_of(photon), 0)
             sampling.roulette(photon, segment.scatterings + 1, copies)
             if self.splitting is None and self.acceptance is not None:
                 photon.weight = dr.select(photon.outcome >= DETECTED, photon.weight * accepted, photon.weight)
             if self.splitting is not None:
                 self.splitting.add(photon, accepted)
-                forks = self.split(photon, forks, self.splitting, active)
+                self.splitting.split(photon, forks, self.regions, active)
             if photon.outcome > 0:
                 self.ends.record(photon, *self.tallied(region))
                 if self.splitting is None:
@@ -192,7 +192,6 @@ class FingerWalk:
         """A new photon on the emitter."""
         rng = queue.random_numbers(index)
         p, w, _ = self.emitter.emit(rng, index)
-        levels = len(self.splitting.reach.copies) if self.splitting is not None else 0
         return FingerPhoton(
             index=index,
             rng=rng,
@@ -201,8 +200,6 @@ class FingerWalk:
             region=mi.UInt32(self.emitter.region),
             absorption_optical_depth=sampling.free_absorption_length(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
-            copies=[mi.UInt32(1) for _ in range(levels)],
-            copies_left=[mi.UInt32(0) for _ in range(levels)],
         )
 
     @dr.syntax
@@ -210,15 +207,16 @@ class FingerWalk:
         """Scatter while no interface can be on the next step: what is free around its two ends is longer together."""
         step = medium.free_path(photon.rng)
         segment = _Segment(step, mi.Float(0), [mi.Float(0) for _ in self.zones.edges], mi.UInt32(0))
-        free = self.interfaces.free(photon.p, active)
-        ahead = self.interfaces.free(photon.p + photon.w * step, active)
-        while active & (segment.step < free + ahead) & (segment.scatterings < FREE_EVENTS):
+        here = self.interfaces.clearance(photon.p, active)
+        layer = self.interfaces.layer(here.height)
+        ahead = self.interfaces.clearance(photon.p + photon.w * step, active)
+        while active & self.interfaces.is_free(segment.step, here, ahead, layer) & (segment.scatterings < FREE_EVENTS):
             self.advance(photon, segment, medium, True)
             cos = sampling.henyey_greenstein(medium.g, photon.rng.next_float32())
             photon.w = mi.Vector3f(rotate_direction(photon.w, cos, 2 * dr.pi * photon.rng.next_float32()))
             segment.step = medium.free_path(photon.rng)
-            free = mi.Float(ahead)
-            ahead = self.interfaces.free(photon.p + photon.w * segment.step, True)
+            here = dr.copy(ahead)
+            ahead = self.interfaces.clearance(photon.p + photon.w * segment.step, True)
             segment.scatterings += 1
         return segment
 
@@ -283,7 +281,7 @@ class FingerWalk:
             place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
             tallied &= photon.has_no_copies_left()
-            left = photon.weight * photon.statistical_weight() * remaining(photon.tau)
+            left = photon.weight * copies_of(photon) * remaining(photon.tau)
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)
@@ -299,48 +297,3 @@ class FingerWalk:
         """Where the absorption of a region is tallied, and whether it is."""
         place = dr.gather(mi.UInt32, self.regions.tally, region)
         return place, place < dr.width(self.regions.tally)
-
-    def split(self, photon: FingerPhoton, forks: list[Any], splitting: Splitting, active: Any) -> list[Any]:
-        """Split a photon that comes within reach of a photodiode, and walk its copies one by one.
-
-        Each starts where the photon came within reach, and ends there or goes away. All of them may be detected; it is
-        the last that goes on, with the whole weight. Returns: at each level of splitting the latest fork.
-        """
-        over_bed = dr.gather(mi.Bool, self.regions.over_bed, photon.region, active)
-        within = splitting.reach.within(photon.p, over_bed, active)
-        copies = splitting.reach.copies
-        for k, number in enumerate(copies):
-            forks[k] = _split(photon, forks[k], within[k] & photon.is_unsplit(k), k, number)
-        for k in reversed(range(len(copies))):
-            _go_on(photon, forks[k], (photon.outcome > 0) | ~within[k], k)
-        return forks
-
-
-@dr.syntax
-def _split(photon: FingerPhoton, fork: list[Any], within: Any, k: int, number: int) -> list[Any]:
-    """Split a photon into a number of copies."""
-    if within & (photon.outcome == 0):
-        photon.copies[k], photon.copies_left[k] = mi.UInt32(number), mi.UInt32(number - 1)
-        photon.weight = photon.weight / number
-        fork = _fork(photon)
-    return fork
-
-
-@dr.syntax
-def _go_on(photon: FingerPhoton, fork: list[Any], done: Any, k: int) -> None:
-    """Begin the next of a photon's copies, or make the last one whole again."""
-    done &= (photon.copies[k] > 1) & photon.is_unsplit(k + 1)
-    if done & (photon.copies_left[k] == 0):
-        photon.weight, photon.copies[k] = photon.weight * mi.Float(photon.copies[k]), mi.UInt32(1)
-    if done & (photon.copies_left[k] > 0):
-        photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, path = dr.copy(fork)
-        photon.path = path
-        # What absorption leaves a photon knows nothing of how far it came.
-        photon.absorption_optical_depth = photon.tau + sampling.free_absorption_length(photon.rng.next_float32())
-        photon.copies_left[k] -= 1
-        photon.outcome = mi.UInt32(0)
-
-
-def _fork(photon: FingerPhoton) -> list[Any]:
-    """How a photon stands where it is split: all that its copies change on their way."""
-    return dr.copy([photon.p, photon.w, photon.region, photon.weight, photon.tau, photon.entered, photon.path])

@@ -11,18 +11,18 @@ import mitsuba as mi
 import numpy as np
 
 from ...geometry import DistanceGrid, Face, Geometry
-from ...geometry.distance import NORMAL_STEPS, PLANE_REACH_MM, PLANE_STEP_MM
+from ...geometry.distance import CAP_MM, SHELLS
 from ...tissue import BloodZones
 from .. import optics
 from . import sampling
-from .sampling import Photon, clip, maximum, minimum, rotate_direction, safe_sqrt, starts
+from .sampling import Photon, clip, maximum, minimum, rotate_direction, starts
 
 # Through these light comes back from the bed to the photodiodes.
 OVER_BED = ("plate", "epoxy")
 # The number of a triangle's region below and that above share the 24 bits that a float32 holds exactly.
 REGION_BITS = 11
-# Distances take a signed byte: so many steps are the largest distance.
-MOST_STEPS = 127
+# Distances take two bytes.
+DISTANCE_STEP_MM = CAP_MM / 0xFFFF
 # Outcomes from here on name the photodiode that a photon reached; below, the opaque region.
 DETECTED = sampling.OPAQUE + (1 << REGION_BITS)
 # Of a coordinate and of 1 mm; about sixteen times what float32 resolves, enough for a few roundings.
@@ -36,36 +36,22 @@ class FingerPhoton(Photon):
     p : Place. [mm]
     region : Index of the region it is in.
     arrivals : How often it has come to the board.
-    copies : (levels) list. How many it stands for, walked one after the other, where it has been split; else 1.
-    copies_left : (levels) list. Of these still to be walked after the present one.
+    strides : How often it has been split in two on its way to the photodiodes, and is not yet whole again.
+    pending : Of these, a bit for each whose second copy is still to be walked.
+    near : Copies still to be walked of those into which it was split within reach of a photodiode, itself included;
+        0 where it is not split there.
     """
 
     p: Any
     region: Any
     arrivals: Any = starts(0)
-    copies: list[Any]
-    copies_left: list[Any]
-
-    def is_unsplit(self, level: int) -> Any:
-        """Whether it is not split from a level on."""
-        unsplit = mi.Bool(True)
-        for copies in self.copies[level:]:
-            unsplit &= copies == 1
-        return unsplit
+    strides: Any = starts(0)
+    pending: Any = starts(0)
+    near: Any = starts(0)
 
     def has_no_copies_left(self) -> Any:
         """Whether no copy of it is still to be walked."""
-        last = mi.Bool(True)
-        for left in self.copies_left:
-            last &= left == 0
-        return last
-
-    def statistical_weight(self) -> Any:
-        """How many copies of its weight it was split into."""
-        number = mi.Float(1)
-        for copies in self.copies:
-            number = number * mi.Float(copies)
-        return number
+        return (self.pending == 0) & (self.near <= 1)
 
 
 class Medium(NamedTuple):
@@ -127,6 +113,19 @@ class Regions:
         )
 
 
+@dataclass
+class Clearance:
+    """What is known at a place of the nearest interfaces.
+
+    distance, other : None lies nearer, and none that is no shell around the nail's axis. [mm]
+    height : Over the nail plate's outer face. [mm]
+    """
+
+    distance: Any
+    other: Any
+    height: Any
+
+
 class Interfaces:
     """All faces between regions: which one a ray meets, what lies on its sides, and how far the nearest one is."""
 
@@ -143,18 +142,38 @@ class Interfaces:
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         pair = geometry.below + (geometry.above << REGION_BITS)
         self.triangles = table_of_rows(np.column_stack([normal, pair]).astype(np.float32))
-        # Per cell, in the bytes of one number: offset to its plane, normal, slack; or distance, 0.
-        steps = np.minimum(distances.distance_mm / PLANE_STEP_MM, MOST_STEPS).astype(np.int8)
-        steps = np.where(distances.slack_steps > 0, distances.offset_steps, steps)
-        columns = [distances.slack_steps, distances.normal_steps[..., 1], distances.normal_steps[..., 0], steps]
-        packed = np.stack([column.astype(np.uint8).T.ravel() for column in columns], -1).view("<u4").ravel()
-        self.cells = mi.UInt32(packed.astype(np.uint32))
+        # Per cell, in the halves of one number, both in DISTANCE_STEP_MM.
+        whole, other = (
+            np.floor(bound.T.ravel() / DISTANCE_STEP_MM).astype(np.uint32)
+            for bound in (distances.distance_mm, distances.other_mm)
+        )
+        self.cells = mi.UInt32(whole << 16 | other)
+        shells = np.full((SHELLS, 2), sampling.FAR)
+        shells[: len(distances.shells_mm)] = distances.shells_mm
+        self.shells = [[dr.opaque(mi.Float, float(x)) for x in shell] for shell in shells]
+        self.radius = dr.opaque(mi.Float, float(geometry.nail_radius_mm))
+        # A chord lies so much lower than its ends, times the square of its length.
+        least_mm = geometry.nail_radius_mm + min(0.0, *shells[:, 0])
+        self.sagitta = dr.opaque(mi.Float, float(1 / (7.5 * least_mm)))
         self.count = [dr.opaque(mi.UInt32, int(n)) for n in distances.distance_mm.shape]
         self.origin = [dr.opaque(mi.Float, float(x)) for x in distances.origin_mm]
         self.spacing = dr.opaque(mi.Float, float(distances.spacing_mm))
 
-    def free(self, p: Any, active: Any) -> Any:
-        """A distance at p within which no interface lies; 0 where nothing is known. [mm]"""
+    def height(self, p: Any) -> Any:
+        """Height of p over the nail plate's outer face. [mm]"""
+        z = p.z + self.radius
+        return dr.sqrt(dr.fma(p.x, p.x, z * z)) - self.radius
+
+    def layer(self, height: Any) -> tuple[Any, Any]:
+        """Between which heights a place lies that is in no shell, with no shell between. [mm]"""
+        low, high = mi.Float(-sampling.FAR), mi.Float(sampling.FAR)
+        for bottom, top in self.shells:
+            low = dr.select(bottom < height, maximum(low, top), low)
+            high = dr.select(bottom < height, high, minimum(high, bottom))
+        return low, high
+
+    def clearance(self, p: Any, active: Any) -> Clearance:
+        """What is known at p of the nearest interfaces."""
         cell, off = [], []
         inside = mi.Bool(active)
         for value, low, n in zip(p, self.origin, self.count, strict=True):
@@ -164,15 +183,16 @@ class Interfaces:
             cell.append(mi.UInt32(index))
             off.append((place - mi.Float(index) - 0.5) * self.spacing)
         at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
-        word = dr.gather(mi.UInt32, self.cells, at, inside)
-        slack, steps = mi.Float(mi.Int32(word & 255)), mi.Float(mi.Int32(word) >> 24)
-        # Shifted up and down again, a byte has its sign.
-        x, y = (mi.Float((mi.Int32(word) << bits) >> 24) * (1 / NORMAL_STEPS) for bits in (8, 16))
-        normal = mi.Vector3f(x, y, safe_sqrt(1 - x * x - y * y))
-        from_center = mi.Vector3f(off)
-        plane = dr.abs(dr.fma(PLANE_STEP_MM, steps, dr.dot(normal, from_center))) - slack * PLANE_STEP_MM
-        center = steps * PLANE_STEP_MM - dr.norm(from_center)
-        return maximum(dr.select(slack > 0, minimum(plane, PLANE_REACH_MM), center), 0)
+        word, away = dr.gather(mi.UInt32, self.cells, at, inside), dr.norm(mi.Vector3f(off))
+        whole, other = mi.Float(word >> 16) * DISTANCE_STEP_MM, mi.Float(word & 0xFFFF) * DISTANCE_STEP_MM
+        return Clearance(maximum(whole - away, 0), maximum(other - away, 0), self.height(p))
+
+    def is_free(self, step: Any, here: Clearance, there: Clearance, layer: tuple[Any, Any]) -> Any:
+        """Whether no interface lies on a step between two places, the first of them in a layer between shells."""
+        low, high = layer
+        low = dr.fma(self.sagitta, step * step, low)
+        inside = (minimum(here.height, there.height) > low) & (maximum(here.height, there.height) < high)
+        return (step < here.distance + there.distance) | (inside & (step < here.other + there.other))
 
     def sides(self, triangle: Any) -> tuple[Any, Any, Any]:
         """A triangle's normal, the region below it, and the one above, to which the normal points."""

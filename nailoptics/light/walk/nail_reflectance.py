@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import geometry as finger_geometry
-from ...geometry import Geometry
+from ...geometry import SPACING_MM, Geometry
 from ...scene import Board, Led, Light, Scene, digest
 from ...statistics import seed_of
 from .. import optics
@@ -32,7 +32,6 @@ ABOVE_MM = 0.5
 ASIDE_MM, BELOW_MM = 3.0, 6.0
 # So much finger is there behind the nail: with less, skin there would lose red light through the end. [mm]
 BEHIND_MM = 10.0
-SPACING_MM = 0.1
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ BLOCKS, LEAST_BATCH, PILOT_PHOTONS = 12, 1 << 12, 1 << 18
 KERNEL_ERROR, KERNEL_CHANGE_ERROR = 0.03, 0.12
 # The blood at rest can be chosen from half to twice the scene's, the saturation down to here.
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
-# Cells of the ambient light's table across and along the board; cells of the distances that the walk looks up. [mm]
-AMBIENT_CELLS, DISTANCE_MM = 6, 0.1
+# Cells of the ambient light's table across and along the board.
+AMBIENT_CELLS = 6
 # Photons of the fluence around a source, and the width of its rings. [mm]
 FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
 # The scene as it is, then on people's fingers, each with the polynomial over its blood.
@@ -230,7 +230,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     sources, bare, stores = colours(base), boards.bare_board(base), LightStore.of_command(options)
     how: dict[str, Any] = {"stores": stores, "backend": options.backend, "seed": options.seed}
     lit = {(led.wavelength_nm, led.fwhm_nm): lit_by(bare, led) for led in sources}
-    tracers = {light: BoardTracer(one, spacing_mm=DISTANCE_MM, **how) for light, one in lit.items()}
+    tracers = {light: BoardTracer(one, **how) for light, one in lit.items()}
     by_led = [tracers[led.wavelength_nm, led.fwhm_nm] for led in base.leds]
     people = ranked_people(base, by_led, seed_of(options.seed, RANKING))
     fingers = [(base, blood_polynomial(base, chosen=True))]
@@ -381,7 +381,7 @@ def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.Da
     board = base.board.model_copy(update={"barrier": False, "barrier_gap_mm": None})
     die = base.leds[0].model_copy(update={"position_mm": (0.0, 0.0), "rotation_deg": 0.0})
     bare = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
-    tracer = BoardTracer(lit_by(bare, led), backend=options.backend, spacing_mm=DISTANCE_MM)
+    tracer = BoardTracer(lit_by(bare, led), backend=options.backend)
     return tracer.fluence(0, RING_MM, photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
 
 
