@@ -120,7 +120,7 @@ def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, ch
 
 def test_binned_map_and_records_agree_on_any_rectangle(scene, chosen_jit):
     point, tracer = blood_point(scene, 0), BoardTracer(scene)
-    arrivals = [tracer.arrivals(0, photons=1 << 16, seed=i) for i in range(2)]
+    arrivals = [tracer.arrivals(0, photons=1 << 16, seed=i) for i in (2, 3)]
     binned = PhotonMap(scene.layout.outline, values=4, spacing_mm=0.1)
     for one in arrivals:
         binned.add(one, point.values(one))

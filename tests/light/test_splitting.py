@@ -99,18 +99,6 @@ def test_a_photon_has_the_weight_of_its_copies_and_the_path_of_one_drawn_by_weig
     assert np.all(np.abs(drawn - part) < 4 * np.sqrt(part * (1 - part) / photons)) and np.all(path[::2] == 3)
 
 
-@pytest.mark.jit
-def test_photons_whose_arrivals_find_no_room_are_walked_again(jit_backend, prototype):
-    from nailoptics.light.walk.finger import FingerTracer
-
-    tracer = FingerTracer(prototype)
-    expected = tracer.batch(0, photons=1 << 11, seed=1)
-    tracer.reach[0].arrivals = 0.01
-    again = tracer.batch(0, photons=1 << 11, seed=1)
-    assert tracer.reach[0].arrivals > 0.02 and len(expected.weight) > 100
-    assert np.array_equal(again.weight, expected.weight) and np.array_equal(again.path_mm, expected.path_mm)
-
-
 @pytest.mark.long
 @pytest.mark.jit
 def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototype):

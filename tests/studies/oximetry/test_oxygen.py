@@ -182,7 +182,8 @@ def test_two_dies_along_the_nail_are_warned_of(light):
     result = oximeter_from(trace(along, photons=1 << 17, seed=3), options=TraceOptions(seed=1))
     message = " ".join(result.attrs["warnings"])
     assert '"axis.6"' in message and "on the axis between two dies side by side" in message
-    assert float(result.path_ratio.min()) < 0.8
+    # 0.842(11) by a million photons.
+    assert float(result.path_ratio.min()) < 0.9
 
 
 def test_no_light_is_traced_for_what_is_no_oximeter(monkeypatch):
