@@ -19,10 +19,9 @@ from nailoptics.studies.exploration import explore, pair_table
 
 BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "12288", "-o", "page.html")
-# A page of two wavelengths, with small batches, little light around its sources, coarse cells and a small table.
+# A page of two wavelengths, with small batches, little light around its sources and a small table.
 SMALL_PAGE = {
     "LEAST_BATCH": 1 << 10,
-    "DISTANCE_MM": 0.4,
     "FURTHER_LEDS": ("led_660",),
     "FLUENCE_PHOTONS": 1 << 12,
 }
