@@ -96,33 +96,40 @@ def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, 
     assert (np.array(beyond.distance) == 0).all() and (np.array(beyond.other) == 0).all()
 
 
+def steps_to_try(geometry, low, high, count):
+    """Starts (n, 3), directions (n, 3) and lengths (n,) of steps of light in the finger and on it: anywhere, from
+    within a few micrometres of the plate's faces, and chords between two places right over a shell. [mm]"""
+    rng, nail_mm = np.random.default_rng(1), geometry.nail_radius_mm
+    axis = np.array([0.0, 0.0, nail_mm])
+    anywhere, near = rng.uniform(low, high, (2, count, 3))
+    face = rng.choice([0.0, -0.45], count) + rng.normal(0, 3e-3, count)
+    scale = (nail_mm + face) / (nail_mm + heights(geometry, near))
+    near = (near + axis) * np.stack([scale, scale**0, scale], 1) - axis
+    angle, part = rng.uniform(-0.4, 0.4, count), rng.uniform(0.01, 0.08, count)
+    over = nail_mm + rng.choice([-0.45, -2.15], count) + rng.uniform(2e-5, 4e-4, count)
+    along = rng.uniform(-3, 1, count)
+    ends = [np.stack([over * np.sin(one), along, over * np.cos(one)], 1) - axis for one in (angle, angle + part)]
+    way = np.concatenate([rng.normal(size=(2 * count, 3)), ends[1] - ends[0]])
+    length = np.concatenate([rng.exponential(0.09, 2 * count), np.linalg.norm(ends[1] - ends[0], axis=1)])
+    starts = np.concatenate([anywhere, near, ends[0]])
+    inside = geometry.region_at(starts) > 0
+    return starts[inside], (way / np.linalg.norm(way, axis=1, keepdims=True))[inside], length[inside]
+
+
 @pytest.mark.jit
 @pytest.mark.parametrize("spacing", [0.2, 0.4])
 @pytest.mark.parametrize("barrier", [True, False])
-def test_no_free_step_crosses_an_interface_and_most_others_do(jit_backend, sensor, barrier, spacing):
-    """Steps of light in plate and bed; those that are not free and cross nothing are few, and begin near a wall."""
+def test_no_free_step_meets_an_interface_and_most_others_do(jit_backend, sensor, barrier, spacing):
     from nailoptics.light.walk.interfaces import Interfaces, mi
 
     geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))
-    bounds = np.array([[-3.0, -3.0, -3.0], [3.0, 3.0, 0.0]])
+    bounds = np.array([[-5.5, -6.5, -4.0], [5.5, 6.5, 0.5]])
     interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds, spacing_mm=spacing))
-    rng, count = np.random.default_rng(1), 1 << 17
-    points, way = rng.uniform(*bounds, (count, 3)), rng.normal(size=(count, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    # Half of them start or end within a few micrometres of the plate's faces.
-    faces = rng.choice([0.0, -0.45], count // 2) + rng.normal(0, 3e-3, count // 2)
-    scale = (geometry.nail_radius_mm + faces) / (geometry.nail_radius_mm + heights(geometry, points[: count // 2]))
-    axis = np.array([0.0, 0.0, geometry.nail_radius_mm])
-    points[: count // 2] = (points[: count // 2] + axis) * np.stack([scale, scale**0, scale], 1) - axis
-    inside = np.isin(geometry.region_at(points), [geometry.regions.index(name) for name in ("plate", "bed")])
-    start, w, step = (
-        mi.Point3f(points[inside].T),
-        mi.Vector3f(way[inside].T),
-        mi.Float(rng.exponential(0.09, inside.sum())),
-    )
+    starts, ways, lengths = steps_to_try(geometry, *bounds, 1 << 17)
+    start, w, step = mi.Point3f(starts.T), mi.Vector3f(ways.T), mi.Float(lengths)
     here, there = interfaces.clearance(start, True), interfaces.clearance(start + w * step, True)
     free = np.array(interfaces.is_free(step, here, there, interfaces.layer(here.height)))
     hit = interfaces.scene.ray_intersect_preliminary(mi.Ray3f(start, w, step, 0, []), coherent=False, active=True)
     hit = np.array(hit.is_valid())
-    assert hit.sum() > 1000 and not (free & hit).any()
-    assert (~free & ~hit).mean() < 0.2, (~free & ~hit).mean()
+    assert hit.sum() > 1000 and not (free & hit).any(), (free & hit).sum()
+    assert (~free & ~hit).mean() < 0.35, (~free & ~hit).mean()
