@@ -191,10 +191,10 @@ MUTATIONS = (
         "light/test_splitting.py",
     ),
     Mutation(
-        "the second copy of a photon counts for a stride less",
+        "both halves of a photon that has made a stride have its whole weight",
         "light/walk/splitting.py",
-        "photon.strides = dr.select(from_near, photon.strides, place + 1)",
-        "photon.strides = dr.select(from_near, photon.strides, place)",
+        "photon.weight *= dr.select(near, 1 / COPIES, 0.5)",
+        "photon.weight *= dr.select(near, 1 / COPIES, 1.0)",
         "light/test_splitting.py",
     ),
     Mutation(
