@@ -31,7 +31,7 @@ class DistanceGrid:
 
     distance_mm : (nx, ny, nz) float32. From the cell's centre; never more than the true distance, at most CAP_MM; 0 in
         the air. [mm]
-    other_mm : (nx, ny, nz) float32. Likewise, to the nearest interface that is no part of a shell. [mm]
+    off_shell_mm : (nx, ny, nz) float32. Likewise, to the nearest interface that is no part of a shell. [mm]
     shells_mm : (s, 2) float. Between which heights over the nail plate's outer face each shell lies; all faces of
         plate, bed and board are cylinders around one axis. [mm]
     origin_mm : (3,) float. Lowest corner of the first cell; its centre lies half a spacing further. [mm]
@@ -41,7 +41,7 @@ class DistanceGrid:
     """
 
     distance_mm: NDArray[np.float32]
-    other_mm: NDArray[np.float32]
+    off_shell_mm: NDArray[np.float32]
     shells_mm: Array
     origin_mm: Array
     spacing_mm: float
@@ -75,10 +75,10 @@ def distance_grid(
     reach = 2 * CAP_MM + spacing_mm
     close = ((corners.max(axis=1) > low - reach) & (corners.min(axis=1) < high + reach)).all(axis=1)
     radius = COVERED * spacing_mm
-    distance, other = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    grid = DistanceGrid(distance, other, shells_mm - geometry.nail_radius_mm, low, spacing_mm)
-    distance[tuple(cells.T)] = other[tuple(cells.T)] = CAP_MM
-    for bound_mm, chosen in ((distance, close), (other, close & ~in_shell)):
+    distance, off_shell = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    grid = DistanceGrid(distance, off_shell, shells_mm - geometry.nail_radius_mm, low, spacing_mm)
+    distance[tuple(cells.T)] = off_shell[tuple(cells.T)] = CAP_MM
+    for bound_mm, chosen in ((distance, close), (off_shell, close & ~in_shell)):
         samples = _tree(_samples(corners[chosen], radius)) if chosen.any() else None
         for start in range(0, len(cells) if samples else 0, CHUNK):
             chunk = cells[start : start + CHUNK]
@@ -96,9 +96,8 @@ def _shells(corners: Array) -> tuple[NDArray[np.bool_], Array]:
     part = -(flat * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12)
     nearest = np.linalg.norm(flat + np.clip(part, 0, 1)[..., None] * along, axis=-1).min(1)
     farthest = np.linalg.norm(flat, axis=-1).max(1)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     shell, thin = np.rint(farthest / SHELL_MM).astype(int), farthest - nearest < SHELL_MM
-    area_of = np.bincount(shell[thin], area[thin])
+    area_of = np.bincount(shell[thin], _areas(corners[thin]))
     known = [one for one in np.argsort(-area_of, kind="stable")[:SHELLS] if area_of[one] >= LEAST_SHELL_MM2]
     inside = [thin & (shell == one) for one in known]
     between = [[nearest[one].min() - ROUNDING_MM, farthest[one].max() + ROUNDING_MM] for one in inside]
@@ -123,22 +122,25 @@ def _bound(samples: Any, points: Array, radius: float) -> Array:
 def _samples(corners: Array, radius: float) -> Array:
     """Points (k, 3) on triangles (m, 3, 3), so that no place on them is farther than a radius from one."""
     a, b, c = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1).T
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = _areas(corners)
     # The place farthest from all three corners: the middle of the circle around them, or a place on the longest edge.
     obtuse = c**2 >= a**2 + b**2
     covering = np.where(obtuse, b**2 * c / (b**2 + c**2 - a**2), a * b * c / (4 * area))
     covering = np.where(obtuse, np.maximum(covering, a**2 * c / (a**2 + c**2 - b**2)), covering)
-    return _lattice(corners, np.ceil(covering / radius).astype(int))[0]
+    return _lattice(corners, np.ceil(covering / radius).astype(int))
 
 
-def _lattice(corners: Array, pieces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,), and the
-    triangle of each, (k,)."""
-    points, triangles = [], []
+def _lattice(corners: Array, pieces: NDArray[np.int64]) -> Array:
+    """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,)."""
+    points = []
     for n in np.unique(pieces):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
         inside = i + j <= n
         weights = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
         points.append((weights @ corners[pieces == n]).reshape(-1, 3))
-        triangles.append(np.repeat(np.flatnonzero(pieces == n), len(weights)))
-    return np.concatenate(points), np.concatenate(triangles)
+    return np.concatenate(points)
+
+
+def _areas(corners: Array) -> Array:
+    """Areas (m,) of triangles (m, 3, 3). [mm^2]"""
+    return np.asarray(np.linalg.norm(np.cross(*np.diff(corners, axis=1).transpose(1, 0, 2)), axis=1) / 2)

@@ -93,6 +93,7 @@ class BoardTracer:
     """Traces a finger scene's LEDs onto its board, whatever its photodiodes: the light that all scenes share which
     differ in blood, touch or electronics."""
 
+    # Of a full batch: its photons are not split, and reach any place.
     batch_photons = 1 << 18
 
     def __init__(

@@ -340,7 +340,7 @@ MUTATIONS = (
     Mutation(
         "steps between two shells meet no other interface",
         "light/walk/interfaces.py",
-        "(inside & (step < here.other + there.other))",
+        "(inside & (step < here.off_shell + there.off_shell))",
         "inside",
         "geometry/test_distance.py",
     ),

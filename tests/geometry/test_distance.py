@@ -90,10 +90,10 @@ def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, 
     points, true = in_the_plate(geometry, bounds, 1000)
     known = interfaces.clearance(mi.Point3f(points.T.astype(np.float32)), True)
     assert (np.array(known.distance) <= true + 2e-6).all() and np.array(known.distance).mean() > 0.2 * true.mean()
-    assert (np.array(known.other) >= np.array(known.distance)).all()
+    assert (np.array(known.off_shell) >= np.array(known.distance)).all()
     assert np.allclose(np.array(known.height), heights(geometry, points), atol=1e-5)
     beyond = interfaces.clearance(mi.Point3f([-9.0, 0.0, 1e9], [0.0, 0.0, 1e9], [0.0, 9.0, 1e9]), True)
-    assert (np.array(beyond.distance) == 0).all() and (np.array(beyond.other) == 0).all()
+    assert (np.array(beyond.distance) == 0).all() and (np.array(beyond.off_shell) == 0).all()
 
 
 def steps_to_try(geometry, low, high, count):

@@ -38,8 +38,8 @@ class FingerPhoton(Photon):
     arrivals : How often it has come to the board.
     strides : How often it has been split in two on its way to the photodiodes, and is not yet whole again.
     pending : Of these, a bit for each whose second copy is still to be walked.
-    near : Copies still to be walked of those into which it was split within reach of a photodiode, itself included;
-        0 where it is not split there.
+    near_copies : Copies still to be walked of those into which it was split within reach of a photodiode, itself
+        included; 0 where it is not split there.
     """
 
     p: Any
@@ -47,11 +47,11 @@ class FingerPhoton(Photon):
     arrivals: Any = starts(0)
     strides: Any = starts(0)
     pending: Any = starts(0)
-    near: Any = starts(0)
+    near_copies: Any = starts(0)
 
     def has_no_copies_left(self) -> Any:
         """Whether no copy of it is still to be walked."""
-        return (self.pending == 0) & (self.near <= 1)
+        return (self.pending == 0) & (self.near_copies <= 1)
 
 
 class Medium(NamedTuple):
@@ -117,12 +117,12 @@ class Regions:
 class Clearance:
     """What is known at a place of the nearest interfaces.
 
-    distance, other : None lies nearer, and none that is no shell around the nail's axis. [mm]
+    distance, off_shell : None lies nearer, and none that is no shell around the nail's axis. [mm]
     height : Over the nail plate's outer face. [mm]
     """
 
     distance: Any
-    other: Any
+    off_shell: Any
     height: Any
 
 
@@ -143,11 +143,11 @@ class Interfaces:
         pair = geometry.below + (geometry.above << REGION_BITS)
         self.triangles = table_of_rows(np.column_stack([normal, pair]).astype(np.float32))
         # Per cell, in the halves of one number, both in DISTANCE_STEP_MM.
-        whole, other = (
+        distance, off_shell = (
             np.floor(bound.T.ravel() / DISTANCE_STEP_MM).astype(np.uint32)
-            for bound in (distances.distance_mm, distances.other_mm)
+            for bound in (distances.distance_mm, distances.off_shell_mm)
         )
-        self.cells = mi.UInt32(whole << 16 | other)
+        self.cells = mi.UInt32(distance << 16 | off_shell)
         shells = np.full((SHELLS, 2), sampling.FAR)
         shells[: len(distances.shells_mm)] = distances.shells_mm
         self.shells = [[dr.opaque(mi.Float, float(x)) for x in shell] for shell in shells]
@@ -184,15 +184,15 @@ class Interfaces:
             off.append((place - mi.Float(index) - 0.5) * self.spacing)
         at = cell[0] + self.count[0] * (cell[1] + self.count[1] * cell[2])
         word, away = dr.gather(mi.UInt32, self.cells, at, inside), dr.norm(mi.Vector3f(off))
-        whole, other = mi.Float(word >> 16) * DISTANCE_STEP_MM, mi.Float(word & 0xFFFF) * DISTANCE_STEP_MM
-        return Clearance(maximum(whole - away, 0), maximum(other - away, 0), self.height(p))
+        distance, off_shell = mi.Float(word >> 16) * DISTANCE_STEP_MM, mi.Float(word & 0xFFFF) * DISTANCE_STEP_MM
+        return Clearance(maximum(distance - away, 0), maximum(off_shell - away, 0), self.height(p))
 
     def is_free(self, step: Any, here: Clearance, there: Clearance, layer: tuple[Any, Any]) -> Any:
         """Whether no interface lies on a step between two places, the first of them in a layer between shells."""
         low, high = layer
         low = dr.fma(self.sagitta, step * step, low)
         inside = (minimum(here.height, there.height) > low) & (maximum(here.height, there.height) < high)
-        return (step < here.distance + there.distance) | (inside & (step < here.other + there.other))
+        return (step < here.distance + there.distance) | (inside & (step < here.off_shell + there.off_shell))
 
     def sides(self, triangle: Any) -> tuple[Any, Any, Any]:
         """A triangle's normal, the region below it, and the one above, to which the normal points."""

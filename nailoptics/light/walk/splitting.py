@@ -81,7 +81,7 @@ class Splitting:
         in_tissue = dr.gather(mi.Float, regions.mu_s, photon.region, active) > 0
         made = self.reach.made(photon.p, active)
         within, aims = self.reach.near(photon.p, photon.w, dr.gather(mi.Bool, regions.over_bed, photon.region, active))
-        splits = active & (photon.outcome == 0) & (photon.near == 0)
+        splits = active & (photon.outcome == 0) & (photon.near_copies == 0)
         strides = splits & in_tissue & (made > photon.strides)
         _fork(photon, forks, strides, splits & aims & ~strides)
         _go_on(photon, forks, ~within, made < photon.strides, active)
@@ -137,24 +137,24 @@ def _fork(photon: FingerPhoton, forks: list[Any], strides: Any, near: Any) -> No
             fork.write(value, dr.select(near, MOST_STRIDES, photon.strides))
         photon.pending |= dr.select(strides, mi.UInt32(1) << photon.strides, 0)
         photon.strides += dr.select(strides, mi.UInt32(1), 0)
-        photon.near = dr.select(near, mi.UInt32(COPIES), 0)
+        photon.near_copies = dr.select(near, mi.UInt32(COPIES), 0)
 
 
 @dr.syntax
 def _go_on(photon: FingerPhoton, forks: list[Any], far: Any, back: Any, active: Any) -> None:
     """Begin the next of the copies of a photon that ended, is far from the photodiodes or has gone back by a stride; or
     make the last one whole again."""
-    ended, split_near = photon.outcome > 0, photon.near > 0
+    ended, split_near = photon.outcome > 0, photon.near_copies > 0
     far &= split_near
     back &= ~split_near
     latest = dr.select(photon.strides > 0, photon.strides - 1, 0)
-    from_near = active & (ended | far) & (photon.near > 1)
+    from_near = active & (ended | far) & (photon.near_copies > 1)
     left = dr.select(back & ~ended, photon.pending >> latest, photon.pending)
     from_stride = active & ~from_near & (ended | back) & (left > 0)
     if active & ~ended & (far | back) & ~from_near & ~from_stride:
         photon.weight *= dr.select(far, mi.Float(COPIES), 2)
         photon.strides -= dr.select(back, mi.UInt32(1), 0)
-        photon.near = mi.UInt32(0)
+        photon.near_copies = mi.UInt32(0)
     if from_near | from_stride:
         place = dr.select(from_near, MOST_STRIDES, 31 - dr.lzcnt(photon.pending | 1))
         state = [fork.read(place) for fork in forks]
@@ -163,7 +163,7 @@ def _go_on(photon: FingerPhoton, forks: list[Any], far: Any, back: Any, active: 
         photon.path = state[10:]
         # What absorption leaves a photon knows nothing of how far it came.
         photon.absorption_optical_depth = photon.tau + free_absorption_length(photon.rng.next_float32())
-        photon.near = dr.select(from_near, photon.near - 1, 0)
+        photon.near_copies = dr.select(from_near, photon.near_copies - 1, 0)
         photon.strides = dr.select(from_near, photon.strides, place + 1)
         photon.pending ^= dr.select(from_near, 0, mi.UInt32(1) << place)
         photon.outcome = mi.UInt32(0)
@@ -172,7 +172,7 @@ def _go_on(photon: FingerPhoton, forks: list[Any], far: Any, back: Any, active: 
 
 def copies_of(photon: FingerPhoton) -> Any:
     """How many copies of its weight a photon was split into."""
-    return mi.Float(mi.UInt32(1) << photon.strides) * dr.select(photon.near > 0, mi.Float(COPIES), 1)
+    return mi.Float(mi.UInt32(1) << photon.strides) * dr.select(photon.near_copies > 0, mi.Float(COPIES), 1)
 
 
 def near_photodiodes(geometry: Geometry) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
