@@ -50,16 +50,19 @@ def test_strides_count_towards_a_photodiode(prototype, across_mm, most):
     finger = geometry.build(with_led_at(prototype, across_mm))
     strides, low = strides_made(finger, finger.leds[0])
     led = np.asarray(finger.leds[0].quads).reshape(-1, 3).mean(0)
-    for face in finger.photodiodes:
-        way = np.asarray(face.quads).reshape(-1, 3).mean(0) - led
-        limit = min(np.floor((np.linalg.norm(way) - LEAST_DISTANCE_MM) / STRIDE_MM), MOST_STRIDES)
+    centres = np.array([np.asarray(face.quads).reshape(-1, 3).mean(0) for face in finger.photodiodes])
+    away = np.linalg.norm(centres - led, axis=1)
+    limit = np.minimum(np.floor((away - LEAST_DISTANCE_MM) / STRIDE_MM), MOST_STRIDES)
+    # A place is no farther from the middle of its cell than half of the cell's diagonal.
+    half = 3**0.5 / 2 * STRIDE_CELL_MM
+    for centre in centres:
         for part in (0.2, 0.35, 0.5, 0.65, 0.9, 1.0):
-            place = led + part * way
+            place = led + part * (centre - led)
             cell = tuple(np.floor((place - low) / STRIDE_CELL_MM).astype(int))
             counted = strides[cell] if min(cell) >= 0 else 0
-            made = part * np.linalg.norm(way) / STRIDE_MM
-            # Other photodiodes are on the way, too.
-            assert min(np.floor(made - STRIDE_CELL_MM / STRIDE_MM), limit) <= counted <= np.ceil(made + 1)
+            made = away - np.linalg.norm(centres - place, axis=1)
+            least, largest = (np.minimum(np.floor((made + by) / STRIDE_MM), limit).max() for by in (-half, half))
+            assert max(least, 0) <= counted <= largest
     assert strides.max() == most
 
 

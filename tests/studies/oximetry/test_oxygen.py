@@ -172,18 +172,17 @@ def test_the_error_of_r_is_what_stops_the_trace(chosen_jit, monkeypatch):
 
 @pytest.mark.long
 def test_two_dies_along_the_nail_are_warned_of(light):
-    """Rationale: dies 1 mm apart along the nail see other beds. Expected: a warning that names the photodiode and what
-    would mend it."""
+    """Rationale: dies 1.4 mm apart along the nail see other beds. Expected: a warning that names the photodiode and
+    what would mend it."""
     scene = shipped()
-    places = ((-1.2, -0.5), (-1.2, 0.5))
+    places = ((-1.2, -0.7), (-1.2, 0.7))
     leds = tuple(led.model_copy(update={"position_mm": p}) for led, p in zip(scene.leds, places, strict=True))
     diode = scene.photodiodes[0].model_copy(update={"position_mm": (0.0, -2.0), "wired": (6, 10)})
     along = scene.model_copy(update={"leds": leds, "photodiodes": (diode,)})
     result = oximeter_from(trace(along, photons=1 << 17, seed=3), options=TraceOptions(seed=1))
     message = " ".join(result.attrs["warnings"])
     assert '"axis.6"' in message and "on the axis between two dies side by side" in message
-    # 0.842(11) by a million photons.
-    assert float(result.path_ratio.min()) < 0.9
+    assert float(result.path_ratio.min()) < 0.8
 
 
 def test_no_light_is_traced_for_what_is_no_oximeter(monkeypatch):
