@@ -101,8 +101,7 @@ class RestReadings:
     @property
     def note(self) -> str:
         """What the standard errors alone do not say; nothing where they say all."""
-        rest = None if self.transfer is None else self.transfer.at()
-        return "" if rest is None else rest.detected_fraction_stderr.attrs.get("comment", "")
+        return "" if self.transfer is None else self.transfer.shared_error
 
 
 def open_light(

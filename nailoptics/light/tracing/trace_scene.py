@@ -106,7 +106,8 @@ class LightEngine:
         faces, spacing_mm = sorted({*with_faces} & {*scene.light.left_out}), None if scene.phantom else spacing_mm
         more = {"escaping": escaping, "with_faces": faces, "spacing_mm": spacing_mm}
         self.more: dict[str, Any] = {name: value for name, value in more.items() if value}
-        self.full = FINGER_BATCH_PHOTONS if scene.phantom is None else PHANTOM_BATCH_PHOTONS
+        small = scene.phantom is None and backend.name == "llvm"
+        self.full = FINGER_BATCH_PHOTONS if small else PHANTOM_BATCH_PHOTONS
         self.cpu_seconds = self.wall_seconds = 0.0
         self._opened: Any = None
 

@@ -15,7 +15,7 @@ COLUMNS = ("photon", "photodiode", "weight", "path_mm")
 SUMS = ("energy", "absorbed")
 # Where light may go.
 ENERGY = ("reflected", "transmitted", "absorbed", "lost")
-# Photons of a full batch: enough to keep a processor's lanes busy.
+# Photons of a full batch: enough to keep a processor's lanes busy; a graphics card's need a phantom's in a finger, too.
 FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS = 1 << 17, 1 << 19
 
 
@@ -106,16 +106,17 @@ class Moments:
 
 def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm: np.ndarray, count: int) -> Moments:
     """Moments of records; weights are those of the state that is read."""
+    where = photodiode.astype(np.intp)
 
     def total(values: np.ndarray) -> np.ndarray:
         # Of no photons at all numpy makes integers.
-        return np.bincount(photodiode, values, minlength=count).astype(float)
+        return np.bincount(where, values, minlength=count).astype(float)
 
-    def by_absorber(values: np.ndarray, power: int) -> np.ndarray:
-        return np.stack([total(values * column**power) for column in path_mm.T], -1)
-
-    paths = by_absorber(weight, 1), by_absorber(weight**2, 2), by_absorber(weight**2, 1)
-    return Moments(photons, total(weight), total(weight**2), *paths, total(weight**4))
+    weighted = (weight * column for column in path_mm.T)
+    paths = np.array([(total(one), total(one * one), total(weight * one)) for one in weighted])
+    path, path_square, cross = paths.reshape(-1, 3, count).transpose(1, 2, 0)
+    square = weight * weight
+    return Moments(photons, total(weight), total(square), path, path_square, cross, total(square * square))
 
 
 @dataclass(frozen=True)

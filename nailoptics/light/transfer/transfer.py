@@ -89,6 +89,11 @@ class Transfer(Displayed):
         return optics.absorbers(self.scene)
 
     @property
+    def shared_error(self) -> str:
+        """What the photodiodes' standard errors alone do not say; nothing of a single one's."""
+        return SHARED_ERROR if len(self.photodiodes) > 1 else ""
+
+    @property
     def leds(self) -> tuple[str, ...]:
         """Names of the LEDs."""
         return tuple(led.name for led in self.scene.leds)
@@ -145,8 +150,8 @@ class Transfer(Displayed):
             derivative_mm=Estimate(slope[:, 0], slope[:, 1]),
             wavelength_nm=[led.wavelength_nm for led in self.scene.leds],
         )
-        if len(self.photodiodes) > 1:
-            data["detected_fraction_stderr"][2]["comment"] = SHARED_ERROR
+        if self.shared_error:
+            data["detected_fraction_stderr"][2]["comment"] = self.shared_error
         names = {"led": list(self.leds), "photodiode": list(self.photodiodes), "absorber": list(self.absorbers)}
         return xr.Dataset(data, names, self.attributes() | {"title": "nailoptics: readings of a trace"})
 
@@ -262,9 +267,9 @@ class Transfer(Displayed):
 
     @cached_property
     def _traced(self) -> list[Moments]:
-        """Sums in the state that was traced."""
+        """Sums in the state that was traced, without paths."""
         count = len(self.photodiodes)
-        return [moments_of(t.photons, t.photodiode, t.weight, t.path_mm, count) for t in self.traces]
+        return [moments_of(t.photons, t.photodiode, t.weight, t.path_mm[:, :0], count) for t in self.traces]
 
     def warn_of_low_effective_sample_size(self, effective: np.ndarray, least_absorbing: Sequence[Moments]) -> None:
         """Warn where the effective sample size of reweighted readings, (led, photodiode) float, or of errors is small.
