@@ -1,7 +1,8 @@
 """Steady states: the diameters at which blood, wall and touch balance, for many touches at once, and their response to
 small waves of the arterial pressure.
 
-Two nested roots, each bracketed: the pressure of the vein node, and at a given one the diameter of each unit.
+Two nested roots, each bracketed, by Newton's method: the pressure of the vein node, and at a given one the diameter of
+each unit.
 """
 
 import dataclasses
@@ -127,126 +128,122 @@ def solve_walls(
     tension = walls.stiffness * walls.diameter / walls.area
     conductance, venule = walls.flow_factor * walls.diameter**4, walls.venule
     barrier = venule / conductance[:n]
-
-    def unit_opening(node: np.ndarray) -> np.ndarray:
-        return _openings(tension[:n], barrier, node - outside[:n], high - node, tolerance=tolerance, branch=branch)
+    # The sign of P_H - P_L says which end has more outflow.
+    sign = np.where(high >= low, 1.0, -1.0)
 
     def vein_opening(node: np.ndarray) -> np.ndarray:
         return np.maximum(CLOSED_FRACTION, 1.0 + (node - outside[n]) / tension[n])
 
-    # The sign of P_H - P_L says which end has more outflow.
-    sign = np.where(high >= low, 1.0, -1.0)
+    def unit_openings(node: np.ndarray, *known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        push, head = node - outside[:n], high - node
+        return _openings(tension[:n], barrier, push, head, *known, tolerance=tolerance, branch=branch)
 
-    def excess_outflow(node: np.ndarray) -> np.ndarray:
-        arteriole = conductance[:n] * unit_opening(node) ** 4
-        inflow = ((high - node) * arteriole * venule / (arteriole + venule)).sum(axis=0)
-        return np.asarray(sign * (conductance[n] * vein_opening(node) ** 4 * (node - low) - inflow))
+    def excess_outflow(node: np.ndarray, opening: np.ndarray, by_node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What flows out of the vein node less what flows in, and its slope."""
+        vein, head = vein_opening(node), high - node
+        arteriole, outlet = conductance[:n] * _fourth_power(opening), conductance[n] * _fourth_power(vein)
+        part = venule / (arteriole + venule)
+        inflow = (part * arteriole * head).sum(axis=0)
+        inflow_slope = (part * arteriole * (4.0 * part * head * by_node / opening - 1.0)).sum(axis=0)
+        widens = np.where(vein > CLOSED_FRACTION, 4.0 / (tension[n] * vein), 0.0)
+        slope = outlet * (1.0 + widens * (node - low)) - inflow_slope
+        return sign * (outlet * (node - low) - inflow), sign * slope
 
     # All balances lie between the lowest crossing of zero with narrow units and the highest with wide ones.
     tried = np.minimum(high, low) + _NODE_PARTS * np.abs(high - low)
-    above = excess_outflow(tried) > 0.0
+    openings = unit_openings(tried)
+    above = excess_outflow(tried, *openings)[0] > 0.0
     above[..., 0], above[..., -1] = False, True
     rising = above[..., 1:] & ~above[..., :-1]
     last = _NODE_PARTS.size - 2
     at = np.argmax(rising, axis=-1) if branch == "narrow" else last - np.argmax(rising[..., ::-1], axis=-1)
-    bracket = [np.take_along_axis(tried, at[..., None] + side, axis=-1) for side in (0, 1)]
-    scale = np.maximum(np.abs(high), np.abs(low)) + 1.0
-    node = _bracketed_root(excess_outflow, *bracket, tolerance=tolerance * scale)
-    opening = unit_opening(node)
-    arteriole = conductance[:n] * opening**4
+    sides = [at[None, ..., None] + side for side in (0, 1)]
+    lower, upper = (np.take_along_axis(tried, side[0], axis=-1) for side in sides)
+    # The higher the vein node's pressure, the wider all units.
+    known = [np.take_along_axis(openings[0], side, axis=-1) for side in sides]
+    node = _newton_root(
+        lambda node: excess_outflow(node, *unit_openings(node, *known)),
+        lower,
+        upper,
+        start=lower if branch == "narrow" else upper,
+        tolerance=tolerance * (np.maximum(np.abs(high), np.abs(low)) + 1.0),
+    )
+    opening = unit_openings(node, *known)[0]
+    arteriole = conductance[:n] * _fourth_power(opening)
     pressure = (arteriole * high + venule * node) / (arteriole + venule)
     width = np.concatenate([opening, vein_opening(node)[None]]) * walls.diameter
     return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
-def _openings(tension: Array, barrier: Array, push: Array, head: Array, *, tolerance: float, branch: Branch) -> Array:
-    """The widest (or narrowest) opening u = (D+x)/D at which a capillary wall balances, or that of contact.
+def _fourth_power(values: Array) -> Array:
+    square = values * values
+    return np.asarray(square * square)
 
-    tension (u-1) = push + head u^4/(u^4 + barrier), with P_N the vein node's pressure, all arrays that broadcast:
+
+def _openings(
+    tension: Array,
+    barrier: Array,
+    push: Array,
+    head: Array,
+    lowest: Array | float = 0.0,
+    highest: Array | float = np.inf,
+    *,
+    tolerance: float,
+    branch: Branch,
+) -> tuple[Array, Array]:
+    """The widest (or narrowest) opening u = (D+x)/D at which a capillary wall balances, or that of contact, and its
+    slope with the vein node's pressure P_N. [1, 1/Pa]
+
+    tension (u-1) = push + head u^4/(u^4 + barrier), all arrays that broadcast:
     push : P_N - P_F. head : P_H - P_N. tension : k D/A. [Pa]
     barrier : R_A0/R_Vi, the capillary's resistance at its listed diameter over its venule's. [1]
+    lowest, highest : bounds of the opening that are known.
     """
-    tension, barrier, push, head = np.broadcast_arrays(tension, barrier, push, head)
     feedback = 4.0 * head * barrier
 
-    def balance(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def balance(u: Array) -> tuple[Array, Array]:
         """The wall's tension less what opens it, and its slope."""
-        u4 = u**4
+        square = u * u
+        u4 = square * square
         below = u4 + barrier
-        return tension * (u - 1.0) - push - head * u4 / below, tension - feedback * u**3 / below**2
+        return tension * (u - 1.0) - push - head * u4 / below, tension - feedback * square * u / (below * below)
 
-    lowest = np.full(push.shape, CLOSED_FRACTION)
-    bottom = np.maximum(lowest, 1.0 + (push + np.minimum(head, 0.0)) / tension)
-    top = np.maximum(lowest, 1.0 + (push + np.maximum(head, 0.0)) / tension)
-    # Where the feedback u^4/(u^4 + barrier) is steeper than the wall's tension there may be three roots. The widest
-    # lies right of the minimum of the balance, which lies right of the feedback's steepest point, u^4 = 3/5 barrier,
-    # the narrowest left of the maximum, which lies left of it.
-    steepest = (0.6 * barrier) ** 0.25
-    folded = balance(steepest)[1] < 0.0
-    if folded.any():
-        with np.errstate(over="ignore"):
-            far = np.maximum(steepest, top) + 1.0
-            if branch == "wide":
-                turn = _bracketed_root(lambda u: balance(u)[1], steepest, far, tolerance=tolerance * far)
-                exists = folded & (turn < top) & (balance(turn)[0] <= 0.0)
-                bottom = np.where(exists, np.maximum(bottom, turn), bottom)
-                top = np.where(folded & ~exists, np.clip(steepest, bottom, top), top)
-            else:
-                turn = _bracketed_root(lambda u: -balance(u)[1], 0.0 * far, steepest, tolerance=tolerance * far)
-                turn = np.maximum(turn, lowest)
-                exists = folded & (balance(turn)[0] >= 0.0)
-                top = np.where(exists, np.clip(turn, bottom, top), top)
-                bottom = np.where(folded & ~exists, np.clip(steepest, bottom, top), bottom)
-    return _newton_root(balance, bottom, top, tolerance=tolerance * top)
+    bottom = np.maximum(np.maximum(lowest, CLOSED_FRACTION), 1.0 + (push + np.minimum(head, 0.0)) / tension)
+    top = np.maximum(bottom, np.minimum(highest, 1.0 + (push + np.maximum(head, 0.0)) / tension))
+    # Where the feedback u^4/(u^4 + barrier) is steeper than the wall's tension there may be three roots. Right of the
+    # feedback's steepest point, u^4 = 3/5 barrier, the balance is convex: Newton's method from the right passes no
+    # root there. Left of it the balance is concave, and the method passes none from the left.
+    start, at_low = bottom if branch == "narrow" else top, balance(bottom)[0] >= 0.0
+    u = _newton_root(balance, bottom, top, start=start, at_low=at_low, tolerance=tolerance * top)
+    # Where two roots meet, the slope has no bound.
+    by_node = barrier / (_fourth_power(u) + barrier) / np.maximum(balance(u)[1], tolerance * tension)
+    return u, np.where(u > CLOSED_FRACTION, by_node, 0.0)
 
 
 def _newton_root(
-    function: Callable[[Array], tuple[Array, Array]], low: Array, high: Array, *, tolerance: Array
+    function: Callable[[Array], tuple[Array, Array]],
+    low: Array,
+    high: Array,
+    *,
+    start: Array,
+    tolerance: Array,
+    at_low: np.ndarray | bool = False,
 ) -> Array:
     """A root of each component of a smooth function, which gives values and slopes, <= 0 at low and >= 0 at high, by
-    Newton's method kept inside; where it is positive at low already, that end."""
+    Newton's method kept inside.
+
+    at_low : whether the function is positive at low already, which is the root if the method leaves without another.
+    """
+    first, x = low, start
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        first, x, at_low = low, high, function(low)[0] >= 0.0
         for _ in range(_MOST_ITERATIONS):
             value, slope = function(x)
-            low, high = np.where(value <= 0.0, x, low), np.where(value > 0.0, x, high)
+            positive = value > 0.0
+            at_low = at_low & positive
+            low, high = np.where(positive, low, x), np.where(positive, x, high)
             newton = x - value / slope
-            last, x = x, np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-            if ((np.abs(x - last) <= tolerance) | at_low).all():
+            inside = (newton >= low) & (newton <= high)
+            last, x = x, np.where(inside, newton, np.where(at_low, first, 0.5 * (low + high)))
+            if (np.abs(x - last) <= tolerance).all():
                 break
-    return np.where(at_low, first, x)
-
-
-def _bracketed_root(function: Callable[[Array], Array], low: Array, high: Array, *, tolerance: Array) -> Array:
-    """A root of each component of a function that is <= 0 at low and >= 0 at high, by Chandrupatla's method.
-
-    Where the function is positive at low (or negative at high) already, that end is returned. Of scipy,
-    `optimize.elementwise.find_root` is the same method, but its overhead is several times this search.
-
-    References: Chandrupatla 1997, Adv. Eng. Software 28:145.
-    """
-    a, b = high.astype(float), low.astype(float)
-    fa, fb = function(a), function(b)
-    at_low, at_high = fb >= 0.0, fa <= 0.0
-    c, fc, part = a, fa, np.full(a.shape, 0.5)
-    for _ in range(_MOST_ITERATIONS):
-        x = a + part * (b - a)
-        fx = function(x)
-        same = np.sign(fx) == np.sign(fa)
-        c, fc = np.where(same, a, b), np.where(same, fa, fb)
-        b, fb = np.where(same, b, a), np.where(same, fb, fa)
-        a, fa = x, fx
-        a_best = np.abs(fa) < np.abs(fb)
-        best, f_best = np.where(a_best, a, b), np.where(a_best, fa, fb)
-        width = np.abs(b - a)
-        done = (f_best == 0.0) | (width <= 2.0 * tolerance) | at_low | at_high
-        if done.all():
-            break
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
-            quadratic = (phi**2 < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-            guess = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
-            smallest = tolerance / width
-        part = np.where(quadratic & np.isfinite(guess), guess, 0.5)
-        part = np.where(done, 0.0, np.clip(part, np.minimum(smallest, 0.5), np.maximum(1.0 - smallest, 0.5)))
-    return np.where(at_low, low, np.where(at_high, high, best))
+    return x
