@@ -12,8 +12,7 @@ from .io import leave_dask_out
 def prepare(threads: int) -> None:
     """Make a new local process a worker: few threads, deaf to Ctrl-C, and gone when its parent is."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
+    if parent := multiprocessing.parent_process():
 
         def watch() -> None:
             parent.join()

@@ -64,6 +64,8 @@ def distance_grid(
     to a point, then a sample of the same triangle (or edge, or vertex) lies within the lattice's covering radius r of
     q, at a right angle to the way to q; so distance^2 >= (distance to the nearest sample)^2 - r^2.
     """
+    from scipy.spatial import cKDTree
+
     low, high = geometry.bounds_mm if bounds_mm is None else np.asarray(bounds_mm, float)
     shape = np.maximum(np.ceil((high - low) / spacing_mm - 1e-9).astype(int), 1)
     x, y, z = (low[k] + spacing_mm * (np.arange(shape[k]) + 0.5) for k in range(3))
@@ -79,7 +81,9 @@ def distance_grid(
     grid = DistanceGrid(distance, off_shell, shells_mm - geometry.nail_radius_mm, low, spacing_mm)
     distance[tuple(cells.T)] = off_shell[tuple(cells.T)] = CAP_MM
     for bound_mm, chosen in ((distance, close), (off_shell, close & ~in_shell)):
-        samples = _tree(_samples(corners[chosen], radius)) if chosen.any() else None
+        # A tree whose nodes are not shrunk to their points answers ten times faster here.
+        points = _samples(corners[chosen], radius) if chosen.any() else ()
+        samples = cKDTree(points, balanced_tree=False, compact_nodes=False) if len(points) else None
         for start in range(0, len(cells) if samples else 0, CHUNK):
             chunk = cells[start : start + CHUNK]
             bound_mm[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
@@ -102,13 +106,6 @@ def _shells(corners: Array) -> tuple[NDArray[np.bool_], Array]:
     inside = [thin & (shell == one) for one in known]
     between = [[nearest[one].min() - ROUNDING_MM, farthest[one].max() + ROUNDING_MM] for one in inside]
     return thin & np.isin(shell, known), np.array(between).reshape(-1, 2)
-
-
-def _tree(points: Array) -> Any:
-    """A tree of points (k, 3). One whose nodes are not shrunk to their points answers ten times faster here."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def _bound(samples: Any, points: Array, radius: float) -> Array:

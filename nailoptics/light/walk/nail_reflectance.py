@@ -32,6 +32,8 @@ ABOVE_MM = 0.5
 ASIDE_MM, BELOW_MM = 3.0, 6.0
 # So much finger is there behind the nail: with less, skin there would lose red light through the end. [mm]
 BEHIND_MM = 10.0
+# What is recorded of a ray that came back.
+RECORDED = ("patch", "group", "weight", "path_mm", "cosine", "gloss")
 
 
 @dataclass(frozen=True)
@@ -74,9 +76,14 @@ class ReflectedLight:
 
     def with_more(self, other: "ReflectedLight") -> "ReflectedLight":
         """These rays and others of the same wavelength, patches and absorption as one."""
-        fields = ("patch", "group", "weight", "path_mm", "cosine", "gloss")
-        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in fields}
+        joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in RECORDED}
         return replace(self, rays=self.rays + other.rays, **joined)
+
+    def to(self, patches: list[int]) -> "ReflectedLight":
+        """The rays to some patches alone, which are numbered as they are given."""
+        there, number = np.nonzero(self.patch[:, None] == np.array(patches))
+        chosen: dict[str, Any] = {name: getattr(self, name)[there] for name in RECORDED} | {"patch": number}
+        return replace(self, rays=self.rays[patches], **chosen)
 
 
 @dataclass

@@ -66,7 +66,7 @@ def sample_until_tolerance(
 ) -> tuple[ColourRays, str]:
     """Rays until colours and their changes reach their tolerances, and why they do not, if so.
 
-    states : (s, zones) float. Blood under each force; changes are from the first.
+    states : (s, zones) float. Blood under each force, and none at last; changes are from the first.
 
     With photons requested, so many go to the places, each alike; else each place gets what it needs.
     """
@@ -85,7 +85,7 @@ def sample_until_tolerance(
         while True:
             while not rays or rays.photons < goal:
                 yield goal - (rays.photons if rays else 0)
-            errors, changes = errors_of(rays, states, viewer, viewing)
+            errors, changes = errors_of(rays, viewer)
             error = float(errors.max())
             more = np.maximum((errors / viewing.tolerance) ** 2, (changes / viewing.change_tolerance) ** 2)
             if options.photons is not None or more.max() <= 1:
@@ -99,7 +99,7 @@ def sample_until_tolerance(
         affordable = max(stage.seconds_left, 0.0) / pace_s if math.isfinite(stage.limit_s) else math.inf
         photons, begin_s = int(min(left, MOST_AT_ONCE, max(PILOT, affordable))), stage.seconds
         how: dict[str, Any] = {"seed": seed_of(options.seed, parts), "shares": SHARES, "progress": report}
-        walked = walk_colour(nail, patches, photons=photons, **how)
+        walked = walk_colour(nail, patches, photons=photons, **how).read(states, viewing)
         pace_s = (stage.seconds - begin_s) / walked.photons  # of the first part with compilation
         rays, parts = rays.with_more(walked) if rays else walked, parts + 1
 
@@ -107,15 +107,15 @@ def sample_until_tolerance(
     assert rays is not None
     if ending is Ending.MET and not stage.interrupted:
         return rays, ""
-    error = float(errors_of(rays, states, viewer, viewing)[0].max())
+    error = float(errors_of(rays, viewer)[0].max())
     interrupted = stage.interrupted or ending is Ending.INTERRUPTED
     why = "interrupted" if interrupted else "max_seconds ended the rays"
     return rays, f"{why} at a standard error of {error:.2g} (CIEDE2000), {viewing.tolerance:g} requested."
 
 
-def errors_of(rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> tuple[Array, Array]:
-    """Largest standard errors over all states of each place's colour and of its change, (along,) each. [CIEDE2000]"""
-    lab = viewer.lab(rays.reflectance(states, viewing, patches=range(ALONG)))
+def errors_of(rays: ColourRays, viewer: Viewer) -> tuple[Array, Array]:
+    """Largest standard errors over all forces of each place's colour and of its change, (along,) each. [CIEDE2000]"""
+    lab = viewer.lab(rays.reflectance[:, :ALONG, :-1])
     change = delta_e_2000(lab, lab[:, :, :1])
     return stderr_of_colour(lab).max(1), jackknife(change).max(1)
 
@@ -200,7 +200,7 @@ def colour(
     states = steady_blood(scene, viewing.forces_n)
     backend.activate(chosen)
     nail = NailReflectance(scene, backend=chosen.name, stores=stores)
-    rays, unmet = sample_until_tolerance(nail, states, viewer, viewing, options, stage)
+    rays, unmet = sample_until_tolerance(nail, np.vstack([states, 0 * states[:1]]), viewer, viewing, options, stage)
     result = _dataset(scene, rays, states, viewer, viewing)
     if scene.priors.spread and not unmet:
         if stage.is_late(SPREAD_BEGINS):
@@ -242,8 +242,7 @@ def _redness_left(redness: Array, pale: Array) -> Array:
 
 def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
     """Colours in every state, with standard errors."""
-    none = np.zeros((1, states.shape[1]))
-    read = rays.reflectance(np.vstack([states, none]), viewing)
+    read = rays.reflectance
     lab = viewer.lab(read)
     middle, pale, tiles = lab[:, :ALONG, :-1], lab[:, :ALONG, -1], read[0, ALONG:, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
@@ -278,21 +277,20 @@ def spread_of_colours(
     On the middle of the nail and on the skin behind it, at the first of the forces. What only absorbs is reread from
     the rays; what scatters or is shaped otherwise is walked anew, with the same random numbers at each of its values.
     """
-    scene, sites = nail.scene, (ALONG // 2, 0)
+    scene, sites = nail.scene, [ALONG // 2, 0]
+    rays = replace(rays, patches=tuple(rays.patches[k] for k in sites), light=tuple(c.to(sites) for c in rays.light))
     priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
 
-    def lab(light: ColourRays, changed: Scene, chosen: tuple[int, ...]) -> Array:
+    def lab(light: ColourRays, changed: Scene) -> Array:
         states = steady_blood(changed, viewing.forces_n[:1])
-        read = light.reflectance(states, viewing, scene=changed, patches=chosen)
-        return np.asarray(viewer.lab(read)[:, :, 0])
+        return np.asarray(viewer.lab(light.read(states, viewing, scene=changed).reflectance)[:, :, 0])
 
     def walked(changed: Scene) -> Array:
         other = NailReflectance(changed, backend=nail.backend, stores=nail.stores, spacing_mm=OWN_SPACING_MM)
-        patches = [rays.patches[site] for site in sites]
-        light = walk_colour(other, patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD), shares=SHARES)
-        return lab(light, changed, (0, 1))
+        light = walk_colour(other, rays.patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD), shares=SHARES)
+        return lab(light, changed)
 
-    answers = over_priors(scene, priors, lambda changed: lab(rays, changed, sites), walked)
+    answers = over_priors(scene, priors, lambda changed: lab(rays, changed), walked)
     data = answers.variables("lab", ("site", "band"), "L*a*b* at the first force")
     ends, fields = [[p.low, p.high] for p in priors], [p.field for p in priors]
     data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends, prior_field=fields)

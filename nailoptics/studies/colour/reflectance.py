@@ -6,7 +6,7 @@ the absorption of every wavelength, and between the nodes of scattering reflecta
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -101,7 +101,6 @@ CHUNK = 1024
 # moments of weights are bounded up to 8/3 at any length of path, second ones up to 4.
 ABSORPTION = 2.5
 
-
 _BOX = ChebyshevBox(np.log(WAVELENGTHS_NM[:1]), np.log(WAVELENGTHS_NM[-1:]), [NODES])
 # The wavelengths at which rays are walked, rising, [nm], and what each counts for at `WAVELENGTHS_NM`, (nodes, q).
 NODES_NM, WEIGHTS = np.exp(_BOX.nodes[::-1, 0]), _BOX.weights(np.log(WAVELENGTHS_NM))[:, ::-1].T
@@ -113,11 +112,13 @@ class ColourRays:
 
     scene : whose finger they were walked in.
     light : rays of each node.
+    sums : (NODES, GROUPS, patches, states, q) float. Over the rays, dimmed in the states that were read.
     """
 
     scene: Scene
     patches: tuple[Patch, ...]
     light: tuple[ReflectedLight, ...]
+    sums: Array = field(default_factory=lambda: np.zeros(()))
 
     @property
     def photons(self) -> int:
@@ -125,24 +126,26 @@ class ColourRays:
         return int(sum(cell.rays.sum() for cell in self.light))
 
     def with_more(self, other: "ColourRays") -> "ColourRays":
-        """These rays and others of the same finger as one."""
-        return replace(self, light=tuple(a.with_more(b) for a, b in zip(self.light, other.light, strict=True)))
+        """These rays and others of the same finger, read in the same states, as one."""
+        light = tuple(a.with_more(b) for a, b in zip(self.light, other.light, strict=True))
+        return replace(self, light=light, sums=self.sums + other.sums)
 
-    def reflectance(
-        self, states: Array, viewing: Viewing, *, scene: Scene | None = None, patches: Sequence[int] | None = None
-    ) -> Array:
-        """Reflectance factor, of all rays and without each group of them, (1 + GROUPS, patches, states, q) float.
+    def read(self, states: Array, viewing: Viewing, *, scene: Scene | None = None) -> "ColourRays":
+        """The rays with their sums in some states.
 
         states : (s, zones) float. Blood in each zone of the bed. [1]
         viewing : where light comes from, and whether what the surface mirrors counts.
         scene : whose absorption it is; that of the traced scene if not given.
-        patches : which patches are read; all if not given.
         """
         absorbing = self.scene if scene is None else scene
         mu_a = optics.absorption(absorbing, WAVELENGTHS_NM, blood_fraction=states)
-        chosen = np.arange(len(self.patches)) if patches is None else np.asarray(patches)
-        sums = [_sums(_weighted(cell, viewing), mu_a, chosen) for cell in self.light]
-        return left_out(sum(total * weight for total, weight in zip(sums, WEIGHTS, strict=True)))
+        return replace(self, sums=np.stack([_sums(_weighted(cell, viewing), mu_a) for cell in self.light]))
+
+    @property
+    def reflectance(self) -> Array:
+        """Reflectance factor in these states, by all rays and without each group, (1 + GROUPS, patches, states, q)."""
+        means = (GROUPS * sums / cell.rays[:, None, None] for sums, cell in zip(self.sums, self.light, strict=True))
+        return left_out(sum(mean * weight for mean, weight in zip(means, WEIGHTS, strict=True)))
 
 
 def _weighted(light: ReflectedLight, viewing: Viewing) -> ReflectedLight:
@@ -154,27 +157,24 @@ def _weighted(light: ReflectedLight, viewing: Viewing) -> ReflectedLight:
     return replace(light, weight=weight)
 
 
-def _sums(light: ReflectedLight, mu_a: Array, patches: np.ndarray) -> Array:
-    """Means over the rays of each group, (GROUPS, patches, states, q) float.
+def _sums(light: ReflectedLight, mu_a: Array) -> Array:
+    """Sums over the rays of each group, (GROUPS, patches, states, q) float.
 
     mu_a : (states, q, r) float. [mm^-1]
     """
-    place = np.full(len(light.rays), -1)
-    place[patches] = np.arange(len(patches))
-    cell = light.group.astype(int) * len(patches) + place[light.patch]
-    chosen = (place[light.patch] >= 0) & (light.weight > 0)
-    order = np.flatnonzero(chosen)[np.argsort(cell[chosen], kind="stable")]
+    cell = light.group.astype(int) * len(light.rays) + light.patch
+    seen = np.flatnonzero(light.weight)
+    order = seen[np.argsort(cell[seen], kind="stable")]
     # float32 halves the time of the exponentials; sums over the rays of a group and a patch are taken in float64.
     change = (mu_a - light.mu_a).reshape(-1, mu_a.shape[-1]).astype(np.float32)
-    sums = np.zeros((GROUPS * len(patches), len(change)))
+    sums = np.zeros((GROUPS * len(light.rays), len(change)))
     for start in range(0, len(order), CHUNK):
         rows = order[start : start + CHUNK]
         left, weight = attenuation(light.path_mm[rows].astype(np.float32), change), light.weight[rows]
         cells, first = np.unique(cell[rows], return_index=True)
         for at, begin, end in zip(cells, first, [*first[1:], len(rows)], strict=True):
             sums[at] += weight[begin:end] @ left[begin:end]
-    means = sums.reshape(GROUPS, len(patches), -1) * (GROUPS / light.rays[patches])[:, None]
-    return means.reshape(GROUPS, len(patches), *mu_a.shape[:2])
+    return sums.reshape(GROUPS, len(light.rays), *mu_a.shape[:2])
 
 
 def walk_colour(

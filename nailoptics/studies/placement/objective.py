@@ -200,9 +200,8 @@ class Objective:
                 np.stack([np.concatenate([getattr(read, name) for read in of_leds], 1) for of_leds in by_led], 1)
                 for name in ("light_v", "noise_v", "unsaturated", "zone_v")
             )
-            with np.errstate(divide="ignore", invalid="ignore"):
-                noise = np.nan_to_num(noise_v / light_v / np.sqrt(unsaturated), nan=UNREADABLE)
-                slopes = np.where(noise[..., None] < UNREADABLE, zone_v / light_v[..., None], 0.0)
+            noise = np.nan_to_num(quotient(noise_v, light_v * np.sqrt(unsaturated)), nan=UNREADABLE)
+            slopes = np.where(noise[..., None] < UNREADABLE, quotient(zone_v, light_v[..., None]), 0.0)
             led = np.repeat(np.eye(len(by_led[0])), by_led[0][0].volts.shape[-1], axis=0)
             noise = np.minimum(noise, UNREADABLE)
             slopes, noise = (fewer_groups(values, self.filter_groups) for values in (slopes, noise))

@@ -67,7 +67,7 @@ class _Reflectance:
         """At the wavelengths of colours, by all rays and without each group of them, (1 + groups, q) float."""
         rest = np.full((1, zones(scene).count), scene.blood.rest_blood_fraction)
         viewing = scene.colour.model_copy(update={"gloss": gloss})
-        return (rays or self.rays).reflectance(rest, viewing, scene=scene)[:, 0, 0]
+        return (rays or self.rays).read(rest, viewing, scene=scene).reflectance[:, 0, 0]
 
     def over_priors(
         self, scene: Scene, fields: Sequence[str], quantities: Callable[[Scene, ColourRays], Array]

@@ -7,18 +7,21 @@ import numpy as np
 import pytest
 
 from nailoptics.hemodynamics import white_band_mm
+from nailoptics.light import optics
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.transfer.series import ChebyshevBox
-from nailoptics.light.walk.nail_reflectance import ReflectedLight
+from nailoptics.light.walk.nail_reflectance import Patch, ReflectedLight
 from nailoptics.options import TraceOptions
-from nailoptics.scene import Viewing
+from nailoptics.scene import Viewing, load_scene
 from nailoptics.studies.colour import nail_colour as adaptive_sampling
 from nailoptics.studies.colour.nail_colour import _redness_left, stderr_of_colour
 from nailoptics.studies.colour.reflectance import (
+    GROUPS,
     NODES,
     NODES_NM,
     WAVELENGTHS_NM,
     WEIGHTS,
+    ColourRays,
     Viewer,
     _weighted,
     delta_e_2000,
@@ -111,7 +114,9 @@ def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
         return walked(photons)
 
     def walked(photons):
-        return SimpleNamespace(photons=photons, with_more=lambda more: walked(photons + more.photons))
+        rays = SimpleNamespace(photons=photons, with_more=lambda more: walked(photons + more.photons))
+        rays.read = lambda *_: rays
+        return rays
 
     def sampled(photons, **limit):
         stage = StageProgress(None, **limit)
@@ -141,3 +146,43 @@ def test_a_white_surface_that_scatters_evenly_has_a_reflectance_of_1(lit_by):
     rays = ReflectedLight(np.array([count]), none, none, ones, np.zeros((count, 1)), np.zeros(1), cosine, none > 0)
     assert _weighted(rays, Viewing(lit_by=lit_by)).weight.sum() / count == pytest.approx(1.0, abs=1e-3)
     assert _weighted(replace(rays, gloss=none == 0), Viewing(lit_by=lit_by)).weight.sum() == 0
+
+
+def test_rays_are_read_part_by_part_and_patch_by_patch_as_all_at_once():
+    """Three patches' rays in two parts; expected: each ray's weight and Beer-Lambert's law of its path, ray by ray."""
+    scene, generator = load_scene("prototype"), np.random.default_rng(4)
+    states, absorbers = np.array([[0.02, 0.03], [0.05, 0.01]]), len(optics.absorbers(scene))
+    mu_a = optics.absorption(scene, WAVELENGTHS_NM, blood_fraction=states)
+    patches = tuple(Patch((0.0, float(v)), (1.0, 1.0)) for v in range(3))
+
+    def walked(count):
+        def light():
+            return ReflectedLight(
+                rays=GROUPS * np.array([count, 2 * count, count]),
+                patch=generator.integers(0, 3, count).astype(np.uint16),
+                group=generator.integers(0, GROUPS, count).astype(np.uint8),
+                weight=generator.choice([0.0, 0.5, 1.0], count).astype(np.float32),
+                path_mm=generator.exponential(1.0, (count, absorbers)).astype(np.float16),
+                mu_a=np.full(absorbers, 0.01),
+                cosine=np.ones(count, np.float32),
+                gloss=np.zeros(count, bool),
+            )
+
+        return ColourRays(scene, patches, tuple(light() for _ in range(NODES)))
+
+    parts = [walked(count) for count in (3_000, 500)]
+    together = parts[0].with_more(parts[1])
+    expected = np.zeros((3, *mu_a.shape[:2]))
+    for cell, weight in zip(together.light, WEIGHTS, strict=True):
+        left = np.exp(-np.einsum("nr,sqr->nsq", cell.path_mm.astype(float), mu_a - cell.mu_a))
+        sums = np.zeros_like(expected)
+        np.add.at(sums, cell.patch, cell.weight[:, None, None] * left)
+        expected += weight * sums / cell.rays[:, None, None]
+    look = Viewing(gloss=False)
+    at_once = together.read(states, look).reflectance
+    assert at_once.shape == (1 + GROUPS, 3, 2, len(WAVELENGTHS_NM))
+    assert at_once[0] == pytest.approx(expected, rel=1e-5, abs=1e-9)
+    by_part = parts[0].read(states, look).with_more(parts[1].read(states, look)).reflectance
+    assert by_part == pytest.approx(at_once, rel=1e-5, abs=1e-9)
+    two = replace(together, patches=(patches[2], patches[0]), light=tuple(c.to([2, 0]) for c in together.light))
+    assert two.read(states, look).reflectance == pytest.approx(at_once[:, [2, 0]], rel=1e-5, abs=1e-9)

@@ -50,7 +50,7 @@ def rays(chosen_jit):
 def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backend):
     """Rays of four wavelengths, dimmed and interpolated, against rays of this one with its own scattering."""
     rest = np.full((1, 2), 0.03)
-    read = rays.reflectance(rest, LOOK)
+    read = rays.read(rest, LOOK).reflectance
     for wavelength_nm in (450.0, 545.0, 680.0):
         bare = NailReflectance(SCENE)
         at_rest = optics.absorption(bare.scene, wavelength_nm)[0]
@@ -68,7 +68,7 @@ def test_reflectance_between_the_nodes_is_that_of_a_fresh_trace(rays, jit_backen
 @pytest.mark.long
 def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
     viewer = Viewer()
-    lab = viewer.lab(rays.reflectance([[0.02, 0.02], [0.04, 0.04]], LOOK)[0])
+    lab = viewer.lab(rays.read([[0.02, 0.02], [0.04, 0.04]], LOOK).reflectance[0])
     step = lab[0, 1] - lab[0, 0]
     # Takiwaki 1998: haemoglobin -0.74, melanin about -2.8.
     assert step[1] > 1 and -1.0 < step[0] / step[1] < -0.5
@@ -78,7 +78,7 @@ def test_blood_reddens_and_melanin_darkens_as_was_measured(rays):
     def skin(melanin):
         finger = rays.scene.finger.model_copy(update={"melanin_fraction": melanin})
         scene = rays.scene.model_copy(update={"finger": finger, "blood": blood})
-        return viewer.lab(rays.reflectance([[0.03, 0.03]], LOOK, scene=scene))[:, 1, 0]
+        return viewer.lab(rays.read([[0.03, 0.03]], LOOK, scene=scene).reflectance)[:, 1, 0]
 
     tanned = skin(0.03) - skin(0.005)
     slope = tanned[:, 0] / tanned[:, 1]
@@ -101,7 +101,9 @@ def test_a_finger_that_absorbs_nothing_sends_back_almost_all_light(jit_backend):
 @pytest.mark.long
 def test_a_colours_standard_error_is_true(jit_backend):
     """Twenty seeds with few rays: standard errors are those of the repeats, and 95 % intervals hold the mean."""
-    result = [walked(seed, 8_000, shares=SHARES).reflectance([[0.03, 0.03], [0.05, 0.02]], LOOK) for seed in range(20)]
+    result = [
+        walked(seed, 8_000, shares=SHARES).read([[0.03, 0.03], [0.05, 0.02]], LOOK).reflectance for seed in range(20)
+    ]
     viewer = Viewer()
     lab = np.array([viewer.lab(one)[0] for one in result])
     error = np.array([nail.statistics.jackknife(viewer.lab(one)) for one in result])
@@ -190,11 +192,11 @@ def test_the_nail_reddens_and_then_whitens_from_the_tip_as_in_the_paper(jit_back
 @pytest.mark.long
 def test_a_lamp_at_45_degrees_sees_nearly_the_same_colour(rays):
     viewer, rest = Viewer(), [[0.03, 0.03]]
-    sky = viewer.lab(rays.reflectance(rest, LOOK))
-    lamp = viewer.lab(rays.reflectance(rest, Viewing(lit_by="lamp", gloss=False)))
+    sky = viewer.lab(rays.read(rest, LOOK).reflectance)
+    lamp = viewer.lab(rays.read(rest, Viewing(lit_by="lamp", gloss=False)).reflectance)
     assert delta_e_2000(sky[0], lamp[0]).max() < 4
     # Gloss makes everything lighter and paler.
-    glossy = viewer.lab(rays.reflectance(rest, Viewing(lit_by="sky", gloss=True)))
+    glossy = viewer.lab(rays.read(rest, Viewing(lit_by="sky", gloss=True)).reflectance)
     assert (glossy[0, :, 0, 0] > sky[0, :, 0, 0] + 1).all()
 
 

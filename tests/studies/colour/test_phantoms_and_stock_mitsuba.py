@@ -99,7 +99,7 @@ def test_a_layered_phantom_meets_adding_doubling_at_eight_wavelengths(jit_backen
     """Plate and bed of one index over black, from four walked wavelengths, dimmed and interpolated."""
     monkeypatch.setitem(tissue._INDEX, "bed", tissue._INDEX["plate"])
     rays = walk_colour(FlatStack(CUT), MIDDLE, photons=photons, seed=3)
-    read = rays.reflectance(REST, Viewing(lit_by="sky", gloss=True))[:, 0, 0]
+    read = rays.read(REST, Viewing(lit_by="sky", gloss=True)).reflectance[:, 0, 0]
     value, error = read[0], jackknife(read)
     for wavelength_nm in (420.0, 450.0, 500.0, 545.0, 575.0, 620.0, 680.0, 740.0):
         at = int(np.flatnonzero(WAVELENGTHS_NM == wavelength_nm)[0])
@@ -116,11 +116,11 @@ def test_white_and_black_phantoms_have_their_exact_colours(jit_backend, monkeypa
     rays = ColourRays(stack.scene, MIDDLE, (result,) * NODES)
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.zeros((1, len(WAVELENGTHS_NM), absorbers)))
     # Every ray comes back, but for those that chance ended for others that count twice.
-    lab = viewer.lab(rays.reflectance(REST, Viewing(lit_by="sky", gloss=True)))
+    lab = viewer.lab(rays.read(REST, Viewing(lit_by="sky", gloss=True)).reflectance)
     error = jackknife(lab)[0, 0]
     assert np.all(np.abs(lab[0, 0, 0] - [100, 0, 0]) < np.maximum(3 * error, 1e-3)) and error.max() < 0.1
     monkeypatch.setattr(optics, "absorption", lambda *a, **k: np.full((1, len(WAVELENGTHS_NM), absorbers), 1e5))
-    assert viewer.lab(rays.reflectance(REST, Viewing()))[0, 0, 0] == pytest.approx([0, 0, 0], abs=1e-3)
+    assert viewer.lab(rays.read(REST, Viewing()).reflectance)[0, 0, 0] == pytest.approx([0, 0, 0], abs=1e-3)
 
 
 @pytest.mark.slow
@@ -130,7 +130,7 @@ def test_a_camera_of_stock_mitsuba_sees_the_same_colour_of_the_nail(chosen_jit):
     backend.activate(chosen_jit)
     bare = NailReflectance(SCENE)
     rays = walk_colour(bare, MIDDLE, photons=320_000, seed=7)
-    read = rays.reflectance(REST, Viewing(lit_by="sky", gloss=True))[:, 0, 0]
+    read = rays.read(REST, Viewing(lit_by="sky", gloss=True)).reflectance[:, 0, 0]
     value, error = read[0], jackknife(read)
     camera = NailCamera(bare.scene, MIDDLE, groups=GROUPS, backend=backend.choose("auto", volpath=True))
     for wavelength_nm in (450.0, 545.0, 680.0):
