@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.special import ndtr
-from scipy.stats import norm, qmc
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
 
 from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
@@ -83,7 +83,7 @@ class ForceInterval:
         bends = closure_n_per_cm2[:, None] * PARTS
         roots = self._jacobians((np.eye(2)[..., None] * bends).reshape(2, -1)) @ root
         self._roots = [make_interp_spline(*side, k=1) for side in zip(bends, np.split(roots, 2), strict=True)]
-        self._points = norm.ppf(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
+        self._points = ndtri(qmc.Sobol(2, scramble=True, seed=0).random(POINTS)).T
         covariance = self._calibration_covariance(np.diag(closure_n_per_cm2))[0]
         part = np.sqrt(np.einsum("tii->ti", covariance).diagonal()) / closure_n_per_cm2
         # Force of a touch on either side from which its interval may have no upper bound, and its lower bound. [N]
@@ -210,7 +210,7 @@ class ForceEstimator:
             force_n, low_n, high_n, share = ensemble.estimate(features, by_filter.force_n, by_filter.proximal_share)
             low_n = np.where(by_filter.force_low_n > 0.0, low_n, 0.0)
             error = ensemble.share_error
-            within = norm.ppf(QUANTILES[1]) * by_share(error[:, None], share)
+            within = ndtri(QUANTILES[1]) * by_share(error[:, None], share)
             force = by_filter._replace(
                 force_n=force_n,
                 force_low_n=low_n,
