@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from worn_prototype import PAPER_MM, PAPER_WIRED, Wired, computed_n, known_exactly, played, worn
 
 from nailoptics import load_scene, simulate
 from nailoptics.assets import data_dir
@@ -12,11 +13,10 @@ from nailoptics.errors import InputError
 from nailoptics.scene import Scene
 from nailoptics.studies.force import touch_error
 from nailoptics.studies.force.calibrate import open_table
-from nailoptics.studies.force.person import NAMES, USUAL_DISTAL_REACH, USUAL_PULP, nominal_finger
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.force.scores import TOUCH_N
-from nailoptics.studies.force.subject import LINEAR, READING_CORRELATION_S, Quality, Readings, Subject
+from nailoptics.studies.force.subject import READING_CORRELATION_S
 from nailoptics.studies.force.touch_error import RATE_HZ, TouchError, scene_noise
 from nailoptics.studies.placement import boards
 
@@ -151,36 +151,13 @@ def test_a_finger_beyond_any_is_refused_in_a_line(scene: Scene) -> None:
         TouchError(scene.model_copy(update={"blood": blood}), 0.5)
 
 
-def worn(scene: Scene, v_mm: float, wired: tuple[tuple[int, ...], tuple[int, ...]]) -> Scene:
-    """The prototype's board on the finger of a scene, its photodiodes so far from the LED, without arterioles and with
-    the pulp that the filter takes for usual, both stated."""
-    prototype = load_scene(data_dir("scenes") / "prototype.toml")
-    assert scene.body is not None and scene.body.heartbeat is not None
-    heart = scene.body.heartbeat.model_copy(update={"arteriolar_blood_fraction": 0.0})
-    pulp = {"creep": USUAL_PULP.creep, "distal_relaxation_s": USUAL_PULP.recovery_s}
-    photodiodes = tuple(
-        photodiode.model_copy(update={"position_mm": (0.0, at_mm), "wired": elements})
-        for photodiode, at_mm, elements in zip(prototype.photodiodes, (-v_mm, v_mm), wired, strict=True)
-    )
-    return prototype.model_copy(
-        update={
-            "finger": scene.finger,
-            "blood": scene.blood.model_copy(update={"distal_reach": USUAL_DISTAL_REACH}),
-            "touch": scene.touch.model_copy(update=pulp),
-            "body": scene.body.model_copy(update={"heartbeat": heart}),
-            "electronics": scene.electronics,
-            "photodiodes": photodiodes,
-        }
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.jit
 @pytest.mark.parametrize(
     ("v_mm", "wired", "ratio"),
     [
-        (2.0, ((6, 8, 10, 12), (3, 5, 7, 9)), (1 / 1.3, 1.3)),
-        (3.2, ((6, 8, 10, 12), (3, 5, 7, 9)), (1 / 1.3, 1.3)),
+        (PAPER_MM, PAPER_WIRED, (1 / 1.3, 1.3)),
+        (3.2, PAPER_WIRED, (1 / 1.3, 1.3)),
         (3.2, ((6,), (9,)), (1 / 1.3, 1.3)),
         (2.0, ((1, 5, 10, 14), (1, 5, 10, 14)), (1.3, 2.0)),
     ],
@@ -190,7 +167,7 @@ def test_predict_errs_over_touches_as_is_computed(
     shared_light: None,
     scene: Scene,
     v_mm: float,
-    wired: tuple[tuple[int, ...], tuple[int, ...]],
+    wired: Wired,
     ratio: tuple[float, float],
 ) -> None:
     """Rationale: eight bodies wear the prototype's board, with the paper's photodiodes, with them farther from the LED,
@@ -200,35 +177,12 @@ def test_predict_errs_over_touches_as_is_computed(
     spread ones, as docs/placing.md says; eight records know it to some 15 %.
     """
     sensor = worn(scene, v_mm, wired)
-    touches, table = TouchError(sensor, 0.5), open_table(sensor, photons=1_000_000)[1]
-    count = len(table.names)
-    volts, by_blood = table.slopes(touches.person.blood(np.ones(2)))
-    computed_n = float(touches.rms_n(by_blood / volts[:, None], table.noise_v / volts, table.same_led()))
-    time_s, zero, error2 = np.arange(len(touches._force_n)) / RATE_HZ, np.zeros(count), []
-    recorded = {
-        "profile": "recorded",
-        "recorded_time_s": tuple(time_s.tolist()),
-        "recorded_force_n": tuple(touches._force_n.tolist()),
-        "recorded_proximal_share": tuple(touches._proximal.astype(float).tolist()),
-        "duration_s": float(time_s[-1]),
-        "sample_rate_hz": RATE_HZ,
-    }
+    touches, table, error2 = TouchError(sensor, 0.5), open_table(sensor, photons=1_000_000)[1], []
     for seed in range(8):
         body = sensor.body.model_copy(update={"seed": seed}) if sensor.body else None
-        made = sensor.model_copy(update={"touch": sensor.touch.model_copy(update=recorded), "body": body})
-        recording = record(simulate(made, photons=1_000_000), seed=seed)
-        gain = np.median(recording.volts[:, :100], axis=1) / volts
-        known = Subject(
-            scene_digest="",
-            quality=Quality(1.0, rms_n=0.0),
-            factors=np.ones(len(NAMES)),
-            readings=Readings(gain, zero, zero, gain * table.noise_v),
-            noise=touches.noise,
-            scene=nominal_finger(sensor),
-            light=table,
-            covariance=1e-14 * np.eye(len(NAMES) + LINEAR * count),
-        )
-        estimated = predict(known, replace(recording, names=table.names))
+        made = sensor.model_copy(update={"touch": sensor.touch.model_copy(update=played(touches)), "body": body})
+        recording = replace(record(simulate(made, photons=1_000_000), seed=seed), names=table.names)
+        estimated = predict(known_exactly(sensor, touches, table, recording), recording)
         force_n = np.asarray(recording.force_n)
         error2.append(np.mean((estimated.force_n.values - force_n)[force_n >= TOUCH_N] ** 2))
-    assert ratio[0] < np.sqrt(np.mean(error2)) / computed_n < ratio[1]
+    assert ratio[0] < np.sqrt(np.mean(error2)) / computed_n(touches, table) < ratio[1]
