@@ -47,15 +47,9 @@ class Waveform:
 
     def at(self, time_s: np.ndarray, *, before_jump: bool = False) -> np.ndarray:
         """The pressure at given times; at the instant of a jump the one after it, or that before. [Pa]"""
-        knots, pressures = self.time_s, self.pressure_pa
-        if knots.size == 1:
-            return np.full(np.shape(time_s), pressures[0])
-        after = np.searchsorted(knots, time_s, side="left" if before_jump else "right")
-        low, high = np.maximum(after - 1, 0), np.minimum(after, knots.size - 1)
-        length = knots[high] - knots[low]
-        part = np.divide(time_s - knots[low], length, out=np.zeros(np.shape(time_s)), where=length > 0.0)
-        between = pressures[low] + part * (pressures[high] - pressures[low])
-        return np.where(part == 1.0, pressures[high], between)
+        if before_jump:  # the same where time runs backwards
+            return np.interp(-time_s, -self.time_s[::-1], self.pressure_pa[::-1])
+        return np.interp(time_s, self.time_s, self.pressure_pa)
 
 
 class Drive:

@@ -182,5 +182,4 @@ def _smooth(values: xr.DataArray) -> xr.DataArray:
     known = np.isfinite(values.to_numpy())
     weight = maps.smoothed(known.astype(float), SMOOTH_CELLS)
     smooth = maps.smoothed(np.where(known, values, 0.0), SMOOTH_CELLS)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return values.copy(data=np.where(weight > 0.05, smooth / weight, np.nan))
+    return values.copy(data=smooth / np.where(weight > 0.05, weight, np.nan))
