@@ -15,7 +15,7 @@ from . import terminal
 from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
 from .io import check_writable, leave_dask_out, to_json, write_text
 from .options import TraceOptions
-from .terminal import finish, say, show, traced
+from .terminal import finish, say, shown, traced
 from .version import __version__, commit
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def simulate(scene: ScenePath, *, recording: Path | None = None, options: Study 
 
         record(result, seed=options.seed).save(recording)
         paths["recording"] = recording
-    show(SIMULATION, result, paths, options.json, unmet, folder)
+    finish(paths, *shown(SIMULATION, result), options.json, unmet, folder)
 
 
 @app.command
@@ -155,7 +155,7 @@ def trace(scene: ScenePath, *, output: File = None, options: Traced = TRACED) ->
     rest, unmet = traced(read_rest, loaded, options=options)
     if output is not None and rest.transfer is not None:
         rest.transfer.save(output)
-    finish(rest.as_dict(), rest_lines(rest), {}, options.json, unmet, output)
+    finish({}, rest.as_dict(), rest_lines(rest), options.json, unmet, output)
 
 
 @Parameter(name="*")
@@ -209,7 +209,7 @@ def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = Non
                 check()
     except KeyboardInterrupt:
         pictures, unmet = [], NotReachedError("interrupted; photographs are left out.")
-    show(COLOUR, result, COLOUR.write(result, folder, photographs=pictures), options.json, unmet, folder)
+    finish(COLOUR.write(result, folder, photographs=pictures), *shown(COLOUR, result), options.json, unmet, folder)
 
 
 @app.command
@@ -242,7 +242,7 @@ def compare(
     missed, line = require is not None and decision.outcome == "missed", verdict_line(decision)
     summary = COMPARISON.summary(result) | {"verdict": vars(decision)}
     with suppress(*([NotReachedError] if missed else [])):
-        finish(summary, [line], paths, options.json, unmet, folder)
+        finish(paths, summary, [line], options.json, unmet, folder)
     if missed:
         raise RequirementError(line)
     if require is not None and decision.outcome == "undecided":
@@ -269,7 +269,7 @@ def place(
     folder = _results(options.output, scene, PLACEMENT)
     result, unmet = traced(study, _load(scene, options), verify_with_mitsuba=verify_with_mitsuba, options=options)
     paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
-    show(PLACEMENT, result, paths, options.json, unmet, folder, folder=str(folder))
+    finish(paths, *shown(PLACEMENT, result, folder=str(folder)), options.json, unmet, folder)
 
 
 @app.command
@@ -287,7 +287,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
 
     folder = _results(output, "validation", VALIDATION)
     result, unmet = traced(study, data=data, options=options)
-    show(VALIDATION, result, VALIDATION.write(result, folder), options.json, unmet, folder)
+    finish(VALIDATION.write(result, folder), *shown(VALIDATION, result), options.json, unmet, folder)
 
 
 @app.command
@@ -305,7 +305,7 @@ def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options:
     _check_file(output, ".html", "a page")
     result, unmet = traced(study, _load(scene, options), options=options)
     write_text(output, page(result))
-    show(EXPLORATION, result, {"page": output}, options.json, unmet, output, bytes=output.stat().st_size)
+    finish({"page": output}, *shown(EXPLORATION, result, bytes=output.stat().st_size), options.json, unmet, output)
 
 
 @Parameter(name="*")
@@ -352,13 +352,13 @@ def batch(
 
     if status:
         now = batches.status(output or sweep)
-        return finish(vars(now) | {"left": now.left}, [now], {}, options.json)
+        return finish({}, vars(now) | {"left": now.left}, [now], options.json)
     planned = batches.load_sweep(sweep)
     for line in far_from_list(*planned.scenes):
         say(line)
     if dry_run:
         counts = batches.count(planned, **options.fields)
-        return finish(counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], {}, options.json)
+        return finish({}, counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}
@@ -371,7 +371,7 @@ def batch(
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
     line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
-    finish(vars(outcome) | {"results": str(output)}, [line], paths, options.json, unmet)
+    finish(paths, vars(outcome) | {"results": str(output)}, [line], options.json, unmet)
 
 
 @app.command
@@ -388,7 +388,7 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
     _check_file(output, ".toml", "a scene file")
     result, unmet = traced(study, _load(scene, options), tolerance=tolerance, options=options)
     paths = EXPLANATION.write(result, output.parent, stem=output.stem) if output else {}
-    show(EXPLANATION, result, paths, options.json, unmet)
+    finish(paths, *shown(EXPLANATION, result), options.json, unmet)
 
 
 @app.command
@@ -406,7 +406,7 @@ def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUD
 
     folder = _results(options.output, scene, TRADEOFF)
     result, unmet = traced(study, _load(scene, options), tolerance=tolerance, options=options)
-    show(TRADEOFF, result, TRADEOFF.write(result, folder), options.json, unmet, folder)
+    finish(TRADEOFF.write(result, folder), *shown(TRADEOFF, result), options.json, unmet, folder)
 
 
 @app.command
@@ -428,7 +428,7 @@ def check(scene: ScenePath, *, json_: Json = False) -> None:
         summary = {"scene": scene} | CHECK.summary(checked)
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    finish(summary, CHECK.lines(checked, summary), {}, json_)
+    finish({}, summary, CHECK.lines(checked, summary), json_)
 
 
 @app.command
@@ -461,7 +461,7 @@ def export(
         raise
     except InputError as error:
         raise InputError(f"{scene}: {error}") from None
-    finish({}, [], paths, json_)
+    finish(paths, {}, [], json_)
 
 
 @app.command
@@ -477,7 +477,7 @@ def compare_with(file: Path, *, options: Traced = TRACED) -> None:
     from .exports.other_program import compare_with as study
 
     result, unmet = traced(study, file, options=options)
-    finish(result.as_dict(), result.lines(), {}, options.json, unmet)
+    finish({}, result.as_dict(), result.lines(), options.json, unmet)
 
 
 @app.command
@@ -500,7 +500,7 @@ def figures(
     """
     from .report.pages.paper import PAPER, figures as study
 
-    show(PAPER, study(output, sets, colour=colour, people=people), {}, json_)
+    finish({}, *shown(PAPER, study(output, sets, colour=colour, people=people)), json_)
 
 
 @app.command
@@ -535,7 +535,7 @@ def protocol(
     paths = {"protocol": output, "report": output.with_suffix(".html")}
     write_text(paths["report"], page(drawn))
     line = f"{drawn.time_s[-1]:.0f} s of touches, first of the proximal side, then of the distal one"
-    finish({"duration_s": float(drawn.time_s[-1])}, [line], paths, json_)
+    finish(paths, {"duration_s": float(drawn.time_s[-1])}, [line], json_)
     if measured is not None:
         with suppress(KeyboardInterrupt):
             serve(drawn, measured, say)
@@ -560,7 +560,7 @@ def calibrate(
     _check_file(output, ".toml", "a subject file")
     result, unmet = traced(study, _load(scene, options), recordings, options=options)
     paths = CALIBRATION.write(result, output.parent, stem=output.stem)
-    show(CALIBRATION, result, {"subject": output, "report": paths["report"]}, options.json, unmet, output)
+    finish({"subject": output, "report": paths["report"]}, *shown(CALIBRATION, result), options.json, unmet, output)
 
 
 @app.command
@@ -602,7 +602,7 @@ def predict(
         return
     folder = _results(output, readings, PREDICTION)
     result = study(calibrated, readings, press_n=press, release_n=release)
-    show(PREDICTION, result, PREDICTION.write(result, folder), json_)
+    finish(PREDICTION.write(result, folder), *shown(PREDICTION, result), json_)
 
 
 @app.command
@@ -636,13 +636,13 @@ def oximeter(
         write_text(recording, oximeter_csv(simulated(loaded, result, seed=options.seed), (red, infrared)))
         paths["recording_file"] = recording
     if given is None:
-        return show(OXIMETER, result, paths, options.json, unmet, folder)
+        return finish(paths, *shown(OXIMETER, result), options.json, unmet, folder)
     for line in result.attrs["warnings"]:
         say(line)
     oxygen = spo2_over_time(given, result, loaded)
     summary, over_time = OXIMETER.summary(result), OXYGEN.summary(oxygen)
     paths |= OXYGEN.write(oxygen, folder)
-    finish(summary | {"recording": over_time}, OXYGEN.lines(oxygen, over_time), paths, options.json, unmet, folder)
+    finish(paths, summary | {"recording": over_time}, OXYGEN.lines(oxygen, over_time), options.json, unmet, folder)
 
 
 @app.command
@@ -681,7 +681,7 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
     line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
-    finish(summary, [f"{line}, removed" if clear else line], {}, json_)
+    finish({}, summary, [f"{line}, removed" if clear else line], json_)
 
 
 @app.command
@@ -706,7 +706,7 @@ def doctor(*, json_: Json = False) -> None:
         *lines,
         *dict.fromkeys(backend.advice for backend in (chosen, stock) if backend.advice),
     ]
-    finish(summary, lines, {}, json_)
+    finish({}, summary, lines, json_)
 
 
 def _load(name: str, options: TraceOptions) -> "Scene":

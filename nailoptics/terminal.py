@@ -271,26 +271,18 @@ def traced(
         return as_far_as_reached(study, *arguments, progress=progress, **parameters, **options.fields)
 
 
-def show(
-    report: "Report",
-    result: Any,
-    paths: Mapping[str, Path],
-    as_json: bool,
-    unmet: NotReachedError | None = None,
-    where: Path | None = None,
-    **more: Any,
-) -> None:
-    """Print a result by its kind's summary, with its warnings on stderr."""
+def shown(report: "Report", result: Any, **more: Any) -> tuple[dict[str, Any], Iterable[object]]:
+    """A result's summary and lines of text, by its kind, for `finish`; its warnings are printed on stderr."""
     summary = report.summary(result)
     for line in summary.get("warnings", ()):
         say(line)
-    finish(summary | more, report.lines(result, summary), paths, as_json, unmet, where)
+    return summary | more, report.lines(result, summary)
 
 
 def finish(
+    paths: Mapping[str, Path],
     summary: Mapping[str, Any],
     text: Iterable[object],
-    paths: Mapping[str, Path],
     as_json: bool,
     unmet: NotReachedError | None = None,
     where: Path | None = None,
