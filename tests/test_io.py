@@ -10,7 +10,6 @@ import zlib
 from io import BytesIO
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -183,44 +182,6 @@ def test_datasets_come_back_as_they_were(tmp_path):
     given = xr.Dataset({"a": (("t", "x"), np.random.default_rng(1).random((50, 3)))}, {"x": ["p", "q", "r"]}, about)
     io.write_dataset(given, tmp_path / "new" / "set.nc")
     assert xr.load_dataset(tmp_path / "new" / "set.nc", engine="h5netcdf").identical(given)
-
-
-def test_datasets_are_written_as_xarray_itself_would(tmp_path):
-    """Numbers, truths and texts, one alone and none, axes with and without values; expected: the same values, types,
-    attributes and order as in the file of `Dataset.to_netcdf`, and scales, by which the NetCDF library knows axes."""
-    random, axes = np.random.default_rng(2), {"long_name": "axis", "list": ["one", "two"], "numbers": np.arange(3)}
-    given = xr.Dataset(
-        {
-            "last": (("t", "x"), random.random((5, 3)), {"units": "V", "ancillary_variables": "single"}),
-            "single": (("x", "t"), random.random((3, 5)).astype(np.float32), {"count": 3, "share": 0.5}),
-            "whole": ("t", np.arange(5)),
-            "small": ("bare", np.arange(2, dtype=np.uint8)),
-            "true": ("t", random.random(5) < 0.5),
-            "text": ("x", ["", "µm", "longer"]),
-            "unknown": ("x", np.array([1.0, np.nan, np.inf])),
-            "alone": ((), 1.5),
-            "word": ((), "alone"),
-            "none": (("empty", "t"), np.zeros((0, 5))),
-            "nobody": ("empty", np.array([], "U3")),
-        },
-        {"x": ("x", ["p", "q", "r"], axes), "t": ("t", 0.1 * np.arange(5)), "beside": (("x", "t"), np.ones((3, 5)))},
-        {"Conventions": "CF-1.11", "seed": 3, "seconds": 1.5, "names": ["a", "b"], "sizes": np.arange(3.0)},
-    )
-    io.write_dataset(given, tmp_path / "ours.nc")
-    given.to_netcdf(tmp_path / "theirs.nc", engine="h5netcdf")
-    ours, theirs = (xr.load_dataset(tmp_path / f"{name}.nc", engine="h5netcdf") for name in ("ours", "theirs"))
-    assert ours.identical(theirs) and list(ours.variables) == list(theirs.variables)
-    for name, variable in theirs.variables.items():
-        assert ours[name].dtype == variable.dtype and list(ours[name].attrs) == list(variable.attrs), name
-        filled = [one.encoding.get("_FillValue", 0.0) for one in (ours[name], variable)]
-        assert np.array_equal(*filled, equal_nan=True), name
-    with h5py.File(tmp_path / "ours.nc") as file:
-        for name, variable in given.variables.items():
-            scales = {} if name in given.sizes else dict(zip(variable.dims, file[name].dims, strict=True))
-            assert all(file[axis] == found[0] for axis, found in scales.items()), name
-        for axis in given.sizes:
-            assert h5py.h5ds.is_scale(file[axis].id), axis
-        assert file["bare"].attrs["NAME"].startswith(b"This is a netCDF dimension but not a netCDF variable.")
 
 
 def test_a_full_disk_leaves_the_old_dataset(tmp_path, monkeypatch):
