@@ -23,7 +23,7 @@ def cast(vertices: Array, triangles: Indices, rays: Array) -> tuple[Integers, Ar
     a, b, c = (vertices[triangles[:, i], :2] for i in range(3))
     least, most = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     low, high = least.min(axis=0) - 1e-9, most.max(axis=0) + 1e-9
-    bins = int(np.clip(np.sqrt(len(triangles)), 1, 512))
+    bins = int(np.clip(2 * np.sqrt(len(triangles)), 1, 1024))
     per_mm = bins / (high - low)
 
     def bin_of(points: Array) -> Integers:

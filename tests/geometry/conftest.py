@@ -28,7 +28,7 @@ def geometry() -> Geometry:
     return build(sensor())
 
 
-@pytest.fixture(name="sensor")
+@pytest.fixture(name="sensor", scope="session")
 def sensor_fixture() -> object:
     """The function that makes sensors."""
     return sensor

@@ -96,10 +96,14 @@ def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, 
     assert (np.array(beyond.distance) == 0).all() and (np.array(beyond.off_shell) == 0).all()
 
 
-def steps_to_try(geometry, low, high, count):
-    """Starts (n, 3), directions (n, 3) and lengths (n,) of steps of light in the finger and on it: anywhere, from
-    within a few micrometres of the plate's faces, and chords between two places right over a shell. [mm]"""
-    rng, nail_mm = np.random.default_rng(1), geometry.nail_radius_mm
+@pytest.fixture(scope="module", params=[True, False], ids=["barrier", "no barrier"])
+def steps_to_try(request, sensor):
+    """A geometry, bounds (2, 3) around it, and starts (n, 3), directions (n, 3) and lengths (n,) of steps of light in
+    the finger and on it: anywhere, from within a few micrometres of the plate's faces, and chords between two places
+    right over a shell. [mm]"""
+    geometry = build(sensor(board=f"barrier = {str(request.param).lower()}"))
+    low, high = bounds = np.array([[-5.5, -6.5, -4.0], [5.5, 6.5, 0.5]])
+    rng, nail_mm, count = np.random.default_rng(1), geometry.nail_radius_mm, 1 << 17
     axis = np.array([0.0, 0.0, nail_mm])
     anywhere, near = rng.uniform(low, high, (2, count, 3))
     face = rng.choice([0.0, -0.45], count) + rng.normal(0, 3e-3, count)
@@ -113,19 +117,17 @@ def steps_to_try(geometry, low, high, count):
     length = np.concatenate([rng.exponential(0.09, 2 * count), np.linalg.norm(ends[1] - ends[0], axis=1)])
     starts = np.concatenate([anywhere, near, ends[0]])
     inside = geometry.region_at(starts) > 0
-    return starts[inside], (way / np.linalg.norm(way, axis=1, keepdims=True))[inside], length[inside]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return geometry, bounds, starts[inside], way[inside], length[inside]
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("spacing", [0.2, 0.4])
-@pytest.mark.parametrize("barrier", [True, False])
-def test_no_free_step_meets_an_interface_and_most_others_do(jit_backend, sensor, barrier, spacing):
+def test_no_free_step_meets_an_interface_and_most_others_do(jit_backend, steps_to_try, spacing):
     from nailoptics.light.walk.interfaces import Interfaces, mi
 
-    geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))
-    bounds = np.array([[-5.5, -6.5, -4.0], [5.5, 6.5, 0.5]])
+    geometry, bounds, starts, ways, lengths = steps_to_try
     interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds, spacing_mm=spacing))
-    starts, ways, lengths = steps_to_try(geometry, *bounds, 1 << 17)
     start, w, step = mi.Point3f(starts.T), mi.Vector3f(ways.T), mi.Float(lengths)
     here, there = interfaces.clearance(start, True), interfaces.clearance(start + w * step, True)
     free = np.array(interfaces.is_free(step, here, there, interfaces.layer(here.height)))
