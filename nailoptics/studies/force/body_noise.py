@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from ...errors import InputError
 from ...hemodynamics.beat_detection import beats_per_second
@@ -75,6 +74,8 @@ def estimate_noise(
 
     rest_v : (R,) float. Readings at rest. [V]
     """
+    from scipy.signal import welch
+
     white_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
     spectra, reading_drift2, led_drift2, rates_hz = [], [], [], []
@@ -87,7 +88,7 @@ def estimate_noise(
         pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
         step_s = float(np.median(np.diff(time_s)))
         window = min(len(pressure_pa), round(WINDOW_S / step_s))
-        spectra.append(signal.welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
+        spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
         with suppress(InputError):  # no heartbeat in it
             rates_hz.append(beats_per_second(time_s, pressure_pa))
         # A reading's own drift lies where neither pressure nor LED took it along.

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from ...statistics import covariance_root
 from .body_noise import REST_FORCE_N
@@ -73,6 +72,8 @@ class ForceInterval:
     """Forces with 95 % intervals of the filter's estimates, for one sample or many."""
 
     def __init__(self, subject: Subject) -> None:
+        from scipy.stats import qmc
+
         self.subject, self.person = subject, subject.person
         closure_n_per_cm2 = self.person.closure_n_per_cm2()
         self._closed_n_per_cm2 = closure_n_per_cm2[:, None]
