@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,16 +42,26 @@ def test_every_requirement_has_a_version_that_passed_in_its_range():
     assert not [str(one) for one in needed if passed.get(canonicalize_name(one.name), "0") not in one.specifier]
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def top_level_packages(path: Path) -> set[str]:
+    """Those that a file imports, anywhere in it."""
+    names = set()
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            names.add(node.module.split(".")[0])
+    return names
+
+
 def third_party(paths) -> set[str]:
     """Top-level packages imported by files, that are neither Python's own nor this one."""
-    names = set()
-    for path in paths:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                names |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-                names.add(node.module.split(".")[0])
-    return names - sys.stdlib_module_names - {"nailoptics"}
+    return set().union(*map(top_level_packages, paths)) - sys.stdlib_module_names - {"nailoptics"}
 
 
 def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
@@ -182,7 +193,7 @@ def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
 
 def test_every_module_says_what_it_is_for_in_its_first_line():
     for path in sorted((ROOT / "nailoptics").rglob("*.py")):
-        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        doc = ast.get_docstring(parsed(path))
         assert doc and doc.splitlines()[0].strip(), path
 
 
