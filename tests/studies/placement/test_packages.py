@@ -178,7 +178,7 @@ def test_without_packages_dies_come_nearer(tmp_path):
     assert one.sites.gap_mm("left") == pytest.approx(0.3 - 0.125 + 0.8 + 0.2)
 
 
-def test_crowded_packages_of_a_drawn_board_are_said(coarse_cells, few_photons_beside, tmp_path, caplog):
+def test_crowded_packages_of_a_drawn_board_are_said(coarse_light, few_photons_beside, tmp_path, caplog):
     near = BOARD.replace("(at 102 103)", "(at 102.2 98.6)").replace("(at 96.6 103)", "(at 95.8 103)")
     scene = written(tmp_path, barrier="false", board=near.replace("(at 99.5 97 45)", "(at 101 96.3 45)"))
     lines = boards.crowded(scene)
@@ -202,7 +202,7 @@ def test_a_box_may_be_given_from_any_corner(tmp_path):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(coarse_cells, few_photons_beside, tmp_path):
+def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(coarse_light, few_photons_beside, tmp_path):
     """Expected: of shipped parts with their own figures; none once epoxy is deep enough and the pattern the die's."""
     scene = written(tmp_path, barrier="false")
     lens, high = ({"part": name} for name in ("sfh4550", "bpw34"))
