@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from force_scores import PROTOTYPE
-from record import SIDES, TOUCHES, Corners, Site, load_person, record_touch, slow_cycles, touch_of
+from record import SIDES, TOUCHES, load_person, protocol_of, record_touch, touch_of
 from untraced_light import untraced, untraced_table
 
 from nailoptics import load_scene
@@ -13,17 +13,13 @@ from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.scores import rms
 from nailoptics.studies.force.subject import Subject, parse_subject
 
-PERSON = "person_4"
-
-
-def recording(corners: Corners, side: Site, seed: int):
-    person = load_person(PERSON)
-    return record_touch(person, untraced(person), touch_of(person, corners, side, rate_hz=20.0), seed=seed)
+PERSON, RATE_HZ = "person_4", 20.0
 
 
 def calibration():
-    """Slow touches past closure, one a side."""
-    return [recording(slow_cycles((2.0,)), side, seed) for seed, side in enumerate(SIDES)]
+    """The protocol of touches on either side, as a user is asked to record it."""
+    person = load_person(PERSON)
+    return [record_touch(person, untraced(person), protocol_of(person, 0, rate_hz=RATE_HZ), seed=0)]
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +36,17 @@ def linear_regression_n(read) -> np.ndarray:
     return np.maximum(weights @ np.vstack([read.volts, np.ones_like(read.force_n)]), 0.0)
 
 
-# Measured: 0.08 N on the proximal and 0.09 N on the distal side, where linear regression reaches 0.12 N; 92 and 94 %
-# covered.
+# Measured with two seeds: 0.06 to 0.07 N on either side, where linear regression reaches 0.09 to 0.10 N; 97 % covered.
+# One slow touch a side does not calibrate: quick proximal touches of 0.15 to 1 N are then 0.12 to 0.34 N off with three
+# seeds, and those of the seven other people 0.11 to 0.50 N.
 @pytest.mark.slow
-@pytest.mark.parametrize(("side", "times_better"), [("proximal", 1.8), ("distal", 1.2)])
-def test_steps_of_an_unmodelled_person_beat_linear_regression(subject, side, times_better):
-    read = recording(TOUCHES["steps"], side, 7)
+@pytest.mark.parametrize("side", SIDES)
+def test_steps_of_an_unmodelled_person_beat_linear_regression(subject, side):
+    person = load_person(PERSON)
+    read = record_touch(person, untraced(person), touch_of(person, TOUCHES["steps"], side, rate_hz=RATE_HZ), seed=7)
     estimated = predict(subject, read)
     inside = (estimated.force_low_n <= estimated.known_force_n) & (estimated.known_force_n <= estimated.force_high_n)
-    assert estimated.attrs["rms_n"] < 0.12
-    assert times_better * estimated.attrs["rms_n"] < rms(linear_regression_n(read) - read.force_n)
+    assert estimated.attrs["rms_n"] < 0.09
+    assert 1.2 * estimated.attrs["rms_n"] < rms(linear_regression_n(read) - read.force_n)
     assert estimated.touch_rms_n.sel(kind="all") < estimated.attrs["touch_rms_components_n"]
-    assert float(inside.mean()) > 0.85
+    assert float(inside.mean()) > 0.9
