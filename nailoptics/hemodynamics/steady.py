@@ -161,7 +161,7 @@ def solve_walls(
     lower, upper = (np.take_along_axis(tried, side[0], axis=-1) for side in sides)
     # The higher the vein node's pressure, the wider all units.
     known = [np.take_along_axis(openings[0], side, axis=-1) for side in sides]
-    node = _newton_root(
+    node, _ = _newton_root(
         lambda node: excess_outflow(node, *unit_openings(node, *known)),
         lower,
         upper,
@@ -214,9 +214,9 @@ def _openings(
     # feedback's steepest point, u^4 = 3/5 barrier, the balance is convex: Newton's method from the right passes no
     # root there. Left of it the balance is concave, and the method passes none from the left.
     start, at_low = bottom if branch == "narrow" else top, balance(bottom)[0] >= 0.0
-    u = _newton_root(balance, bottom, top, start=start, at_low=at_low, tolerance=tolerance * top)
+    u, slope = _newton_root(balance, bottom, top, start=start, at_low=at_low, tolerance=tolerance * top)
     # Where two roots meet, the slope has no bound.
-    by_node = barrier / (_fourth_power(u) + barrier) / np.maximum(balance(u)[1], tolerance * tension)
+    by_node = barrier / (_fourth_power(u) + barrier) / np.maximum(slope, tolerance * tension)
     return u, np.where(u > CLOSED_FRACTION, by_node, 0.0)
 
 
@@ -228,9 +228,9 @@ def _newton_root(
     start: Array,
     tolerance: Array,
     at_low: np.ndarray | bool = False,
-) -> Array:
+) -> tuple[Array, Array]:
     """A root of each component of a smooth function, which gives values and slopes, <= 0 at low and >= 0 at high, by
-    Newton's method kept inside.
+    Newton's method kept inside; and the slope there.
 
     at_low : whether the function is positive at low already, which is the root if the method leaves without another.
     """
@@ -246,4 +246,4 @@ def _newton_root(
             last, x = x, np.where(inside, newton, np.where(at_low, first, 0.5 * (low + high)))
             if (np.abs(x - last) <= tolerance).all():
                 break
-    return x
+    return x, slope
