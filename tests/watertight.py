@@ -62,7 +62,8 @@ def check_watertight(geometry: Geometry, *, crossings: int = 1_000_000, seed: in
 
 
 def _volume_error(geometry: Geometry) -> float:
-    corners, labels = geometry.grid.tetrahedra()
+    numbers, labels = geometry.grid.tetrahedra()
+    corners = geometry.grid.nodes.reshape(-1, 3)[numbers]
     cells = np.bincount(labels, np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6, len(geometry.regions))[1:]
     return float(np.abs(list(volumes_mm3(geometry).values()) - cells).max() / cells.sum())
 

@@ -178,10 +178,11 @@ class TetMesh(NamedTuple):
 
 def tetrahedra(geometry: Geometry) -> TetMesh:
     """The cells of a geometry, all but air, as tetrahedra; its interfaces are faces of theirs."""
-    corners, region = geometry.grid.tetrahedra()
+    (nodes, place), (number, region) = geometry.grid.merged(), geometry.grid.tetrahedra()
+    corners = nodes[place[number]]
     solid = np.linalg.det(corners[:, 1:] - corners[:, :1]) > FLAT_MM3
-    nodes, number = np.unique(corners[solid].reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
-    return TetMesh(nodes, number.reshape(-1, 4).astype(np.int32), region[solid])
+    used, of_used = np.unique(place[number[solid]], return_inverse=True)
+    return TetMesh(nodes[used], of_used.reshape(-1, 4).astype(np.int32), region[solid])
 
 
 def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:

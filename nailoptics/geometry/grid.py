@@ -6,12 +6,13 @@ diagonal that this split gives it, so that neighbours agree and the grid fills s
 """
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Array, Indices
+from .cast import Array, Indices, Integers
 from .regions import AIR
 
 MIN_AREA_MM2 = 1e-12
@@ -31,20 +32,31 @@ class Grid:
     @property
     def least_volume_mm3(self) -> float:
         """The least volume of the `tetrahedra`: negative where the grid folds. [mm^3]"""
-        a, b, c = np.moveaxis(np.diff(self.tetrahedra()[0], axis=1), 1, 0)
+        a, b, c = np.moveaxis(np.diff(self.nodes.reshape(-1, 3)[self.tetrahedra()[0]], axis=1), 1, 0)
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).min()) / 6
 
-    def tetrahedra(self) -> tuple[Array, Indices]:
-        """Corners (m, 4, 3) of all cells but air, and region (m,) of each; volumes are positive where nothing folds."""
-        cells, nodes, paths = np.nonzero(self.labels != AIR), np.concatenate([self.nodes, self.nodes[:1]]), []
-        steps = np.asarray(np.ravel_multi_index(np.eye(3, dtype=int), nodes.shape[:3]))
+    def merged(self) -> tuple[Array, Integers]:
+        """The places (v, 3) of nodes, each once, in order, and which of them is each node's, (p,) int."""
+        # Adding zero makes one of the two zeros that are equal but differ in their bits.
+        points = self.nodes.reshape(-1, 3) + 0.0
+        ranks = np.stack([np.unique(x, return_inverse=True)[1] for x in points.T])
+        at = np.ravel_multi_index(tuple(ranks), tuple(ranks.max(1) + 1))
+        _, first, place = np.unique(at, return_index=True, return_inverse=True)
+        return points[first], place
+
+    def tetrahedra(self) -> tuple[Integers, Indices]:
+        """Which nodes are corners (m, 4) of all cells but air, and region (m,) of each; volumes are positive where
+        nothing folds."""
+        shape, paths = self.nodes.shape[:3], []
+        steps = np.asarray(np.ravel_multi_index(np.eye(3, dtype=int), shape))
         for order in itertools.permutations(range(3)):
             path = np.cumsum([0, *steps[list(order)]])
             odd = order in ((0, 2, 1), (1, 0, 2), (2, 1, 0))
             paths.append(path[[0, 2, 1, 3]] if odd else path)
-        first = np.ravel_multi_index(cells, nodes.shape[:3])
-        corners = nodes.reshape(-1, 3)[np.array(paths)[:, None] + first[:, None]].reshape(-1, 4, 3)
-        return corners, np.tile(self.labels[cells].astype(np.int32), 6)
+        cells = np.nonzero(self.labels != AIR)
+        # Past the last node around comes the first.
+        corners = (np.array(paths)[:, None] + np.ravel_multi_index(cells, shape)[:, None]) % math.prod(shape)
+        return corners.reshape(-1, 4), np.tile(self.labels[cells].astype(np.int32), 6)
 
     def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
         """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""
@@ -66,12 +78,8 @@ class Grid:
         add(labels[:, :-1, :-1], labels[:, 1:, :-1], [i[:-1, :, :-1], i[:-1, :, 1:], i[1:, :, 1:], i[1:, :, :-1]])
         q = np.concatenate(quads)
         triangles = np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
-        # Merge equal vertices; adding zero makes one of the two zeros that are equal but differ in their bits.
-        points = self.nodes.reshape(-1, 3) + 0.0
-        ranks = np.stack([np.unique(x, return_inverse=True)[1] for x in points.T])
-        at = np.ravel_multi_index(tuple(ranks), tuple(ranks.max(1) + 1))
-        _, first, merged = np.unique(at, return_index=True, return_inverse=True)
-        vertices, triangles = points[first], merged[triangles]
+        vertices, place = self.merged()
+        triangles = place[triangles]
         # Drop triangles without area, and join those that a collapsed cell left on one another.
         p, q, r = (vertices[triangles[:, i]] for i in range(3))
         keep = np.linalg.norm(np.cross(q - p, r - p), axis=1) / 2 > MIN_AREA_MM2
