@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from ..errors import as_far_as_reached
 from ..light import ProgressCallback, Transfer, trace
-from ..light.identity import light_digest
+from ..light.identity import light_scene
 from ..light.transfer.series import read_by_groups
 from ..options import TraceOptions
 from ..scene import Prior, Scene
@@ -52,7 +52,7 @@ def value_of(scene: Scene, field: str) -> float:
 
 def only_absorbs(scene: Scene, prior: Prior) -> bool:
     """Whether a trace of the scene, reweighted, gives the readings at other values of the prior's field."""
-    return light_digest(at_value(scene, prior.field, prior.low)) == light_digest(scene)
+    return light_scene(at_value(scene, prior.field, prior.low)) == light_scene(scene)
 
 
 def prior_of(prior: Prior) -> tuple[float, float]:

@@ -27,7 +27,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[in
 
 
 def attenuation(path_mm: np.ndarray, mu_a: np.ndarray) -> np.ndarray:
-    """What each photon's weight is multiplied by in other states, (n,) or (n, m) float.
+    """What each photon's weight is multiplied by in other states, (n,) or (n, m) float; of both swapped, (m, n).
 
     path_mm : (n, r) float. Path in each absorber. [mm]
     mu_a : (r,) or (m, r) float. Absorption, less that for which the weights hold. [mm^-1]

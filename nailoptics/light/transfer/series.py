@@ -256,14 +256,14 @@ def read_replicates(
     for start in range(0, len(trace.weight), step):
         chunk = slice(start, start + step)
         lengths = trace.path_mm[chunk].astype(float)
-        weights, slope = np.zeros((len(lengths), len(mu_a))), np.zeros(len(lengths))
+        weights, slope = np.zeros((len(mu_a), len(lengths))), np.zeros(len(lengths))
         for q, part in enumerate(share):
-            part_weight = part * attenuation(lengths, mu_a[:, q] - trace.mu_a) * trace.weight[chunk, None]
+            part_weight = part * attenuation(mu_a[:, q] - trace.mu_a, lengths) * trace.weight[chunk]
             weights += part_weight
-            slope += part_weight[:, 0] * blood_per_mm[q] / mean
+            slope += part_weight[0] * blood_per_mm[q] / mean
         group = trace.photodiode[chunk].astype(int) * GROUPS + trace.photon[chunk] % GROUPS
-        columns = np.hstack([weights, slope[:, None] * lengths[:, zones]]).T
-        sums += [np.bincount(group, column, minlength=count * GROUPS) for column in columns]
+        rows = [*weights, *(slope * lengths[:, zones].T)]
+        sums += [np.bincount(group, row, minlength=count * GROUPS) for row in rows]
     read = left_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
     total = read[..., : len(mu_a)]
     return total, quotient(read[..., len(mu_a) :], total[..., :1])
