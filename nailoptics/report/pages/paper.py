@@ -244,9 +244,8 @@ CROSSES_BETWEEN_NM = (797.0, 825.0)
 
 def crossing_nm() -> float:
     """Where blood absorbs alike with and without oxygen, near 800 nm, in the shipped table. [nm]"""
-    from scipy.optimize import brentq
-
-    return float(brentq(lambda nm: np.subtract(*tissue.blood_mu_a_per_mm(nm, [1.0, 0.0])), 700.0, 900.0))
+    nm = np.arange(780.0, 821.0)  # over which what oxygen adds to the absorption rises
+    return float(np.interp(0.0, np.subtract(*tissue.blood_mu_a_per_mm(nm, [[1.0], [0.0]])), nm))
 
 
 @style.drawing()

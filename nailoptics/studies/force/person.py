@@ -170,8 +170,7 @@ class Person:
         """Force [N] and its proximal share from both pressures (2, ...): the inverse of `pressures_n_per_cm2`."""
         proximal, distal = pressure_n_per_cm2[0] * self.proximal_area, pressure_n_per_cm2[1]
         larger = np.maximum(proximal, distal)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            ratio = np.where(larger > 0, np.minimum(proximal, distal) / larger, 1.0)
+        ratio = np.nan_to_num(np.minimum(proximal, distal) / np.where(larger > 0, larger, np.nan), nan=1.0)
         return self.area_cm2 * larger, np.where(proximal >= distal, 1.0 - ratio / 2.0, ratio / 2.0)
 
     def steady_widths(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
