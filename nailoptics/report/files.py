@@ -47,9 +47,6 @@ class Report:
 
         stem : what all files are called but for their endings, where the user names one.
         """
-        from matplotlib import artist
-
-        vars(artist)["kwdoc"] = lambda _: ""  # documentation of its classes: 0.05 s, and no command shows it
         draw, others = next(iter(self.figures.values())), self.others(result, **options) if self.others else {}
         usual = {".nc": result, ".html": lambda _: self.page(result), ".png": lambda _: draw(result)}
         contents = {Path(name): others[name] if name in others else usual[Path(name).suffix] for name in self.files}
