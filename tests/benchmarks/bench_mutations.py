@@ -242,9 +242,23 @@ MUTATIONS = (
     Mutation(
         "before a jump a pressure is what it is after it",
         "hemodynamics/drive.py",
-        'side="left" if before_jump else "right"',
-        'side="right"',
+        "if before_jump:",
+        "if False:",
         "hemodynamics/test_drive.py",
+    ),
+    Mutation(
+        "of three balances close together the narrowest is found",
+        "hemodynamics/steady.py",
+        'start=lower if branch == "narrow" else upper',
+        "start=lower",
+        "hemodynamics/test_steady.py",
+    ),
+    Mutation(
+        "a wall that could balance twice is shut",
+        "hemodynamics/steady.py",
+        'start, at_low = bottom if branch == "narrow" else top,',
+        "start, at_low = bottom,",
+        "hemodynamics/test_steady.py",
     ),
     Mutation(
         "waves that lag behind the pressure move less blood",
@@ -732,7 +746,7 @@ MUTATIONS = (
     Mutation(
         "the interval of a share is one standard error",
         "studies/force/interval.py",
-        "norm.ppf(QUANTILES[1]) * by_share(error",
+        "ndtri(QUANTILES[1]) * by_share(error",
         "by_share(error",
         FORCE,
     ),

@@ -103,6 +103,34 @@ def test_where_a_unit_could_balance_twice_the_widest_balance_is_returned():
     assert np.abs(balance[width > 1.0001e-3]).max() < 1e-6
     at_fold = int(np.argmax(jumps))
     assert width[at_fold] > width[at_fold + 1]
+    # All balances lie at crossings of zero, seen at very many pressures of the vein node: the widest of the highest.
+    for k in (at_fold, at_fold + 1):
+        assert width[k] == pytest.approx(widest_of_all(p, touch[k]), rel=0.02)
+
+
+def widest_of_all(p, distal_pa, count=4000):
+    """D_C + x_C over D_C of the distal unit where the widest units bring as much to the vein as leaves it, at the
+    highest pressure of the vein node; by polynomials, P_F2 alone pressing."""
+    from nailoptics.hemodynamics import PAPER_ZONES
+    from nailoptics.hemodynamics.walls import build_walls
+
+    walls = build_walls(p, PAPER_ZONES)
+    tension, conductance = walls.stiffness * walls.diameter / walls.area, walls.flow_factor * walls.diameter**4
+    high, low = p.arterial_pressure_pa, p.venous_pressure_pa
+    node, widest, inflow = np.linspace(high, low, count), np.empty((2, count)), np.zeros(count)
+    for unit, outside in enumerate((0.0, distal_pa)):
+        # (tension (u - 1) - (P_N - P_F)) (u^4 + barrier) = (P_H - P_N) u^4, whose roots are a matrix's eigenvalues.
+        barrier, constant = walls.venule[unit] / conductance[unit], outside - node - tension[unit]
+        companion = np.repeat(np.eye(5, k=-1)[None], count, axis=0)
+        companion[:, 0, 0], companion[:, 0, 3] = -(constant - (high - node)) / tension[unit], -barrier
+        companion[:, 0, 4] = -barrier * constant / tension[unit]
+        roots = np.linalg.eigvals(companion)
+        widest[unit] = np.where(np.abs(roots.imag) < 1e-9, roots.real, 1e-3).max(1, initial=1e-3)
+        arteriole = conductance[unit] * widest[unit] ** 4
+        inflow += (high - node) * arteriole * walls.venule[unit] / (arteriole + walls.venule[unit])
+    opening = np.maximum(1e-3, 1.0 + node / tension[2])
+    excess = conductance[2] * opening**4 * (node - low) - inflow
+    return widest[1, np.flatnonzero(excess <= 0.0)[0]]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, "much", [1.0, np.nan]])
