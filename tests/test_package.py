@@ -43,25 +43,20 @@ def test_every_requirement_has_a_version_that_passed_in_its_range():
 
 
 @cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
-def top_level_packages(path: Path) -> set[str]:
-    """Those that a file imports, anywhere in it."""
-    names = set()
-    for node in ast.walk(parsed(path)):
+def stated(path: Path) -> tuple[set[str], str | None]:
+    """Top-level packages that a file imports, anywhere in it, and what it says of itself."""
+    module, names = ast.parse(path.read_text(encoding="utf-8")), set()
+    for node in ast.walk(module):
         if isinstance(node, ast.Import):
             names |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
             names.add(node.module.split(".")[0])
-    return names
+    return names, ast.get_docstring(module)
 
 
 def third_party(paths) -> set[str]:
     """Top-level packages imported by files, that are neither Python's own nor this one."""
-    return set().union(*map(top_level_packages, paths)) - sys.stdlib_module_names - {"nailoptics"}
+    return {name for path in paths for name in stated(path)[0]} - sys.stdlib_module_names - {"nailoptics"}
 
 
 def test_a_plain_install_finds_its_assets_and_scenes(tmp_path):
@@ -193,7 +188,7 @@ def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
 
 def test_every_module_says_what_it_is_for_in_its_first_line():
     for path in sorted((ROOT / "nailoptics").rglob("*.py")):
-        doc = ast.get_docstring(parsed(path))
+        _, doc = stated(path)
         assert doc and doc.splitlines()[0].strip(), path
 
 
