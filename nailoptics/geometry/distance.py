@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cast import Array
+from .cast import Array, Indices
 from .model import Geometry
 from .regions import AIR
 
@@ -82,8 +82,8 @@ def distance_grid(
     distance[tuple(cells.T)] = off_shell[tuple(cells.T)] = CAP_MM
     for bound_mm, chosen in ((distance, close), (off_shell, close & ~in_shell)):
         # A tree whose nodes are not shrunk to their points answers ten times faster here.
-        points = _samples(corners[chosen], radius) if chosen.any() else ()
-        samples = cKDTree(points, balanced_tree=False, compact_nodes=False) if len(points) else None
+        points = _samples(geometry.vertices, geometry.triangles[chosen], radius) if chosen.any() else ()
+        samples = cKDTree(points, leafsize=32, balanced_tree=False, compact_nodes=False) if len(points) else None
         for start in range(0, len(cells) if samples else 0, CHUNK):
             chunk = cells[start : start + CHUNK]
             bound_mm[tuple(chunk.T)] = _bound(samples, grid.centers(chunk), radius) * (1 - 1e-6)
@@ -116,24 +116,27 @@ def _bound(samples: Any, points: Array, radius: float) -> Array:
     return np.asarray(np.minimum(bound, CAP_MM))
 
 
-def _samples(corners: Array, radius: float) -> Array:
-    """Points (k, 3) on triangles (m, 3, 3), so that no place on them is farther than a radius from one."""
+def _samples(vertices: Array, triangles: Indices, radius: float) -> Array:
+    """Points (k, 3) on triangles (m, 3), so that no place on them is farther than a radius from one; vertices once."""
+    corners, used = vertices[triangles], np.zeros(len(vertices), bool)
+    used[triangles] = True
     a, b, c = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1).T
     area = _areas(corners)
     # The place farthest from all three corners: the middle of the circle around them, or a place on the longest edge.
     obtuse = c**2 >= a**2 + b**2
     covering = np.where(obtuse, b**2 * c / (b**2 + c**2 - a**2), a * b * c / (4 * area))
     covering = np.where(obtuse, np.maximum(covering, a**2 * c / (a**2 + c**2 - b**2)), covering)
-    return _lattice(corners, np.ceil(covering / radius).astype(int))
+    return np.concatenate([vertices[used], _lattice(corners, np.ceil(covering / radius).astype(int))])
 
 
 def _lattice(corners: Array, pieces: NDArray[np.int64]) -> Array:
-    """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,)."""
-    points = []
+    """Corners (k, 3) of the equal parts of triangles (m, 3, 3) whose edges are cut in so many pieces, (m,), but for
+    the corners of the triangles."""
+    points = [np.empty((0, 3))]
     for n in np.unique(pieces):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-        inside = i + j <= n
-        weights = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
+        parts = np.stack([i, j, n - i - j], axis=-1)
+        weights = parts[(parts >= 0).all(-1) & (parts < n).all(-1)] / n
         points.append((weights @ corners[pieces == n]).reshape(-1, 3))
     return np.concatenate(points)
 
