@@ -18,8 +18,10 @@ SMOOTH_CELLS = 2.0
 KNOWN, KNOWN_LIGHT = 0.25, 0.7
 # Dynamic range of the maps of light, and of resolution.
 DIMMEST, COARSEST = 3e4, 100.0
-# Maps side by side, their width together, and what beside and below the board each of them takes. [inch]
-COLUMNS, WIDTH_IN, BESIDE_IN, BELOW_IN = 3, 9.6, 1.3, 0.8
+# Maps side by side, their width together, the room of labels, and the bar of colours beside each of them. [inch]
+COLUMNS, WIDTH_IN = 3, 9.6
+ROOM_IN = style.Room(left=0.55, right=0.6, across=0.8, down=0.8)
+BAR: dict[str, Any] = {"fraction": 0.07, "pad": 0.03, "shrink": 0.85, "aspect": 30}
 
 
 @style.drawing()
@@ -116,8 +118,9 @@ def map_figure(scene: Scene, result: xr.Dataset, *, led: int) -> "style.Figure":
     ]
     tried = bool(result.sizes["led_site"])
     board = maps.extent(result.u.values, result.v.values)
-    height_in = (WIDTH_IN / COLUMNS - BESIDE_IN) * (board[3] - board[2]) / (board[1] - board[0])
-    figure, panels = style.tiles(len(shown) + tried, COLUMNS, WIDTH_IN, height_in + BELOW_IN)
+    across_in = (WIDTH_IN - ROOM_IN.left - ROOM_IN.right - (COLUMNS - 1) * ROOM_IN.across) / COLUMNS
+    height_in = (1 - BAR["fraction"] - BAR["pad"]) * across_in * (board[3] - board[2]) / (board[1] - board[0])
+    figure, panels = style.tiles(len(shown) + tried, COLUMNS, WIDTH_IN, height_in + ROOM_IN.down, room_in=ROOM_IN)
     for axes, values in zip(panels, shown, strict=False):
         _draw_map(axes, *values)
         _parts(axes, scene, led)
@@ -138,7 +141,7 @@ def _draw_map(axes: "style.Axes", title: str, values: xr.DataArray, colours: str
     if min(shown.shape) > 1:
         levels = norm.inverse(np.linspace(0, 1, 9))[1:-1]
         axes.contour(across, along, shown, levels=levels, colors=["#ffffff"], linewidths=0.5, alpha=0.7)
-    axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02)
+    axes.figure.colorbar(image, ax=axes, **BAR)
     axes.set_title(title)
 
 
@@ -160,7 +163,7 @@ def _draw_sites(axes: "style.Axes", result: xr.Dataset, led: str) -> None:
         look: dict[str, Any] = {"cmap": "viridis_r", "norm": norm, "edgecolors": style.MUTED, "linewidths": 0.4}
         u_mm, v_mm = (place[at] + aside).T
         image = axes.scatter(u_mm, v_mm, s=24, c=resolution_mn[at], marker=mark, **look)
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, format="{x:g}")
+    bar = axes.figure.colorbar(image, ax=axes, **BAR, format="{x:g}")
     bar.ax.yaxis.set_minor_formatter("{x:g}")
     axes.set_title("LEDs tried [mN]")
 
