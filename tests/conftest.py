@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -149,7 +149,15 @@ def keep_shapes() -> None:
 def _coarsely_built(name: str) -> Callable[..., Any]:
     """What builds the shapes of a module, with coarse cells; it keeps them for all tests of this process."""
     built = import_module(f"nailoptics.light.walk.{name}")._built.__wrapped__
-    return lru_cache(SHAPES_KEPT)(lambda scene, spacing_mm, variant: built(scene, max(spacing_mm, COARSE_MM), variant))
+    geometry = import_module("nailoptics.geometry")
+    coarse_grid = partial(geometry.distance_grid, spacing_mm=COARSE_MM)
+
+    def coarsely_built(scene: Any, variant: str) -> Any:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(geometry, "distance_grid", coarse_grid)
+            return built(scene, variant)
+
+    return lru_cache(SHAPES_KEPT)(coarsely_built)
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from .cast import Array, Indices
 from .model import Geometry
 from .regions import AIR
 
-# Edge of the cells. Smaller ones take longer to make, and a walk among them is no faster.
-SPACING_MM = 0.2
+# Edge of the cells: those of 0.2 mm take twice as long to make, and a walk among them is no more than 1 % faster; among
+# those of 0.5 mm it is a fifth slower.
+SPACING_MM = 0.3
 # Larger distances are capped: light seldom goes further before it scatters. [mm]
 CAP_MM = 0.35
 COVERED = 0.4  # covering radius of the samples, in spacings

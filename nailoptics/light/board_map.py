@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from .. import tissue
 from ..errors import InputError
-from ..geometry import SPACING_MM, Face, underside
+from ..geometry import Face, underside
 from ..scene import Scene
 from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
@@ -101,20 +101,21 @@ class BoardTracer:
         scene: Scene,
         *,
         backend: str = "auto",
-        spacing_mm: float = SPACING_MM,
         stores: Sequence[LightStore] = (),
         seed: int = 0,
+        one_by_one: bool = False,
     ) -> None:
-        """spacing_mm : cells of the distances that the walk looks up; wider ones are made sooner and walk slower.
+        """stores, seed : where light is stored, and the command's seed, with which it is listed there.
 
-        stores, seed : where light is stored, and the command's seed, with which it is listed there.
+        one_by_one : whether every LED shines on a board without the others, with film in their places: places of one
+            LED that share a geometry. Their dies lie in the film.
         """
         if scene.finger is None:
             raise InputError("a photon map needs a [finger] scene; a phantom has no board, give it apertures.")
         self.backend = backends.choose_jit(backend, "a photon map")
         # Its light knows no names.
         self.photodiodes = scene.photodiodes
-        self.scene, self.spacing_mm, self.stores, self.seed = light_scene(scene), spacing_mm, stores, seed
+        self.scene, self.stores, self.seed, self.one_by_one = light_scene(scene), stores, seed, one_by_one
         self.mu_a = [optics.absorption(self.scene, led.wavelength_nm)[0] for led in self.scene.leds]
 
     @cached_property
@@ -124,7 +125,7 @@ class BoardTracer:
         from .walk.finger import FingerTracer
 
         # Light arrives on the film between the parts, whatever becomes of it there.
-        return FingerTracer(self.scene, spacing_mm=self.spacing_mm, with_faces=("kapton",))
+        return FingerTracer(self.scene, with_faces=("kapton",), one_by_one=self.one_by_one)
 
     def _stored(self, led: int, name: str, trace: Callable[[], dict[str, np.ndarray]], **more: Any) -> Any:
         """Arrays of the store, or new ones.
@@ -132,7 +133,7 @@ class BoardTracer:
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
         made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
-        made |= {"spacing_mm": self.spacing_mm, "traced_per_mm": self.mu_a[led].tolist()}
+        made |= {"traced_per_mm": self.mu_a[led].tolist(), "one_by_one": self.one_by_one}
         lights = [store.light(made) for store in self.stores]
         return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..assets import read_table
 from ..checks import Array
-from ..geometry import SPACING_MM
 from ..light import optics
 from ..light.board_map import BoardTracer
 from ..light.tracing.store import LightStore
@@ -73,7 +72,6 @@ def trace_ambient(
     *,
     seed: int,
     photons: int = PHOTONS,
-    spacing_mm: float = SPACING_MM,
     check_time: Callable[[], object] = lambda: None,
 ) -> Array:
     """Trace the photocurrents of a scene's photodiodes by sources outside, through cover, edges and skin, (3, sources,
@@ -82,12 +80,12 @@ def trace_ambient(
     By reciprocity, from one trace of each photodiode's own light, at the longest wavelength of the scene's LEDs. Where
     none of n photons left, the standard error is that of one.
 
-    spacing_mm : as of `BoardTracer`; check_time : called before each trace; may raise.
+    check_time : called before each trace; may raise.
     """
     elements, led = scene.layout.photodiodes, int(np.argmax([led.wavelength_nm for led in scene.leds]))
     mu_a, n = optics.absorption(scene, INSIDE_NM), optics.index_around(scene, scene.leds[led].wavelength_nm)
     stores = LightStore.of_command(options)
-    tracer = BoardTracer(scene, spacing_mm=spacing_mm, backend=options.backend, stores=stores, seed=seed)
+    tracer = BoardTracer(scene, backend=options.backend, stores=stores, seed=seed)
     result = np.empty((3, len(sources), len(elements)))
     for j, element in enumerate(elements):
         check_time()
@@ -104,13 +102,13 @@ def trace_ambient(
     return result
 
 
-def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None, spacing_mm: float = SPACING_MM) -> Array:
+def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
     """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either. [A] spacing_mm : as of `BoardTracer`."""
+    where it has none, (photodiodes,) float; 0 without either. [A]"""
     source = scene.ambient or usual
     if source is None:
         return np.zeros(len(scene.layout.photodiodes))
-    traced = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS, spacing_mm=spacing_mm)
+    traced = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS)
     return np.asarray(traced[0, 0] + Z95 * traced[1, 0])
 
 

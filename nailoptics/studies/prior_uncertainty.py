@@ -35,8 +35,6 @@ ROUNDING = 1e-9
 # Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
 OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
-# Cells of the grids of distances of such traces: these take 0.35 s of processor time instead of 0.6. [mm]
-OWN_SPACING_MM = 0.4
 
 
 def at_value(scene: Model, field: str, value: float) -> Model:
@@ -311,7 +309,7 @@ def readings_over_priors(
 
     def retraced(varied: Scene) -> np.ndarray:
         plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
-        return reread(varied, as_far_as_reached(trace, plain, progress=progress, spacing_mm=OWN_SPACING_MM, **how)[0])
+        return reread(varied, as_far_as_reached(trace, plain, progress=progress, **how)[0])
 
     result = over_priors(scene, evaluated + (needing_traces if own_traces else []), reread, retraced)
     return ReadingUncertainty(

@@ -100,7 +100,7 @@ MUTATIONS = (
         "light/test_store.py",
     ),
     Mutation(
-        "the key of stored light misses with_faces, escaping and spacing_mm",
+        "the key of stored light misses with_faces and escaping",
         "light/tracing/trace_scene.py",
         " | engine.more if stores else {}",
         " if stores else {}",

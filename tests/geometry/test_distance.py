@@ -86,7 +86,7 @@ def test_distances_are_never_too_long_and_seldom_too_short(jit_backend, sensor, 
 
     geometry = build(sensor(board=f"barrier = {str(barrier).lower()}"))
     bounds = np.array([[-2.0, -0.5, -1.0], [0.0, 1.0, 0.0]])
-    interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds))
+    interfaces = Interfaces(geometry, distance_grid(geometry, bounds_mm=bounds, spacing_mm=0.2))
     points, true = in_the_plate(geometry, bounds, 1000)
     known = interfaces.clearance(mi.Point3f(points.T.astype(np.float32)), True)
     assert (np.array(known.distance) <= true + 2e-6).all() and np.array(known.distance).mean() > 0.2 * true.mean()

@@ -115,7 +115,7 @@ def on_board(*rows: tuple[tuple[float, float], ...] | None) -> Scene:
 def test_maps_of_a_response_that_follows_the_cosine_are_those_of_none(jit_backend):
     result = []
     for response in (None, FLAT):
-        tracer = BoardTracer(on_board(response, response), spacing_mm=0.3)
+        tracer = BoardTracer(on_board(response, response))
         starts, *everywhere = tracer.everywhere(0, photons=1 << 13, seed=1)
         own = [arrivals(0, photons=1 << 13, seed=1) for arrivals in (tracer.arrivals, partial(tracer.leaving, 1))]
         result.append([starts, *(column for one in (*everywhere, *own) for column in vars(one).values())])
@@ -132,7 +132,7 @@ def test_maps_read_a_narrow_response_as_a_trace_does(jit_backend):
     expected, error = (traced[name].values for name in ("detected_fraction", "detected_fraction_stderr"))
     areas = scene.layout.photodiode_areas
     board = boards.bare_board(boards.with_explicit_walls(scene, ""))
-    bare, own = (BoardTracer(one, spacing_mm=0.3) for one in (board, scene))
+    bare, own = (BoardTracer(one) for one in (board, scene))
     point, photons = blood_point(scene, 0), 1 << 18
     arrived = bare.arrivals(0, photons=photons, seed=1)
     (mean,), error_of_mean = readings(arrived, point.values(arrived), areas)
@@ -151,9 +151,9 @@ def test_maps_read_a_narrow_response_as_a_trace_does(jit_backend):
 def test_light_is_weighed_by_the_photodiode_at_its_end(jit_backend):
     """Photons from everywhere, over pairs of places 1 to 3 mm apart: the light that comes with a narrow response, by
     where it arrives and by where it starts, which by reciprocity is the same."""
-    tracer = BoardTracer(on_board(power_of_cosine(3.3), power_of_cosine(3.3)), spacing_mm=0.3)
+    tracer = BoardTracer(on_board(power_of_cosine(3.3), power_of_cosine(3.3)))
     starts, arrived, back, left = tracer.everywhere(0, photons=1 << 18, seed=2)
-    flat = BoardTracer(on_board(None, None), spacing_mm=0.3).everywhere(0, photons=1 << 18, seed=2)
+    flat = BoardTracer(on_board(None, None)).everywhere(0, photons=1 << 18, seed=2)
     apart = np.hypot(*(starts[arrived.photon] - arrived.place_mm).T)
     near = (apart > 1) & (apart < 3)
     sums, ways = [], (arrived, back, flat[1])

@@ -83,7 +83,7 @@ def test_sensitivities_are_the_finite_differences_of_fresh_traces(scene, arrival
     each = []
     for blood in (0.01, 0.05):
         at = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": blood})})
-        tracer, point = BoardTracer(at, spacing_mm=0.2), blood_point(at, 0)
+        tracer, point = BoardTracer(at), blood_point(at, 0)
         seen = [tracer.detected(0, point, photons=tracer.batch_photons, seed=70 + i)[:, 0] for i in range(BATCHES)]
         each.append(np.array(seen))
     difference = (each[1] - each[0]) / 0.04
@@ -227,7 +227,7 @@ def test_batches_together_count_every_photon_by_itself():
 
 
 def test_stored_light_is_that_of_its_blood(scene, chosen_jit, tmp_path):
-    tracer = BoardTracer(scene, spacing_mm=0.4, stores=[LightStore(tmp_path)])
+    tracer = BoardTracer(scene, stores=[LightStore(tmp_path)])
     few, much = (blood_point(scene, 0, blood_fraction=[part, part]) for part in (0.01, 0.05))
     pale, red, again = (tracer.detected(0, point, photons=1 << 12, seed=1)[:, 0] for point in (few, much, few))
     assert np.array_equal(pale, again) and (red < pale).all()

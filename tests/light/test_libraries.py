@@ -32,7 +32,7 @@ def note(name, *columns):
 phantom, finger = (load_scene(data_dir("scenes") / f"{name}.toml") for name in ("phantom", "prototype"))
 light = trace(phantom, photons=20_000, seed=1, backend="llvm").traces[0]
 note("phantom", light.photodiode, light.weight, light.path_mm)
-board = BoardTracer(finger, backend="llvm", spacing_mm=0.3)  # made in a second; 0.1 mm takes five
+board = BoardTracer(finger, backend="llvm")
 light = board.tracer.batch(0, photons=20_000, seed=1)
 note("finger", light.photodiode, light.weight, light.path_mm)
 note("detected", board.detected(0, blood_point(finger, 0), photons=5_000, seed=2))

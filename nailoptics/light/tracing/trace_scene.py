@@ -28,7 +28,6 @@ def trace(
     *,
     with_faces: Collection[str] = (),
     traced: Scene | None = None,
-    spacing_mm: float | None = None,
     stores: Sequence[LightStore] | None = None,
     progress: ProgressCallback | None = None,
     **requested: Unpack[Requested],
@@ -39,7 +38,6 @@ def trace(
         the same way, number by number, as in a scene that has them, which walks on other faces would not.
     traced : a phantom that absorbs less and is else the same: it is traced, and read as the scene; where in the
         phantom light is absorbed is then not known.
-    spacing_mm : cells of a finger's grid of distances; wide ones are made sooner, for short traces. [mm]
     stores : where batches are looked for and, in the first, stored; that of the user if not given.
     requested : fields of `TraceOptions`; a million photons where neither they nor the scene say how far.
     progress : called after every batch.
@@ -52,7 +50,7 @@ def trace(
     chosen = backends.choose_jit(options.backend, "the photons engine")
     required = accuracy(scene, options)
     escaping = traced is not None
-    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=escaping, spacing_mm=spacing_mm)
+    engine = LightEngine(traced or scene, chosen, with_faces=with_faces, escaping=escaping)
     stores = LightStore.of_command(options) if stores is None else stores
     start, cpu = time.perf_counter(), time.process_time()
     traces, reused, complaint, interrupted = [], 0, None, False
@@ -89,22 +87,15 @@ class LightEngine:
 
     Until then Mitsuba is not even imported: light that is stored needs none.
 
-    with_faces, spacing_mm : as for `trace`. escaping : whether all light that leaves a phantom is recorded.
+    with_faces : as for `trace`. escaping : whether all light that leaves a phantom is recorded.
     full : photons of a full batch. cpu_seconds, wall_seconds : what opening it took. [s]
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        backend: backends.Backend,
-        *,
-        with_faces: Collection[str] = (),
-        escaping: bool = False,
-        spacing_mm: float | None = None,
+        self, scene: Scene, backend: backends.Backend, *, with_faces: Collection[str] = (), escaping: bool = False
     ) -> None:
         self.scene, self.backend, self.escaping = light_scene(scene), backend, escaping
-        faces, spacing_mm = sorted({*with_faces} & {*scene.light.left_out}), None if scene.phantom else spacing_mm
-        more = {"escaping": escaping, "with_faces": faces, "spacing_mm": spacing_mm}
+        more = {"escaping": escaping, "with_faces": sorted({*with_faces} & {*scene.light.left_out})}
         self.more: dict[str, Any] = {name: value for name, value in more.items() if value}
         small = scene.phantom is None and backend.name == "llvm"
         self.full = FINGER_BATCH_PHOTONS if small else PHANTOM_BATCH_PHOTONS

@@ -131,14 +131,10 @@ class StageProgress:
         """Time left for what may still begin; none after an interrupt. [s]"""
         return 0.0 if self.interrupted else self.limit_s - self.seconds
 
-    def is_late(self, share: float) -> bool:
-        """Whether this share of the time is spent."""
-        return self.seconds > share * self.limit_s
-
     def is_over(self, share: float) -> bool:
         """Whether nothing more is to begin: this share of the time is spent, or the user has interrupted by now."""
         self.repeat()
-        return self.interrupted or self.is_late(share)
+        return self.interrupted or self.seconds > share * self.limit_s
 
     @property
     def why(self) -> str:

@@ -1,7 +1,7 @@
 """The photon walk through a finger: scattering between interfaces, and rays only where one may be met."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import geometry as finger_geometry
-from ...geometry import SPACING_MM, Face, Geometry
+from ...geometry import Face, Geometry
 from ...scene import Scene
 from .. import optics
 from ..transfer.records import LedTrace
@@ -27,31 +27,33 @@ ASIDE_MM, BELOW_MM, ABOVE_MM = 5.0, 6.5, 0.1
 PLATE, BED, EPOXY = (optics.TISSUES.index(name) for name in ("plate", "bed", "epoxy"))
 
 
-@lru_cache(maxsize=2)
-def _built(scene: Scene, spacing_mm: float, variant: str) -> tuple[Geometry, Interfaces]:
-    """A scene's geometry and what light meets there in a variant of Mitsuba; seconds, for all scenes of one shape."""
+@lru_cache(maxsize=16)
+def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
+    """A scene's geometry and what light meets there in a variant of Mitsuba, for all scenes of one shape; 5 MB."""
     geometry = finger_geometry.build(scene)
     faces = (*geometry.leds, *geometry.photodiodes)
     corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
     low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
     high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
-    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]))
     return geometry, Interfaces(geometry, grid)
 
 
 class FingerTracer:
     """The photons engine for a finger scene: walks the photons of its LEDs until each has ended."""
 
-    def __init__(self, scene: Scene, *, spacing_mm: float = SPACING_MM, with_faces: Collection[str] = ()) -> None:
-        """spacing_mm, with_faces : As for `trace`."""
+    def __init__(self, scene: Scene, *, with_faces: Collection[str] = (), one_by_one: bool = False) -> None:
+        """with_faces : As for `trace`. one_by_one : As for `BoardTracer`."""
         self.scene = scene
         shape = finger_geometry.shaping(scene, with_faces=with_faces)
-        self.geometry, self.interfaces = _built(shape, spacing_mm, str(mi.variant()))
+        self.geometry, self.interfaces = _built(shape, str(mi.variant()))
         self.photodiodes = tuple(face.name for face in self.geometry.photodiodes)
-        self.regions = [
-            Regions(self.geometry, optics.finger_media(scene, self.geometry.regions, led.wavelength_nm))
-            for led in scene.leds
-        ]
+        self.regions = []
+        for led, die in zip(scene.leds, self.geometry.leds, strict=True):
+            off = {face.region for face in self.geometry.leds if one_by_one and face is not die}
+            names = tuple("kapton" if i in off else name for i, name in enumerate(self.geometry.regions))
+            media = optics.finger_media(scene, names, led.wavelength_nm)
+            self.regions.append(Regions(replace(self.geometry, regions=names), media))
         self.reach: dict[int, Reach] = {}
         self.zones = optics.zones(scene)
         # The bed's path counts whole, and what of it lies beyond each edge of the zones.

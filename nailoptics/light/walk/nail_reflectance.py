@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import geometry as finger_geometry
-from ...geometry import SPACING_MM, Geometry
+from ...geometry import Geometry
 from ...scene import Board, Led, Light, Scene, digest
 from ...statistics import seed_of
 from .. import optics
@@ -91,13 +91,11 @@ class NailReflectance:
     """The finger of a scene without its board, and rays into it; neither is made before it is needed.
 
     backend : what walks the rays. stores : where rays may be stored; new ones go to the first.
-    spacing_mm : cells of the grid of distances; wide ones are made sooner, for few rays. [mm]
     """
 
     scene: Scene
     backend: str = "auto"
     stores: Sequence[LightStore] = ()
-    spacing_mm: float = SPACING_MM
 
     def __post_init__(self) -> None:
         self.scene, self.zones = as_seen(self.scene), optics.zones(self.scene)
@@ -105,7 +103,7 @@ class NailReflectance:
     @cached_property
     def finger(self) -> tuple[Geometry, Interfaces]:
         """The finger's shape, and what the rays meet."""
-        return _built(finger_geometry.shaping(self.scene), self.spacing_mm, str(mi.variant()))
+        return _built(finger_geometry.shaping(self.scene), str(mi.variant()))
 
     def reflect(
         self, wavelength_nm: float, patches: Sequence[Patch], *, mu_a: np.ndarray, photons: int, seed: int, groups: int
@@ -116,7 +114,7 @@ class NailReflectance:
         photons : Rays in all; rounded up, so that each patch has its share in every group.
         """
         rows = [[*patch.center_mm, *patch.size_mm, patch.share, patch.port_mm] for patch in patches]
-        parameters = {"patches": rows, "mu_a": mu_a.tolist(), "spacing_mm": self.spacing_mm}
+        parameters = {"patches": rows, "mu_a": mu_a.tolist()}
         # Neither blood nor melanin, board nor lamp decides the ways of rays into a bare nail.
         bare = {"leds": (Led(name="eye", wavelength_nm=550.0),), "photodiodes": (), "board": Board()}
         light = digest(light_scene(self.scene).model_copy(update=bare))
@@ -205,11 +203,11 @@ def as_seen(scene: Scene) -> Scene:
 
 
 @lru_cache(maxsize=2)
-def _built(scene: Scene, spacing_mm: float, variant: str) -> tuple[Geometry, Interfaces]:
+def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
     """The geometry without a board, and what light meets there in a variant of Mitsuba."""
     geometry = finger_geometry.build(scene, board=False)
     low, high = (np.array(corner) for corner in geometry.bounds_mm)
     low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
     low[2] = max(low[2], -BELOW_MM)
-    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]), spacing_mm=spacing_mm)
+    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]))
     return geometry, Interfaces(geometry, grid)

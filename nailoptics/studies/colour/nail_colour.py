@@ -145,8 +145,8 @@ def _allocated(rays: ColourRays, needed: Array) -> tuple[tuple[Patch, ...], int]
 
 # Of the time, after which no spread over unknown fingers begins, which takes as long as 150 000 rays or so.
 SPREAD_BEGINS = 0.8
-# Rays of all nodes for each value of what needs rays of its own, such as scattering, and cells of their grids. [1, mm]
-OWN_PHOTONS, OWN_SPACING_MM = 24_000, 0.3
+# Rays of all nodes for each value of what needs rays of its own, such as scattering.
+OWN_PHOTONS = 24_000
 _SPREAD = 61
 # Of the linear colour; what is darker has missed the finger: no tissue is.
 MISSED = 0.02
@@ -203,8 +203,8 @@ def colour(
     rays, unmet = sample_until_tolerance(nail, np.vstack([states, 0 * states[:1]]), viewer, viewing, options, stage)
     result = _dataset(scene, rays, states, viewer, viewing)
     if scene.priors.spread and not unmet:
-        if stage.is_late(SPREAD_BEGINS):
-            unmet = "max_seconds left no time for the spread of colours over unknown fingers."
+        if stage.is_over(SPREAD_BEGINS):
+            unmet = f"{stage.why} before the spread of colours over unknown fingers."
         else:
             result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
     for store in stores:
@@ -286,7 +286,7 @@ def spread_of_colours(
         return np.asarray(viewer.lab(light.read(states, viewing, scene=changed).reflectance)[:, :, 0])
 
     def walked(changed: Scene) -> Array:
-        other = NailReflectance(changed, backend=nail.backend, stores=nail.stores, spacing_mm=OWN_SPACING_MM)
+        other = NailReflectance(changed, backend=nail.backend, stores=nail.stores)
         light = walk_colour(other, rays.patches, photons=OWN_PHOTONS, seed=seed_of(seed, _SPREAD), shares=SHARES)
         return lab(light, changed)
 

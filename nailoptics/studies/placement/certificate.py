@@ -17,6 +17,7 @@ References: Boyd, Vandenberghe 2004, Convex Optimization, sec. 7.5; Joshi, Boyd 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -163,7 +164,8 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
         information = design.information(site.places_mm)
         enough = min(enough, float(np.log(objective.score(information[:, design.numbers(site)].sum(1)))))
         logs[site], _ = _site_bound(design, site, information, enough)
-    again, errors = Search(search.base, objective, replace(search.cache, blocks=BLOCKS)), dict[SearchedSite, float]()
+    again, errors = copy(search), dict[SearchedSite, float]()
+    again.objective, again.cache = objective, replace(search.cache, blocks=BLOCKS)
     for k in range(TRACED + 1):
         site = min(logs, key=lambda site: logs[site])
         if site in errors:

@@ -368,7 +368,7 @@ def score_layouts(
     scored: dict[tuple[int, int], LayoutScore] = {}
     while True:
         # Those whose board was not traced further have the scores that they had.
-        known = [(i, cache.of(layout.board).photons_in_all) for i, layout in enumerate(layouts)]
+        known = [(i, cache.of(layout.board).photons) for i, layout in enumerate(layouts)]
         unknown = [key for key in known if key not in scored]
         read = [cache.read(layouts[i].scene, layouts[i].board, len(objective.points)) for i, _ in unknown]
         scored |= zip(unknown, scores_of(read, objective), strict=True)

@@ -4,11 +4,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from ...geometry import SPACING_MM
 from ...light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from ...light.identity import light_digest
 from ...light.tracing.store import LightStore
@@ -23,9 +21,6 @@ from . import boards
 from .boards import Person
 
 PERSON_SHARE = 0.5  # part of the photons of a finger that a person has
-# Cells of the distances that the walk asks for: few photons for each of many boards or people pay for no finer ones.
-# Such cells take half the time of those of 0.2 mm to make, a place of the LED with its first photons four fifths. [mm]
-COARSE_MM = 0.4
 LEAST_PHOTONS = 4096  # fewer say too little of a layout
 
 
@@ -74,17 +69,12 @@ class TracedBoard:
         """How many photons of every LED were traced on every finger."""
         return min(board_map.photons for by_led in self.maps for board_map in by_led)
 
-    @property
-    def photons_in_all(self) -> int:
-        """How many photons its maps hold together."""
-        return sum(board_map.photons for by_led in self.maps for board_map in by_led)
-
 
 @dataclass
 class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
-    distance_mm : cells of the distances that the walk asks for.
+    one_by_one : as of `BoardTracer`.
     most_photons : of an LED.
     stores : where traced light is stored.
     stop : whether nothing more is to be traced, tested before every batch.
@@ -97,7 +87,7 @@ class PhotonMapCache:
     stream: int
     backend: BackendName
     blocks: int
-    distance_mm: float = SPACING_MM
+    one_by_one: bool = False
     most_photons: int | None = None
     stores: Sequence[LightStore] = ()
     stop: Callable[[], bool] = lambda: False
@@ -122,10 +112,9 @@ class PhotonMapCache:
         same._traced = self._traced
         return same
 
-    def tracer(self, scene: Scene, *, spacing_mm: float | None = None) -> BoardTracer:
-        """What traces a scene's light onto its board; spacing_mm : `distance_mm` if not given."""
-        how: dict[str, Any] = {"backend": self.backend, "stores": self.stores, "seed": self.seed}
-        return BoardTracer(scene, spacing_mm=spacing_mm or self.distance_mm, **how)
+    def tracer(self, scene: Scene) -> BoardTracer:
+        """What traces a scene's light onto its board."""
+        return BoardTracer(scene, backend=self.backend, stores=self.stores, seed=self.seed, one_by_one=self.one_by_one)
 
     def of(self, board: Scene) -> TracedBoard:
         """What is traced of a board; of a new one nothing."""
@@ -139,8 +128,8 @@ class PhotonMapCache:
         """Boards with a map of every LED on every finger."""
         return sum(board.photons > 0 for board in self._traced.values())
 
-    def extend(self, board: Scene, photons: int) -> None:
-        """Trace so many photons more, per LED and finger, of a bare board; fewer where it has to stop.
+    def extend(self, board: Scene, photons: int, led: int | None = None) -> None:
+        """Trace so many photons more, per LED, or of one LED, and finger, of a bare board; fewer where it has to stop.
 
         Conditions of one digit differ in what only dims the light: they share a trace. On a person's board no part lies
         off the nail; tracers of many people would fill the memory.
@@ -151,9 +140,9 @@ class PhotonMapCache:
             is_person, worn = isinstance(case, Person), boards.worn_on(board, case, light_only=True)
             if (is_person and not boards.fits(worn)) or (key not in held.tracers and self.stop()):
                 continue
-            tracer = held.tracers.get(key) or self.tracer(worn, spacing_mm=COARSE_MM if is_person else None)
-            for led in range(len(board.leds)):
-                self._extend_led(board, tracer, key, led, PERSON_SHARE * photons if is_person else photons)
+            tracer = held.tracers.get(key) or self.tracer(worn)
+            for i in range(len(board.leds)) if led is None else [led]:
+                self._extend_led(board, tracer, key, i, PERSON_SHARE * photons if is_person else photons)
             if not is_person:
                 held.tracers[key] = tracer
 
@@ -224,5 +213,5 @@ class PhotonMapCache:
             for led, light in zip(layout.leds, self._light(layout, board, i), strict=True)
         ]
         if (key := digest(layout)) not in self.ambient_a:
-            self.ambient_a[key] = ambient_bound_a(layout, usual=LAMP, spacing_mm=COARSE_MM)
+            self.ambient_a[key] = ambient_bound_a(layout, usual=LAMP)
         return electronics.with_resistors(layout, np.max(lit_a, axis=0) + self.ambient_a[key])

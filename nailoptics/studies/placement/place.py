@@ -21,7 +21,7 @@ from ..force.touch_error import TouchError
 from . import boards, candidates, certificate, robustness, search, verification
 from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, UNRESOLVED, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
-from .photon_maps import COARSE_MM, FingerCondition, PhotonMapCache
+from .photon_maps import FingerCondition, PhotonMapCache
 from .result import as_dataset
 from .robustness import tolerances
 from .row_design import SearchedSite
@@ -32,8 +32,6 @@ log = logging.getLogger(__name__)
 DEFAULT_SECONDS = 480.0
 DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
-# Cells of the distances for the evaluation: finer ones pay after more photons than most layouts are given. [mm]
-DISTANCE_MM = 0.25
 # The best layout is verified by its own trace if so much time is left. [s]
 CHECK_S = 10.0
 # Part of the time left that this takes at most; the rest is for what is unknown of the finger.
@@ -78,9 +76,9 @@ def place(
     objective = _objective(base, conditions, rules) if people else of_fingers
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     stores = LightStore.of_command(options)
-    ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS, distance_mm=DISTANCE_MM)
+    ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS)
     ranking.most_photons = photons
-    searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, distance_mm=COARSE_MM)
+    searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, one_by_one=True)
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)
     ranking.stop = partial(_evaluated_enough, ranking, layouts if searched else [], report_progress)

@@ -24,7 +24,7 @@ from . import boards, candidates
 from .boards import PartT
 from .candidates import CandidateLayout
 from .objective import LayoutScore, Objective, scores_of
-from .photon_maps import COARSE_MM, PhotonMapCache, Stopped, batch_seed, recorded
+from .photon_maps import PhotonMapCache, Stopped, batch_seed, recorded
 
 # The best layouts that are read again at every node of every prior.
 TOP_RANKED = 3
@@ -167,7 +167,7 @@ class _Resolution:
             batches = cache.of(layout.board).arrivals.get((case.digit, led), [])[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
-                tracer = cache.tracer(shaped, spacing_mm=COARSE_MM if case in cache.people else None)
+                tracer = cache.tracer(shaped)
                 for i, batch in enumerate(batches):
                     cache.check_time()
                     seed = batch_seed(cache.seed, cache.stream, usual, led, i)
@@ -211,7 +211,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
     scene, count = layout.scene, len(objective.points)
     fingers = cache.conditions[:count]
     photons = min(MOST_PHOTONS, cache.most_photons or MOST_PHOTONS)
-    elsewhere = replace(cache, conditions=fingers, distance_mm=COARSE_MM)
+    elsewhere = replace(cache, conditions=fingers)
     room = boards.room_mm(*(boards.worn_on(scene, condition.case) for condition in fingers))
     leds, photodiodes = ([part.name for part in parts] for parts in (scene.leds, scene.photodiodes))
     parts = ["board", *photodiodes, *leds]

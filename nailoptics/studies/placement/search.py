@@ -3,7 +3,9 @@
 import logging
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from ...statistics import left_out
 from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
-from .photon_maps import COARSE_MM, PhotonMapCache
+from .photon_maps import PhotonMapCache
 from .row_design import RowDesign, SearchedSite
 from .sites import ROUNDING_MM, LedRow, PhotodiodePlaces, Sites
 
@@ -44,6 +46,7 @@ class Search:
     results : every site of the LEDs that was given photodiodes, by row and places.
     designs : of each row, by the first photons.
     regular : sites in the middle of a row with the photodiodes that are best in regular places.
+    boards : on which the light of an LED at a place of a row is traced, and as which of its LEDs.
     """
 
     def __init__(self, base: Scene, objective: Objective, cache: PhotonMapCache) -> None:
@@ -53,6 +56,7 @@ class Search:
         self.results: dict[tuple[LedRow, tuple[Point, ...]], SearchedSite] = {}
         self.designs: dict[LedRow, RowDesign] = {}
         self.regular: list[SearchedSite] = []
+        self.boards: dict[tuple[LedRow, int, Point], tuple[Scene, int]] = {}
 
     @cached_property
     def ambient_a_per_mm2(self) -> float:
@@ -60,7 +64,7 @@ class Search:
         if self.base.electronics.feedback_ohm != "auto":
             return 0.0
         areas_mm2 = [area.area_mm2 for area in self.base.layout.photodiode_areas]
-        return float(np.max(ambient_bound_a(self.base, usual=LAMP, spacing_mm=COARSE_MM) / areas_mm2))
+        return float(np.max(ambient_bound_a(self.base, usual=LAMP) / areas_mm2))
 
     def run(self, report_progress: StageProgress) -> list[SearchedSite]:
         """Search on the grid, then around the best on finer ones, until time is over; the sites in that order."""
@@ -69,7 +73,7 @@ class Search:
         waiting, middle = self.sites.rows(step), list[SearchedSite]()
         while waiting and step >= self.rules.led_step_mm / FINEST:
             for i, (row, places) in enumerate(waiting.items()):
-                design = self.designs.setdefault(row, self._design(row, places, FIRST_PHOTONS))
+                design = self.designs[row] = self.designs.get(row) or self._design(row, places)
                 for done in self._trace(design, places, report_progress):
                     part = (report_progress.seconds - start) / available
                     by_count = (i + done) / len(waiting) / 2
@@ -106,9 +110,10 @@ class Search:
 
     def traced(self, site: SearchedSite, photons: int, report_progress: StageProgress) -> RowDesign | None:
         """A design of one site with its LEDs traced; None where time ends before."""
-        places = [[place] for place in site.places_mm]
-        design = self._design(site.row, places, photons, starts=LAST_STARTS)
-        for _ in self._trace(design, places, report_progress):
+        photons = min(photons, self.cache.most_photons or photons)
+        how: dict[str, Any] = {"objective": self.objective, "photons": photons, "starts": LAST_STARTS}
+        design = replace(self.designs[site.row], columns=[{} for _ in site.places_mm], **how)
+        for _ in self._trace(design, [[place] for place in site.places_mm], report_progress):
             pass
         return design if all(design.columns) else None
 
@@ -120,39 +125,41 @@ class Search:
     def _store(self, searched: Iterable[SearchedSite]) -> None:
         self.results |= {(a.row, a.places_mm): a for a in searched}
 
-    def _design(self, row: LedRow, places: list[list[Point]], photons: int, *, starts: int = 1) -> RowDesign:
+    def _design(self, row: LedRow, places: list[list[Point]]) -> RowDesign:
         """A row of which nothing is traced."""
         leds = range(len(self.base.leds))
-        walls = self.sites.board_at(0, places[0][0], row).layout.barriers
+        walls = self.sites.board_at(0, places[0][:1], row).layout.barriers
         fixed = {i: self.sites.place_of(i) for i in leds if self.sites.is_fixed[i]}
         beside = self.sites.photodiode_places(walls, fixed)
-        photons = min(photons, self.cache.most_photons or photons)
-        return RowDesign(self.sites, self.objective, row, beside, [{} for _ in leds], photons, starts)
+        photons = min(FIRST_PHOTONS, self.cache.most_photons or FIRST_PHOTONS)
+        return RowDesign(self.sites, self.objective, row, beside, [{} for _ in leds], photons)
 
     def _trace(self, design: RowDesign, places: list[list[Point]], report_progress: StageProgress) -> Iterable[float]:
         """Trace every LED at its new places, place by place, as long as there is time; yields the part that is done."""
         if design.places.free < design.count:
             return
-        waiting = [[p for p in spots if p not in had] for spots, had in zip(places, design.columns, strict=True)]
-        longest, boards = max(map(len, waiting)), []
-        for k in range(longest):
+        each = ((i, p) for spots in zip_longest(*places) for i, p in enumerate(spots) if p)
+        waiting = [(i, p) for i, p in each if p not in design.columns[i]]
+        for led in range(len(places)):
+            unknown = (p for i, p in waiting if i == led and (design.row, led, p) not in self.boards)
+            for some in self.sites.apart(led, unknown):
+                board = self.sites.board_at(led, some, design.row)
+                self.boards |= {(design.row, led, place): (board, k) for k, place in enumerate(some)}
+        for done, (led, place) in enumerate(waiting, 1):
             if report_progress.is_over(SEARCH_SHARE):
                 break
-            for i, new_places in enumerate(waiting):
-                if k < len(new_places):
-                    boards.append(board := self.sites.board_at(i, new_places[k], design.row))
-                    # LEDs that shine alike share their light.
-                    traced = self.cache.of(board)
-                    # The first photons may be stored.
-                    for photons in (min(FIRST_PHOTONS, design.photons), design.photons):
-                        if traced.photons < photons:
-                            self.cache.extend(board, photons - traced.photons)
-                    if traced.photons >= design.photons:
-                        design.columns[i][new_places[k]] = self.columns(i, board, design.places)
-                    traced.tracers.clear()
-            yield (k + 1) / longest
-        for board in boards:
-            self.cache.forget(board)
+            board, k = self.boards[design.row, led, place]
+            maps = [by_led[k] for by_led in self.cache.of(board).maps]
+            # The first photons may be stored.
+            for photons in (min(FIRST_PHOTONS, design.photons), design.photons):
+                # LEDs that shine alike share their light.
+                if (traced := min(light.photons for light in maps)) < photons:
+                    self.cache.extend(board, photons - traced, k)
+            if min(light.photons for light in maps) >= design.photons:
+                design.columns[led][place] = self.columns(led, board, design.places, k)
+            yield done / len(waiting)
+        for led, place in waiting:
+            self.cache.forget(self.boards[design.row, led, place][0])
 
     def columns(self, led: int, board: Scene, places: PhotodiodePlaces, lit_led: int = 0) -> np.ndarray:
         """What an LED brings to photodiodes at all places and to those that stay, (fingers, m + s, c) float; by all

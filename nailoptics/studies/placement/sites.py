@@ -18,6 +18,8 @@ from . import boards
 # A wall that leaves less than this part of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
 ROUNDING_MM = 1e-9
+# Places of an LED whose light is traced on one board, and how far its dies lie apart there. [mm]
+TOGETHER, APART_MM = 8, 0.05
 # Parts of the room that regular photodiodes take.
 PARTS = (1.0, 2 / 3, 1 / 3)
 
@@ -279,17 +281,29 @@ class Sites:
                 gaps.append(span_mm(room, side)[1] - span_mm(self.die(i, at), side)[1])
         return max(gaps)
 
-    def board_at(self, led: int, place_mm: Point, row: LedRow) -> Scene:
-        """The bare board with one of its LEDs at a place, and the wall of its row."""
+    def apart(self, led: int, places_mm: Iterable[Point]) -> list[list[Point]]:
+        """Places of an LED in groups that one board has room for; each by itself for one that stands out of it."""
+        groups: list[list[Point]] = []
+        most = 1 if self.base.leds[led].height_um else TOGETHER
+        for place in places_mm:
+            die = self.die(led, place)
+            beside = (g for g in groups if all(-die.overlap_mm(self.die(led, other)) > APART_MM for other in g))
+            if (group := next((g for g in beside if len(g) < most), None)) is None:
+                groups.append(group := [])
+            group.append(place)
+        return groups
+
+    def board_at(self, led: int, places_mm: Sequence[Point], row: LedRow) -> Scene:
+        """The bare board with one of its LEDs at each of some places of a row, and the wall of that."""
         (du, dv), board = self.base.board.center_mm, self.base.board
         if row.side is not None:
-            edge = span_mm(self.die(led, place_mm), row.side)[1]
+            edge = span_mm(self.die(led, places_mm[0]), row.side)[1]
             gap = self.gap_mm(row.side) + SIDES[row.side][1] * row.face_mm - edge
             board = board.model_copy(update={"barrier_gap_mm": gap})
         # LEDs that shine alike share their light, whatever their names.
-        update = {"position_mm": (place_mm[0] - du, place_mm[1] - dv), "name": "led"}
-        led_moved: Led = self.base.leds[led].model_copy(update=update)
-        return boards.bare_board(self.base.model_copy(update={"leds": (led_moved,), "board": board}), side=row.side)
+        moved = [{"position_mm": (u - du, v - dv), "name": f"led{k}"} for k, (u, v) in enumerate(places_mm)]
+        leds = tuple(self.base.leds[led].model_copy(update=update) for update in moved)
+        return boards.bare_board(self.base.model_copy(update={"leds": leds, "board": board}), side=row.side)
 
     def photodiode_places(self, walls: Sequence[Rectangle], leds_mm: Mapping[int, Point]) -> PhotodiodePlaces:
         """The places that walls and, where there are none, LEDs at places leave to photodiodes."""

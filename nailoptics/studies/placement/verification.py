@@ -3,7 +3,6 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -45,8 +44,9 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
     options = TraceOptions(backend=cache.backend, store=bool(cache.stores))
     for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
         on = scene.model_copy(update={"board": scene.board.model_copy(update={"cover_um": cover_um})})
-        how: dict[str, Any] = {"photons": photons, "seed": cache.seed, "spacing_mm": cache.distance_mm}
-        traced.append(trace_ambient(on, sources, options, check_time=cache.check_time, **how))
+        traced.append(
+            trace_ambient(on, sources, options, seed=cache.seed, photons=photons, check_time=cache.check_time)
+        )
     current, error, _ = np.stack(traced, 1)
     high = current + Z95 * error
     read = scene_responses(scene, values, point, ambient_a=high)

@@ -40,7 +40,7 @@ def traced(scene: Scene, die_mm: Any, places_mm: np.ndarray, *, seed: int) -> tu
     """The same by light of the die alone on the bare board, and its standard error."""
     led = scene.leds[0].model_copy(update={"position_mm": tuple(die_mm), "rotation_deg": 0.0})
     lit = boards.bare_board(scene).model_copy(update={"leds": (led,)})
-    tracer = BoardTracer(lit, spacing_mm=0.3)
+    tracer = BoardTracer(lit)
     arrived = tracer.arrivals(0, photons=LED_PHOTONS, seed=seed)
     value, result = blood_point(lit, 0).values(arrived)[:, 0], []
     for place in places_mm:

@@ -19,7 +19,7 @@ PEOPLE = SCENE.replace("[placement]\n", "[placement]\npeople = 20\n", 1)
 
 
 def cache_of(conditions, seed=0):
-    return photon_maps.PhotonMapCache(conditions, seed, stream=1, backend="auto", blocks=16, distance_mm=0.3)
+    return photon_maps.PhotonMapCache(conditions, seed, stream=1, backend="auto", blocks=16)
 
 
 def objective_of(rules, conditions, people=0):

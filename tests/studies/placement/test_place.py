@@ -52,7 +52,7 @@ AT = information.OperatingPoint(
 
 def photon_map_cache(conditions, *, seed, stream, blocks):
     # Coarse cells are made sooner; light does not depend on them.
-    return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks, distance_mm=0.3)
+    return photon_maps.PhotonMapCache(conditions, seed, stream, backend="auto", blocks=blocks)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_places_keep_their_distances(scene):
     for side in ("left", "below"):
         where = sites.Sites(base, rules)
         face = where.die(0, (-2.0, -2.0)).u_max
-        board = where.board_at(0, (-2.0, -2.0), sites.LedRow(side, face))
+        board = where.board_at(0, [(-2.0, -2.0)], sites.LedRow(side, face))
         wall = board.layout.barriers[0]
         places = where.photodiode_places([wall], {}).centers_mm
         assert len(places) and np.abs(places[:, 0]).max() <= 4.5 - 0.3 - 0.5 + 1e-9
@@ -510,7 +510,7 @@ def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, 
     bloodier = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.04})})
     condition = place.finger_condition(bloodier, FingerCase(name="one"), boards.rules(bloodier))
     board = place.given(boards.base_board(bloodier), boards.rules(bloodier))[0].board
-    of_ranking = {"seed": 1, "stream": 1, "backend": "auto", "blocks": place.BLOCKS, "distance_mm": place.DISTANCE_MM}
+    of_ranking = {"seed": 1, "stream": 1, "backend": "auto", "blocks": place.BLOCKS}
     with fewer_photons():
         caches = [
             photon_maps.PhotonMapCache([condition], **of_ranking, stores=stores)

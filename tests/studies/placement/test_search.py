@@ -1,5 +1,6 @@
 """The search over LEDs and photodiodes together: against every layout there is, and within the rules it was given."""
 
+from functools import partial
 from itertools import combinations, product
 from types import SimpleNamespace
 
@@ -8,15 +9,16 @@ import pytest
 from small_scenes import PLACEMENT
 
 from nailoptics.errors import InputError
-from nailoptics.light.board_map import PhotonMap
+from nailoptics.light.board_map import BoardTracer, PhotonMap
 from nailoptics.light.tracing import StageProgress
-from nailoptics.scene import FingerCase, Placement, Scene, digest, parse_scene
+from nailoptics.scene import FingerCase, Placement, Scene, digest, load_scene, parse_scene
 from nailoptics.sensor import information
+from nailoptics.statistics import stderr_of_mean
 from nailoptics.studies.placement import boards, candidates, search
 from nailoptics.studies.placement.objective import Objective
 from nailoptics.studies.placement.photon_maps import FingerCondition, TracedBoard
 from nailoptics.studies.placement.row_design import STARTS, RowDesign, SearchedSite
-from nailoptics.studies.placement.sites import LedRow, Sites
+from nailoptics.studies.placement.sites import APART_MM, LedRow, Sites
 from nailoptics.tissue import BloodZones
 
 from .test_place import AT
@@ -46,16 +48,17 @@ class MadeLight:
         self.conditions, self.traced, self.blocks = conditions, {}, 1
 
     def of(self, board: Scene) -> TracedBoard:
-        return self.traced.setdefault(digest(board), TracedBoard([[PhotonMap(board.layout.outline, values=4)]]))
+        new = partial(PhotonMap, board.layout.outline, values=4, spacing_mm=0.25, blocks=1)
+        return self.traced.setdefault(digest(board), TracedBoard([[new() for _ in board.leds]]))
 
-    def extend(self, board: Scene, photons: int) -> None:
-        layout, led = board.layout, board.leds[0]
-        one = PhotonMap(layout.outline, values=4, spacing_mm=0.25, blocks=1)
+    def extend(self, board: Scene, photons: int, led: int = 0) -> None:
+        layout = board.layout
+        one = self.of(board).maps[0][led]
         u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (one.u_mm, one.v_mm))
         where = np.stack(np.meshgrid(u, v, indexing="ij"), -1)
-        place = np.array(layout.leds[0].center_mm)
+        place = np.array(layout.leds[led].center_mm)
         away = np.linalg.norm(where - place, axis=-1)
-        reach = 1.0 if led.wavelength_nm < 700 else 1.4
+        reach = 1.0 if board.leds[led].wavelength_nm < 700 else 1.4
         light = 1e-4 * np.exp(-away / reach)
         # What lies between them is seen: mostly at the middle of the way.
         weight = BloodZones((0.0,), 2.0).weights(((where[..., 1] + place[1]) / 2).ravel()).reshape(*away.shape, 2)
@@ -63,10 +66,49 @@ class MadeLight:
         values = np.concatenate([light[..., None], 0.1 * light[..., None], seen], -1)
         one.sums[:] = search.SEARCH_PHOTONS * np.moveaxis(values, -1, 0)[:, None]
         one.photons = search.SEARCH_PHOTONS
-        self.of(board).maps[:] = [[one]]
 
     def forget(self, board: Scene) -> None:
         self.traced.pop(digest(board), None)
+
+
+def test_leds_that_are_traced_on_one_board_shine_as_each_alone(chosen_jit):
+    """Rationale: dies of 1.5 mm swallow light that a bright cover would send back. Expected: traced one by one on a
+    board of all places, an LED's light is that on a board of its own, whose photons have the same random numbers, to a
+    few thousandths; beside the others' dies it is less by a twentieth and more."""
+    scene = load_scene("prototype")
+    leds = (scene.leds[0].model_copy(update={"size_mm": (1.5, 1.5)}),)
+    bright = scene.board.model_copy(update={"opaque_reflectance": 0.9})
+    scene = scene.model_copy(update={"leds": leds, "board": bright})
+    rules = boards.rules(scene)
+    sites = Sites(boards.searchable_board(boards.base_board(scene), rules), rules)
+    row, (places,) = next((row, places) for row, places in sites.rows(2.0).items() if row.face_mm == -1.25)
+    assert sites.apart(0, places) == [places] and len(places) == 5
+    alone = BoardTracer(sites.board_at(0, places[2:3], row))
+    together, beside = (BoardTracer(sites.board_at(0, places, row), one_by_one=one) for one in (True, False))
+    weight, on_one, all_lit = (
+        np.bincount(light.photon, light.weight, minlength=light.photons)
+        for light in (
+            tracer.arrivals(led, photons=1 << 16, seed=5) for tracer, led in ((alone, 0), (together, 2), (beside, 2))
+        )
+    )
+    error = stderr_of_mean((on_one - weight).sum(), ((on_one - weight) ** 2).sum(), len(weight)) / weight.mean()
+    assert abs(on_one.sum() / weight.sum() - 1) < 4 * error and error < 4e-3
+    assert all_lit.sum() < 0.95 * weight.sum()
+
+
+@pytest.mark.parametrize(
+    ("step_mm", "height_um", "sizes"), [(2.0, 0.0, [3]), (0.25, 0.0, [8, 8, 4, 4]), (2.0, 100.0, [1] * 3)]
+)
+def test_dies_on_one_board_lie_apart(step_mm, height_um, sizes):
+    """Of dies of 0.25 mm at every 0.25 mm each second lies on the same board, which has eight at most; those that stand
+    out of it would shade each other."""
+    scene = load_scene("prototype").with_led("ir", height_um=height_um)
+    rules = boards.rules(scene)
+    sites = Sites(boards.searchable_board(boards.base_board(scene), rules), rules)
+    places = [(-2.0, step_mm * k) for k in range(3 if step_mm > 1 else 24)]
+    groups = sites.apart(0, places)
+    assert [len(group) for group in groups] == sizes and sorted(sum(groups, [])) == places
+    assert all(np.diff([v for _, v in group]).min(initial=1.0) > 0.25 + APART_MM for group in groups)
 
 
 def searched(scene: Scene) -> tuple[search.Search, list[SearchedSite]]:
@@ -130,7 +172,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
     best = one.ranked[0]
     every = []
     for row, pools in one.sites.rows(4.0).items():
-        board = one.sites.board_at(0, pools[0][0], row)
+        board = one.sites.board_at(0, pools[0][:1], row)
         walls = board.layout.barriers
         for leds in product(*pools):
             if not one.sites.go_together(leds):
@@ -138,7 +180,7 @@ def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrie
             places = one.sites.photodiode_places(walls, dict(enumerate(leds)))
             design = RowDesign(one.sites, one.objective, row, places, [{}, {}], 1)
             for i, place in enumerate(leds):
-                own = one.sites.board_at(i, place, row)
+                own = one.sites.board_at(i, [place], row)
                 one.cache.extend(own, 1)
                 design.columns[i][place] = one.columns(i, own, design.places)
             information = design.information(leds)[0]
@@ -273,5 +315,5 @@ def test_a_coarse_grid_on_a_narrow_board_has_the_leds_as_drawn(barrier: bool) ->
     rows = [row for row, (places,) in sites.rows(2.0).items() if (-1.6, 0.3) in places]
     assert {row.side for row in rows} >= ({"left"} if barrier else {None})
     for row in rows:
-        walls = sites.board_at(0, (-1.6, 0.3), row).layout.barriers
+        walls = sites.board_at(0, [(-1.6, 0.3)], row).layout.barriers
         assert sites.photodiode_places(walls, {0: (-1.6, 0.3)}).free

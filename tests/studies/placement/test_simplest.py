@@ -35,9 +35,9 @@ class NoisyLight(MadeLight):
         super().__init__(conditions)
         self.rng, self.noise = np.random.default_rng(seed), noise
 
-    def extend(self, board, photons):
-        super().extend(board, photons)
-        sums = self.of(board).maps[0][0].sums
+    def extend(self, board, photons, led=0):
+        super().extend(board, photons, led)
+        sums = self.of(board).maps[0][led].sums
         sums *= 1 + self.noise * self.rng.standard_normal(sums.shape)
 
 
