@@ -19,7 +19,7 @@ from nailoptics.scene import parse_scene
 
 
 def nail_picture(folder: Path, readings: xr.Dataset, path: Path) -> None:
-    """Write one wide picture, in the format of the suffix."""
+    """Write one wide picture, a PNG."""
     colours = xr.load_dataset(folder / "colour.nc", engine="h5netcdf")
     finger = parse_scene(str(colours.attrs["scene"])).finger
     assert finger is not None

@@ -192,9 +192,12 @@ def spread(places: Sequence[float], gap: float) -> np.ndarray:
 
 
 def write_figure(figure: "Figure", path: Path, *, dpi: int = 140) -> None:
-    """Write a figure, whole or not at all; the suffix of path says which kind (.png, .svg). Raises: WriteError."""
+    """Write a figure on white as PNG, whole or not at all; savefig would draw it twice. Raises: WriteError."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     data = BytesIO()
-    figure.savefig(data, format=path.suffix[1:] or None, dpi=dpi, facecolor="white")
+    figure.set(dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure).print_png(data)
     write_bytes(path, data.getbuffer())
 
 

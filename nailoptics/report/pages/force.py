@@ -271,11 +271,6 @@ def _half_width(half_width_n: float) -> str:
     return f"+- {1e3 * half_width_n:.0f} mN (median)" if math.isfinite(half_width_n) else "mostly without upper bound"
 
 
-def _calibration_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
-    rms = f"rms error of {_judged_on(summary)} {1e3 * summary['rms_n']:.0f} mN"
-    return [f"{rms}; 95 % interval of a touch {_half_width(summary['half_width_n'])}"]
-
-
 def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels may be closed)"
     lines = [f"{result.sizes['time']} samples; {upper}"]
@@ -293,7 +288,10 @@ CALIBRATION = Report(
     ("subject.toml", "subject.html"),
     calibration_page,
     calibration_summary,
-    _calibration_lines,
+    lambda _, s: [
+        f"rms error of {_judged_on(s)} {1e3 * s['rms_n']:.0f} mN; "
+        f"95 % interval of a touch {_half_width(s['half_width_n'])}"
+    ],
     {"fit": _fit_figure},
     lambda result: {"subject.toml": result.attrs["subject"]},
 )
