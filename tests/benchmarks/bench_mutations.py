@@ -130,8 +130,8 @@ MUTATIONS = (
     Mutation(
         "mean paths in the blood are not weighted by its absorption over the line",
         "light/transfer/series.py",
-        "slope += part_weight[:, 0] * blood_per_mm[q] / mean",
-        "slope += part_weight[:, 0]",
+        "slope += part_weight[0] * blood_per_mm[q] / mean",
+        "slope += part_weight[0]",
         "studies/test_compare.py light/test_coverage.py light/test_course.py",
     ),
     Mutation(
