@@ -375,7 +375,7 @@ def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
     rows = json.loads(out)["readings"]
     assert any(row["volts_start_stderr"] is None for row in rows) and "detected no light" in err
     # No reading is above 1, and of one photon it is not even sure that it is below 0.94.
-    for photons, limit in (("30", -math.expm1(math.log(0.05) / 30)), ("1", 0.95)):
+    for photons, limit in (("5", -math.expm1(math.log(0.05) / 5)), ("1", 0.95)):
         assert run(["trace", "quick.toml", "--photons", photons, "--json"]) == 0
         limits = {row["upper_limit_95"] for row in only_json(capfd)["readings"] if "upper_limit_95" in row}
         assert limits and all(one == pytest.approx(limit) for one in limits)

@@ -59,9 +59,12 @@ def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew
     assert all(result.attrs["consistent"] for result in results)
     assert max(float(result.touch_rms_n[0]) for result in results) < 0.06
     assert np.mean([float(result.touch_coverage_95[0]) for result in results]) > 0.8
-    # A calibration that never saw it takes the other gains for a touch, and says that they do not fit.
-    lost = predict(once, put_on(slowly_recorded(10), 10))
-    assert not lost.attrs["consistent"] and float(lost.touch_rms_n[0]) > 0.2
+    # A calibration that never saw it takes the other gains for touches, and says that they do not fit: twelve recordings
+    # are 0.04 to 0.18 N off then, 0.11 N as a root mean square, and 0.03 N by the one that saw it.
+    lost = [predict(once, put_on(slowly_recorded(seed), seed)) for seed in range(10, 13)]
+    assert not any(result.attrs["consistent"] for result in lost)
+    off, known = (np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (lost, results))
+    assert off > max(0.1, 3 * known)
 
 
 def test_a_pause_in_which_the_sensor_may_be_off_parts_a_recording() -> None:
