@@ -59,8 +59,8 @@ def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew
     assert all(result.attrs["consistent"] for result in results)
     assert max(float(result.touch_rms_n[0]) for result in results) < 0.06
     assert np.mean([float(result.touch_coverage_95[0]) for result in results]) > 0.8
-    # A calibration that never saw it takes the other gains for touches, and says that they do not fit: twelve recordings
-    # are 0.04 to 0.18 N off then, 0.11 N as a root mean square, and 0.03 N by the one that saw it.
+    # A calibration that never saw it takes the other gains for touches, and says that they do not fit: of twelve such
+    # recordings the rms error is 0.11 N, each 0.04 to 0.18 N, and 0.03 N by the calibration that saw it.
     lost = [predict(once, put_on(slowly_recorded(seed), seed)) for seed in range(10, 13)]
     assert not any(result.attrs["consistent"] for result in lost)
     off, known = (np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (lost, results))
