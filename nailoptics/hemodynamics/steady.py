@@ -140,27 +140,17 @@ def solve_walls(
 
     def excess_outflow(node: np.ndarray, opening: np.ndarray, by_node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What flows out of the vein node less what flows in, and its slope."""
-        vein, head = vein_opening(node), high - node
-        arteriole, outlet = conductance[:n] * _fourth_power(opening), conductance[n] * _fourth_power(vein)
-        part = venule / (arteriole + venule)
-        inflow = (part * arteriole * head).sum(axis=0)
-        inflow_slope = (part * arteriole * (4.0 * part * head * by_node / opening - 1.0)).sum(axis=0)
+        inflow, inflow_slope = _inflow(conductance[:n], venule, high - node, opening, by_node)
+        vein = vein_opening(node)
+        outlet = conductance[n] * np.square(np.square(vein))
         widens = np.where(vein > CLOSED_FRACTION, 4.0 / (tension[n] * vein), 0.0)
         slope = outlet * (1.0 + widens * (node - low)) - inflow_slope
         return sign * (outlet * (node - low) - inflow), sign * slope
 
-    # All balances lie between the lowest crossing of zero with narrow units and the highest with wide ones.
     tried = np.minimum(high, low) + _NODE_PARTS * np.abs(high - low)
     openings = unit_openings(tried)
-    above = excess_outflow(tried, *openings)[0] > 0.0
-    above[..., 0], above[..., -1] = False, True
-    rising = above[..., 1:] & ~above[..., :-1]
-    last = _NODE_PARTS.size - 2
-    at = np.argmax(rising, axis=-1) if branch == "narrow" else last - np.argmax(rising[..., ::-1], axis=-1)
-    sides = [at[None, ..., None] + side for side in (0, 1)]
-    lower, upper = (np.take_along_axis(tried, side[0], axis=-1) for side in sides)
     # The higher the vein node's pressure, the wider all units.
-    known = [np.take_along_axis(openings[0], side, axis=-1) for side in sides]
+    (lower, upper), known = _brackets(excess_outflow(tried, *openings)[0], branch, tried, openings[0])
     node, _ = _newton_root(
         lambda node: excess_outflow(node, *unit_openings(node, *known)),
         lower,
@@ -169,15 +159,37 @@ def solve_walls(
         tolerance=tolerance * (np.maximum(np.abs(high), np.abs(low)) + 1.0),
     )
     opening = unit_openings(node, *known)[0]
-    arteriole = conductance[:n] * _fourth_power(opening)
+    arteriole = conductance[:n] * np.square(np.square(opening))
     pressure = (arteriole * high + venule * node) / (arteriole + venule)
     width = np.concatenate([opening, vein_opening(node)[None]]) * walls.diameter
     return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
-def _fourth_power(values: Array) -> Array:
-    square = values * values
-    return np.asarray(square * square)
+def _brackets(excess: Array, branch: Branch, *tried: Array) -> list[list[Array]]:
+    """What was tried, (..., k) each, on either side of where the excess outflow (..., k) rises through zero, (..., 1)
+    each: all balances lie between its lowest crossing with narrow units and its highest with wide ones."""
+    above = excess > 0.0
+    above[..., 0], above[..., -1] = False, True
+    rising = above[..., 1:] & ~above[..., :-1]
+    last = rising.shape[-1] - 1
+    at = np.argmax(rising, axis=-1) if branch == "narrow" else last - np.argmax(rising[..., ::-1], axis=-1)
+    sides = at[..., None], at[..., None] + 1
+    return [
+        [np.take_along_axis(values, side[(None,) * (values.ndim - side.ndim)], axis=-1) for side in sides]
+        for values in tried
+    ]
+
+
+def _inflow(conductance: Array, venule: Array, head: Array, opening: Array, by_node: Array) -> tuple[Array, Array]:
+    """What flows through all units into the vein node at a head P_H - P_N, and its slope with P_N. [m^3/s, m^3/(Pa s)]
+
+    conductance, venule : of units at their listed diameters and of their venules. [m^3/(Pa s)]
+    opening, by_node : of the units, and its slope with P_N. [1, 1/Pa]
+    """
+    arteriole = conductance * np.square(np.square(opening))
+    part = venule / (arteriole + venule)
+    slope = part * arteriole * (4.0 * part * head * by_node / opening - 1.0)
+    return (part * arteriole * head).sum(axis=0), slope.sum(axis=0)
 
 
 def _openings(
@@ -216,7 +228,7 @@ def _openings(
     start, at_low = bottom if branch == "narrow" else top, balance(bottom)[0] >= 0.0
     u, slope = _newton_root(balance, bottom, top, start=start, at_low=at_low, tolerance=tolerance * top)
     # Where two roots meet, the slope has no bound.
-    by_node = barrier / (_fourth_power(u) + barrier) / np.maximum(slope, tolerance * tension)
+    by_node = barrier / (np.square(np.square(u)) + barrier) / np.maximum(slope, tolerance * tension)
     return u, np.where(u > CLOSED_FRACTION, by_node, 0.0)
 
 
