@@ -95,13 +95,8 @@ class RestReadings:
         """Everything but the transfer, and of it where in the scene the absorbed light ended."""
         summary = {name: value for name, value in vars(self).items() if name != "transfer"}
         if self.transfer is not None:
-            summary |= {"absorbed": self.transfer.absorbed(), "note": self.note}
+            summary |= {"absorbed": self.transfer.absorbed(), "note": self.transfer.shared_error}
         return summary
-
-    @property
-    def note(self) -> str:
-        """What the standard errors alone do not say; nothing where they say all."""
-        return "" if self.transfer is None else self.transfer.shared_error
 
 
 def open_light(

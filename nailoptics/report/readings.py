@@ -156,7 +156,7 @@ def rest_lines(rest: RestReadings) -> list[str]:
     for part, share in (rest.energy or {}).items():
         lines.append(f"{part:>11} {share['value']:.5f} {_plus_minus(share['stderr'], '.5f')}")
     lines += absorbed_lines(rest.transfer.absorbed()) if rest.transfer else []
-    return lines + ([rest.note] if rest.note else [])
+    return lines + ([rest.transfer.shared_error] if rest.transfer and rest.transfer.shared_error else [])
 
 
 def absorbed_lines(absorbed: Mapping[str, Mapping[str, Mapping[str, float]]]) -> list[str]:
