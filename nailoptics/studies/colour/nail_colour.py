@@ -242,7 +242,8 @@ def _redness_left(redness: Array, pale: Array) -> Array:
 
 def _dataset(scene: Scene, rays: ColourRays, states: Array, viewer: Viewer, viewing: Viewing) -> xr.Dataset:
     """Colours in every state, with standard errors."""
-    lab = viewer.lab(read := rays.reflectance)
+    read = rays.reflectance
+    lab = viewer.lab(read)
     middle, pale, tiles = lab[:, :ALONG, :-1], lab[:, :ALONG, -1], read[0, ALONG:, :-1]
     change = delta_e_2000(middle, middle[:, :, :1])
     on_nail, v_mm = slice(1, ALONG - 1), np.array([patch.center_mm[1] for patch in rays.patches[:ALONG]])
