@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def finite(name: str, value: ArrayLike) -> Array:
-    """The value as an array of floats; InputError where one is no finite number."""
+    """The value as an array of floats; InputError where one is not a finite number."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -33,7 +33,7 @@ def finite(name: str, value: ArrayLike) -> Array:
 
 
 def number(name: str, value: ArrayLike) -> float:
-    """The value as one float; InputError if it is no finite number."""
+    """The value as one float; InputError if it is not a finite number."""
     array = finite(name, value)
     if array.shape:
         raise InputError(f"{name} must be one number, got {value!r}; give a single one.")
@@ -63,7 +63,7 @@ def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: Arr
 
 
 def seed(value: int) -> int:
-    """The seed; InputError if it is no whole number of at least 0 and below 2^63."""
+    """The seed; InputError if it is not a whole number of at least 0 and below 2^63."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**63:
         raise InputError(f"seed = {value}; must be a whole number of at least 0 and below 2^63.")
     return int(value)

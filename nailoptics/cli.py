@@ -43,7 +43,7 @@ def _whole(_: object, tokens: Any) -> int:
     """A whole number, 1e6 as well."""
     number = float(tokens[0].value)
     if not number.is_integer():
-        raise ValueError(f"{number:g} is no whole number")
+        raise ValueError(f"{number:g} is not a whole number")
     return int(number)
 
 
@@ -68,14 +68,21 @@ class Study(Traced):
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class ByPhotons(Traced):
-    """Options of a command that takes photons alone: the others it refuses."""
+class NoTolerance(Traced):
+    """Options of a command whose results have no relative error."""
 
     relative_error: Annotated[float | None, Parameter(show=False)] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ByPhotons(NoTolerance):
+    """Options of a command that takes photons alone."""
+
     max_seconds: Annotated[float | None, Parameter(show=False)] = None
 
 
-TRACED, STUDY, BY_PHOTONS = Traced(), Study(), ByPhotons()
+TRACED, STUDY, NO_TOLERANCE, BY_PHOTONS = Traced(), Study(), NoTolerance(), ByPhotons()
 
 
 def main() -> None:
@@ -234,7 +241,7 @@ def compare(
     from .studies.compare import compare as study, verdict
 
     if require is not None and not 0 < require < math.inf:
-        raise InputError(f"--require {require:g} must be a part of the swing above 0, such as 0.05.")
+        raise InputError(f"--require {require:g} must be a fraction of the swing above 0, such as 0.05.")
     folder = _results(options.output, scene, COMPARISON)
     result, unmet = traced(study, _load(scene, options), over=over, options=options)
     paths = COMPARISON.write(result, folder)
@@ -291,7 +298,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
 
 
 @app.command
-def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: Traced = TRACED) -> None:
+def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: NoTolerance = NO_TOLERANCE) -> None:
     """Make an interactive page: drag LEDs and photodiodes, readings update, from light traced once.
 
     It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
@@ -358,7 +365,7 @@ def batch(
         say(line)
     if dry_run:
         counts = batches.count(planned, **options.fields)
-        return finish({}, counts, ["{scenes} scenes, {lights} traces for all".format(**counts)], options.json)
+        return finish({}, counts, ["{scenes} scenes, {traces} traces for all".format(**counts)], options.json)
     if output is None:
         raise InputError("batch needs -o DIR, a folder for its results.")
     how = vars(distribution) | {"retry_failed": retry_failed, "shown": terminal.batch_progress}
@@ -370,7 +377,7 @@ def batch(
         raise KeyboardInterrupt(f"interrupted; finished scenes are in {output}, run again to resume.") from None
     except InputError as error:  # a full disk ended the batch, too, which said so
         raise unmet or error from None
-    line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} were there before; {outcome.lights} traces for all"
+    line = f"{len(outcome.done)} scenes done, {len(outcome.kept)} already done; {outcome.traces} traces for all"
     finish(paths, vars(outcome) | {"results": str(output)}, [line], options.json, unmet)
 
 
@@ -393,7 +400,7 @@ def explain(scene: ScenePath, *, output: File = None, tolerance: float | None = 
 
 @app.command
 def tradeoff(scene: ScenePath, *, tolerance: float = 0.02, options: Study = STUDY) -> None:
-    """Measure error against processor time for every level of model; the fastest answer within a tolerance.
+    """Measure error against processor time for every level of model; the fastest model within a tolerance.
 
     Writes tradeoff.json, tradeoff.nc and tradeoff.html, tradeoff.png for a README, and scene.toml: the scene at that
     level.
@@ -674,13 +681,13 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     try:
         stored = list(store.folders())
     except OSError as error:
-        raise InputError(f"{store.root}: is no store of light ({error.strerror}); set {VARIABLE} to another.") from None
+        raise InputError(f"{store.root}: is not a store of light ({error.strerror}); change {VARIABLE}.") from None
     size = sum(map(size_of, stored))
     for folder in stored if clear else ():
         remove(folder)
-    summary: dict[str, Any] = {"folder": str(store.root), "lights": len(stored), "bytes": size}
+    summary: dict[str, Any] = {"folder": str(store.root), "traces": len(stored), "bytes": size}
     summary |= {"most_bytes": int(store.most_bytes), "cleared": clear}
-    line = f"{store.root}: {len(stored)} lights, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
+    line = f"{store.root}: {len(stored)} cached traces, {size / 1e6:.1f} MB of at most {store.most_bytes / 1e6:.0f}"
     finish({}, summary, [f"{line}, removed" if clear else line], json_)
 
 

@@ -216,10 +216,10 @@ def unpack(data: bytes | memoryview) -> tuple[dict[str, Any], dict[str, np.ndarr
         with np.load(BytesIO(data), allow_pickle=False) as file:
             header = json.loads(file["header"].tobytes())
             read = {name: file[name] for name in file.files if name != "header"}
-    except Exception as error:  # what is no archive of ours fails in many ways
-        raise CorruptError(f"it is no archive of numbers ({error})") from None
+    except Exception as error:  # what is not an archive of ours fails in many ways
+        raise CorruptError(f"it is not an archive of numbers ({error})") from None
     if others := [name for name, array in read.items() if array.dtype.kind not in _NUMBERS]:
-        raise CorruptError(f"it is no archive of numbers ({others[0]} holds {read[others[0]].dtype})")
+        raise CorruptError(f"it is not an archive of numbers ({others[0]} holds {read[others[0]].dtype})")
     return header, read
 
 

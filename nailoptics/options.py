@@ -51,7 +51,7 @@ class TraceOptions:
     def __new__(cls, **fields: Any) -> Self:
         for name in fields.keys() - cls.__dataclass_fields__.keys():
             nearest = difflib.get_close_matches(name, cls.__dataclass_fields__, n=1, cutoff=0)[0]
-            raise InputError(f"{name} = {fields[name]!r} is no option here; did you mean {nearest}?")
+            raise InputError(f"{name} = {fields[name]!r} is not an option here; did you mean {nearest}?")
         return super().__new__(cls)
 
     def __post_init__(self) -> None:

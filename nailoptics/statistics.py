@@ -1,4 +1,4 @@
-"""Standard errors, intervals and streams of seeds, each defined once."""
+"""Standard errors, confidence intervals, the jackknife and streams of seeds, each defined once."""
 
 import math
 from typing import Any
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-# A value known with a Gaussian error lies within so many standard errors of the truth in 95 of 100 cases.
+# Standard errors in half a 95 % confidence interval of a value with a Gaussian error.
 Z95 = 1.96
 # Of a sum of fewer effective terms the standard error is not known: it is itself off by 1 / (2 sqrt(n)), here a tenth,
 # and where large terms are rare, it misses them as the sum does. Of readings of the prototype and of mean paths
@@ -23,7 +23,7 @@ def quotient(above: ArrayLike, below: ArrayLike) -> NDArray[Any]:
 
 
 def t95(groups: int) -> float:
-    """The same where the error itself is known from so many groups, two or more: Student's t."""
+    """Student's t: standard errors in half a 95 % confidence interval, if those are of so many groups, two or more."""
     # Half a tenth of a second, paid only where light is traced.
     from scipy.special import stdtrit
 
@@ -82,8 +82,8 @@ def upper_limit_95(count: int) -> float:
     return -math.expm1(math.log(0.05) / count)
 
 
-def farther_end(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> Array:
-    """What the distance of a sum from 0 does not exceed with 95 % confidence, however few terms make it up.
+def magnitude_bound_95(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> Array:
+    """Upper 95 % confidence bound of the absolute value of a sum, corrected for skewness, however few terms make it up.
 
     Where a sum of few large terms came out too small, so did its error; a term of the skewness makes up for both.
 
@@ -99,26 +99,26 @@ def farther_end(value: ArrayLike, stderr: ArrayLike, skew: ArrayLike = 0.0) -> A
         return np.asarray(np.maximum(np.abs(ends[0]), np.abs(ends[1])))
 
 
-def left_out(groups: Array) -> Array:
-    """Means over all groups, and over all but each: (1 + n, ...) float of (n, ...) sums scaled as means."""
+def leave_one_out(groups: Array) -> Array:
+    """Jackknife replicates: means over all groups and over all but each, (1 + n, ...) float of (n, ...) group means."""
     total = groups.sum(0)
     return np.concatenate([total[None] / len(groups), (total - groups) / (len(groups) - 1)])
 
 
 def jackknife(replicates: Array) -> Array:
-    """Standard error of what was made from all groups and without each, (1 + n, ...) float (Efron, Stein 1981)."""
-    left_out = replicates[1:]
-    return np.asarray(np.sqrt((len(left_out) - 1) / len(left_out) * ((left_out - left_out.mean(0)) ** 2).sum(0)))
+    """Jackknife standard error of an estimate by all groups and without each, (1 + n, ...) (Efron, Stein 1981)."""
+    without = replicates[1:]
+    return np.asarray(np.sqrt((len(without) - 1) / len(without) * ((without - without.mean(0)) ** 2).sum(0)))
 
 
-def fewer_groups(replicates: Array, groups: int) -> Array:
-    """What is made from all groups and without each, (1 + n, ...) float, without each of fewer, as large ones, to first
-    order; as it is where n is no multiple of them."""
+def coarsened_replicates(replicates: Array, groups: int) -> Array:
+    """Jackknife replicates (1 + n, ...) of so many larger groups, to first order, (1 + groups, ...) float; as they are
+    where n is not a multiple of them."""
     count = len(replicates) - 1
     if count <= groups or count % groups:
         return replicates
     changes = (replicates[1:] - replicates[0]).reshape(groups, -1, *replicates.shape[1:]).sum(1)
-    # Without one group of n the mean moves by a part of 1 / (n - 1), without several by that of all others.
+    # Without one group of n the mean moves by 1 / (n - 1), without several by that of all others.
     return np.concatenate([replicates[:1], replicates[0] + changes * (count - 1) / (count - count // groups)])
 
 

@@ -73,7 +73,7 @@ def modelled(subject: Subject, scene: Scene, touch: Recording, *, seed: int) -> 
     high = blood_model(body).body_waveforms().get("arterial_pressure_pa")
     arterial_pa = who.arterial_pa + (0.0 if high is None else high.at(time_s) - high.at(time_s).mean())
     pressure = who.pressures_n_per_cm2(touch.force_n, touch.site)
-    blood = who.blood(who.widths_over(time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
+    blood = who.blood(who.diameters_over(time_s, pressure, arterial_pa=np.broadcast_to(arterial_pa, time_s.shape)))
     volts = subject.readings.offset_v[:, None] + subject.readings.gain[:, None] * subject.light.volts(blood)
     worn = drift_and_motion(body, time_s)
     if "led_drift" in worn:
@@ -104,7 +104,7 @@ def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
     places[range(3), range(3)] += STEPS
     places[range(3), range(3, 6)] -= STEPS
     places[:2] = np.maximum(places[:2], 0.0)
-    volts = gain[:, None] * subject.light.volts(who.blood(who.steady_widths(places[:2], places[2])))
+    volts = gain[:, None] * subject.light.volts(who.blood(who.steady_diameters(places[:2], places[2])))
     slopes = (volts[:, :3] - volts[:, 3:]) / (places[range(3), range(3)] - places[range(3), range(3, 6)])
     drift = np.outer(rest_v, rest_v) * subject.drift_covariance
     information = slopes.T @ np.linalg.solve(np.diag(subject.readings.noise_v**2) + 0.5 * drift, slopes)

@@ -90,6 +90,6 @@ def record(force_n: np.ndarray, site: str | np.ndarray, *, seed: int, pulp: Pulp
     time_s = STEP_S * np.arange(force_n.size)
     where = np.full(force_n.shape, SITES[site]) if isinstance(site, str) else site
     who = nominal_finger(parameters(own.blood.parameters), pulp=pulp).person()
-    volts = light.volts(who.blood(who.widths_over(time_s, who.pressures_n_per_cm2(force_n, where))))
+    volts = light.volts(who.blood(who.diameters_over(time_s, who.pressures_n_per_cm2(force_n, where))))
     noise = np.random.default_rng(seed).normal(size=volts.shape)
     return Recording("made", light.names, time_s, volts + light.noise_v[:, None] * noise, force_n, where)

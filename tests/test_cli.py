@@ -124,7 +124,7 @@ BAD_COMMANDS = {
     "a tolerance that is no number": (["simulate", "prototype", "--relative-error", "nan"], "relative_error"),
     "a tolerance in words": (["simulate", "prototype", "--relative-error", "1%"], "1%"),
     "no photons": (["simulate", "prototype", "--photons", "0"], "photons"),
-    "half a photon": (["simulate", "prototype", "--photons", "2.5"], "2.5 is no whole number"),
+    "half a photon": (["simulate", "prototype", "--photons", "2.5"], "2.5 is not a whole number"),
     "less than no time": (["simulate", "prototype", "--max-seconds", "-1"], "max_seconds"),
     "a folder below a file": (["simulate", "prototype", "-o", "existing/sub"], "existing/sub"),
     "a file below a file": (["trace", "prototype", "-o", "existing/sub/transfer.nc"], "existing/sub"),

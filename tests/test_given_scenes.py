@@ -31,13 +31,13 @@ def test_a_name_stands_for_its_scene(tmp_path):
     ("call", "message"),
     [
         (lambda s: nail.load_scene(5), "^scene = 5: give a Scene"),
-        (lambda s: nail.parse_scene({"leds": []}), "is no text; give TOML"),
-        (lambda s: nail.load_subject(None), "None.*: is no path; give a subject file"),
-        (lambda s: nail.export(s, 5), "path = 5: is no path"),
+        (lambda s: nail.parse_scene({"leds": []}), "is not text; give TOML"),
+        (lambda s: nail.load_subject(None), "None.*: is not a path; give a subject file"),
+        (lambda s: nail.export(s, 5), "path = 5: is not a path"),
         (lambda s: nail.export(s, "finger.glb", photons=10), "photons belongs to the format spice, not to glb"),
         (lambda s: nail.export(s, "board.cir", photons=-1), "photons = -1"),
         (lambda s: nail.calibrate(s, "known.csv"), "^known.csv: cannot be read"),
-        (lambda s: nail.calibrate(s, [5]), "5.*: is no path; give a recording"),
+        (lambda s: nail.calibrate(s, [5]), "5.*: is not a path; give a recording"),
         (lambda s: nail.open_results("nothing.nc"), "nothing.nc: is not a batch folder .no such file or folder"),
     ],
 )

@@ -133,7 +133,7 @@ def test_datasets_show_themselves_whichever_is_imported_first(first):
     """
     command = [sys.executable, "-W", "error", "-c", code, first]
     done = subprocess.run(command, capture_output=True, text=True)
-    assert done.stdout == "True\n" and 'mine" is no result that nailoptics can show' in done.stderr
+    assert done.stdout == "True\n" and 'mine" is not a result that nailoptics can show' in done.stderr
 
 
 def test_help_has_every_option_of_a_study():
@@ -323,4 +323,4 @@ def test_nothing_is_needed_that_only_posix_has(chosen_jit, coarse_cells, tmp_pat
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "light.npz").exists() and (tmp_path / "finger" / "1_ir.xml").exists()
-    assert "2 lights" in done.stdout  # the short trace of check, too
+    assert "2 cached traces" in done.stdout  # the short trace of check, too

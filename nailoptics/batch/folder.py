@@ -40,14 +40,14 @@ class PlanError(InputError):
     """A plan is missing or damaged; a run writes it anew."""
 
 
-class Made(Table):
-    """What decides a scene's result beside the scene and its accuracy."""
+class Provenance(Table):
+    """Provenance of results: what decides them beside the scene and its accuracy."""
 
     seed: int
     backend: str
     versions: dict[str, str | None]
 
-    def unlike(self, other: "Made") -> str:
+    def unlike(self, other: "Provenance") -> str:
         """What of another is not as here, in words; empty where all is the same."""
         then, now = ({"seed": made.seed, "backend": made.backend, **made.versions} for made in (self, other))
         moved = (name for name in now if then.get(name) != now[name])
@@ -69,10 +69,10 @@ class Plan(Table):
     study: StudyName
     dims: dict[str, Annotated[int, Field(gt=0)]]
     axes: tuple[Axis, ...]
-    made: Made
+    made: Provenance
     scenes: tuple[Annotated[str, Field(pattern="^[0-9a-f]+$")], ...]
     required: tuple[Accuracy, ...]
-    lights: int
+    traces: int
 
     def _check(self) -> None:
         if not math.prod(self.dims.values()) == len(self.scenes) == len(self.required):
@@ -115,8 +115,9 @@ class Folder:
             if (made_in := data.get("format", FORMAT)) != FORMAT:
                 why = f"has format {made_in}, and {FORMAT} is known here: another nailoptics wrote it"
                 raise InputError(f"{path}: {why}; use that one, or another folder.")
-            if "asked" in data:  # its name until 0.2.0
-                data["required"] = data.pop("asked")
+            for name, old in {"required": "asked", "traces": "lights"}.items():  # their names until 0.2.0
+                if old in data:
+                    data[name] = data.pop(old)
             return Plan.model_validate(data, strict=False)  # JSON has no tuples
         except PermissionError as error:
             line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
@@ -129,7 +130,7 @@ class Folder:
         """Write the plan, whole or not at all."""
         write_bytes(self.root / "plan.json", plan.model_dump_json(exclude_none=False).encode())
 
-    def read(self, digest: str, made: Made) -> tuple[str, dict[str, Any], xr.Dataset]:
+    def read(self, digest: str, made: Provenance) -> tuple[str, dict[str, Any], xr.Dataset]:
         """State of a scene, and header and dataset of its result, which are empty unless that is done.
 
         The state is done, failed, missing, corrupt (not what a run writes), or foreign: made with another seed, backend
@@ -145,13 +146,13 @@ class Folder:
             return "done", header, from_record(header, arrays)
         except FileNotFoundError:
             pass
-        except Exception as error:  # what is no result of ours fails in many ways
+        except Exception as error:  # what is not a result of ours fails in many ways
             if isinstance(error, OSError) and error.errno in STORAGE:
                 raise
             state = "corrupt"
         return "failed" if os.path.exists(self.failure(digest)) else state, {}, xr.Dataset()
 
-    def state(self, digest: str, required: Accuracy, made: Made) -> str:
+    def state(self, digest: str, required: Accuracy, made: Provenance) -> str:
         """State of a scene as `read` says, or below: done, but less accurate than required."""
         state, header, _ = self.read(digest, made)
         if state != "done" or meets(header, required):
@@ -191,7 +192,7 @@ class Status:
     """
 
     total: int
-    lights: int
+    traces: int
     done: int
     below: int
     corrupt: int
@@ -225,7 +226,7 @@ def status(folder: str | Path) -> Status:
     count = Counter(states.values())
     return Status(
         total=len(required),
-        lights=plan.lights,
+        traces=plan.traces,
         **{state: count[state] for state in ("done", "below", "corrupt", "foreign")},
         failed={digest: place.why_failed(digest) for digest, state in states.items() if state == "failed"},
         other_versions=plan.made.other_versions,

@@ -29,7 +29,7 @@ from ..options import BackendName, Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest, to_toml
 from ..scene.sweep import StudyName, Sweep
 from ..variables import to_record
-from .folder import FORMAT, STORAGE, Folder, Made, Plan, PlanError
+from .folder import FORMAT, STORAGE, Folder, Plan, PlanError, Provenance
 from .studies import STUDIES, relative_error
 
 log = logging.getLogger(__name__)
@@ -74,9 +74,9 @@ class Settings:
             required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})
         return replace(self.options, **required.model_dump())
 
-    def made(self) -> Made:
+    def made(self) -> Provenance:
         """What decides a scene's result beside the scene and how accurate it is to be."""
-        return Made(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
+        return Provenance(seed=self.options.seed, backend=self.options.backend, versions=dict(current_versions()))
 
     def is_late(self) -> bool:
         """Whether the run's time is over."""
@@ -133,7 +133,7 @@ def plan_of(sweep: Sweep, jobs: Sequence[Job], settings: Settings) -> Plan:
         made=settings.made(),
         scenes=tuple(job.digest for job in jobs),
         required=tuple(settings.required(job.scene) for job in jobs),
-        lights=len({job.key for job in jobs}),
+        traces=len({job.key for job in jobs}),
     )
 
 
@@ -158,7 +158,7 @@ def check_same(folder: Folder, jobs: Sequence[Job], settings: Settings) -> None:
 def count(sweep: Sweep, **requested: Unpack[Requested]) -> dict[str, int]:
     """How many scenes a sweep has, and how many traces: scenes that differ only in absorption share one."""
     jobs = jobs_of(sweep, Settings.of(Path(), TraceOptions(**requested), sweep.study))
-    return {"scenes": len({job.digest for job in jobs}), "lights": len({job.key for job in jobs})}
+    return {"scenes": len({job.digest for job in jobs}), "traces": len({job.key for job in jobs})}
 
 
 def cores() -> int:

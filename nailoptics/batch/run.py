@@ -46,7 +46,7 @@ class Outcome:
     """
 
     total: int
-    lights: int
+    traces: int
     kept: list[str] = field(default_factory=list)
     done: list[str] = field(default_factory=list)
     unmet: list[str] = field(default_factory=list)
@@ -266,7 +266,7 @@ class _Driver:
     ) -> None:
         self.settings, self.progress, self.folder = settings, progress, Folder(settings.folder)
         self.left = {job.digest: job for job in jobs}
-        self.outcome = Outcome(total=len(self.left), lights=len({job.key for job in jobs}))
+        self.outcome = Outcome(total=len(self.left), traces=len({job.key for job in jobs}))
         self.queue: list[Job] = []
         self.running: dict[Result, tuple[int, Job]] = {}
         self.stored: set[str] = set()

@@ -51,7 +51,7 @@ def export(
     """
     scene = as_scene(scene)
     if not isinstance(path, str | Path):
-        raise InputError(f"path = {path!r}: is no path; give a file or folder to write.")
+        raise InputError(f"path = {path!r}: is not a path; give a file or folder to write.")
     path = Path(path)
     ending, known = path.suffix.lower(), ", ".join(WRITERS)
     name = format or next((one for one, (*_, endings) in WRITERS.items() if ending in endings), None)

@@ -154,7 +154,7 @@ def read_detected(path: Path) -> OtherDetection:
     except OSError as error:
         why = f"cannot be read: {error.strerror or error}; give the detected.npz of an export's runner."
         raise InputError(f"{path}: {why}") from None
-    except Exception as error:  # what is no archive of arrays fails in many ways
+    except Exception as error:  # what is not an archive of arrays fails in many ways
         raise InputError(f"{path}: is not what an export's runner writes ({error}); give its detected.npz.") from None
     scene = parse_scene(str(fields["scene"]), name=f"{path}: its scene")
     if scene.finger is None or not 0 <= led < len(scene.leds):

@@ -94,8 +94,7 @@ class Geometry:
         return self.columns(np.column_stack([np.zeros_like(y_mm), y_mm]), z_mm)
 
     def _crossings(self, places_mm: Array) -> tuple[Integers, Array, Indices]:
-        """Ray and z of the crossings of rays upwards, and by how much each changes the number of the region, from air
-        on."""
+        """Ray and z of the crossings of rays upwards, and by how much each changes the region's number, from air on."""
         ray, z, triangle, forward = cast(self.vertices, self.triangles, places_mm)
         below, above = self.below[triangle], self.above[triangle]
         return ray, z, np.where(forward, above - below, below - above)

@@ -28,7 +28,7 @@ def blood_fraction(
     zones: Zones = PAPER_ZONES,
     unit: int | None = None,
 ) -> np.ndarray:
-    """The part of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
+    """The fraction of the nail bed that is blood, from the diameter of its capillaries: it goes with their square. [1]
 
     capillary_diameter_m : float. D_C + x_C: (N, ...) of the zones' units, (...) of one unit; any shape where both beds
         have the same constants. [m]

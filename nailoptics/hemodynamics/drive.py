@@ -13,7 +13,7 @@ from ..checks import finite
 from ..errors import InputError
 
 # An integrator that meets a corner inside a step loses its order, so that it stops at corners. A knot is a corner if
-# the input would miss the next knot by more than this part of its range, did its slope go on unchanged. [1]
+# the input would miss the next knot by more than this fraction of its range, did its slope go on unchanged. [1]
 _CORNER = 0.01
 # On a smooth curve it stops each time the square roots of such misses have summed to this: over a bump of any width
 # they sum to some 4, so that no bump is missed between two stops. [1]

@@ -112,7 +112,7 @@ class BloodModel:
         return fraction.T
 
     def in_posture(self, posture: Mapping[str, Any]) -> "BloodModel":
-        """The same with another height of the hand or pressure of the veins, by their names in [body]."""
+        """The model with another height of the hand or pressure of the veins, by their names in [body]."""
         assert self.body is not None
         body = self.body.model_copy(update=posture)
         return replace(self, body=body, parameters=with_posture(self.rest, body))
@@ -195,7 +195,7 @@ class BloodModel:
         return out
 
     def without_shear(self) -> "BloodModel":
-        """The same for the proximal and the distal pressure alone."""
+        """The model for the proximal and the distal pressure alone."""
         cut = self.zones
         reach = tuple((proximal, distal) for proximal, distal, *_ in cut.reach)
         return replace(self, zones=replace(cut, reach=reach, vein_reach=cut.vein_reach[:2]))
@@ -260,8 +260,8 @@ class BloodModel:
 
         def flows(state: Any, parameters: hemodynamics.Parameters | xr.Dataset) -> np.ndarray:
             """Inflow, which goes with the fourth power of the diameter, and outflow, (2, zones, ...) float."""
-            width_m, within_pa = np.asarray(state.capillary_diameter_m), np.asarray(state.capillary_pressure_pa)
-            inflow = (np.asarray(parameters.arterial_pressure_pa) - within_pa) * width_m**4
+            diameter_m, within_pa = np.asarray(state.capillary_diameter_m), np.asarray(state.capillary_pressure_pa)
+            inflow = (np.asarray(parameters.arterial_pressure_pa) - within_pa) * diameter_m**4
             return np.stack([inflow, within_pa - np.asarray(state.vein_pressure_pa)])
 
         def untouched(parameters: hemodynamics.Parameters) -> np.ndarray:

@@ -111,29 +111,29 @@ def _unrolled(units: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
     )
 
 
-def _load(walls: Walls, inputs: np.ndarray, width: np.ndarray) -> np.ndarray:
+def _load(walls: Walls, inputs: np.ndarray, diameter: np.ndarray) -> np.ndarray:
     """Force that presses each wall inward against the blood. [N]"""
-    walls = walls.with_axes(width.ndim)
-    return walls.area * inputs[2:] + walls.stiffness * (width - walls.diameter)
+    walls = walls.with_axes(diameter.ndim)
+    return walls.area * inputs[2:] + walls.stiffness * (diameter - walls.diameter)
 
 
 def _lift(*arguments: Any) -> list[Any]:
-    """Force that would move each wall outwards if nothing held it: of constants, inputs, widths, who is free. [N]"""
-    *constants, inputs, width, free = arguments
+    """Force that would move each wall outwards if nothing held it: of constants, inputs, diameters, who is free. [N]"""
+    *constants, inputs, diameter, free = arguments
     walls = Walls(*constants)
-    load = _load(walls, inputs, width)
-    pressures, _ = MasslessNetwork(walls, _larger(width, walls.closed), free).rates(load, inputs[0], inputs[1])
+    load = _load(walls, inputs, diameter)
+    pressures, _ = MasslessNetwork(walls, _larger(diameter, walls.closed), free).rates(load, inputs[0], inputs[1])
     return list(walls.area * pressures - load)
 
 
 def _try_step(*arguments: Any) -> list[Any]:
     """A step of one length: its error over what is allowed, how near a wall comes to contact, and its curve; of
-    constants, inputs at each of _INSTANTS, their slopes, widths, who is free, the step and rtol."""
-    *instants, change, width, free, step_s, rtol = arguments[9:]
+    constants, inputs at each of _INSTANTS, their slopes, diameters, who is free, the step and rtol."""
+    *instants, change, diameter, free, step_s, rtol = arguments[9:]
     walls, inputs = Walls(*arguments[:9]), dict(zip(_INSTANTS, instants, strict=True))
 
-    network, (high, low) = MasslessNetwork(walls, width, free), inputs[0.0][:2]
-    pressures, speeds = network.rates(_load(walls, inputs[0.0], width), high, low)
+    network, (high, low) = MasslessNetwork(walls, diameter, free), inputs[0.0][:2]
+    pressures, speeds = network.rates(_load(walls, inputs[0.0], diameter), high, low)
     by_time = network.speeds(walls.area * change[2:], change[0], change[1])
 
     def slope(part: float, state: np.ndarray) -> np.ndarray:
@@ -145,15 +145,15 @@ def _try_step(*arguments: Any) -> list[Any]:
 
     inverse_step = 1.0 / step_s
     solve = solver(network.jacobian(pressures, high, low), inverse_step / RODAS.gamma)
-    done = stages(RODAS, slope, width, slope_in_time=by_time, solve=solve, step_s=step_s)
-    after = combine(width, RODAS.result, done)
+    done = stages(RODAS, slope, diameter, slope_in_time=by_time, solve=solve, step_s=step_s)
+    after = combine(diameter, RODAS.result, done)
     first, second = (combine(factors[0] * done[0], factors[1:], done[1:]) for factors in RODAS_CURVE)
     # In a long stiff step the ends can be right and the curve between them wrong: its defect in the middle, brought
     # back to an error of the state, counts too.
-    middle = interpolate(width, after, first, second, 0.5)
-    between = solve((after - width + 0.25 * second) * inverse_step - slope(0.5, middle))
+    middle = interpolate(diameter, after, first, second, 0.5)
+    between = solve((after - diameter + 0.25 * second) * inverse_step - slope(0.5, middle))
     error = _larger(abs(done[-1]), _DEFECT_WEIGHT * abs(between))
-    excess = _larger.reduce(error / (rtol * _larger(_larger(width, after), walls.diameter)))
+    excess = _larger.reduce(error / (rtol * _larger(_larger(diameter, after), walls.diameter)))
     depth = _larger.reduce(_larger(walls.closed - middle, walls.closed - after) / walls.diameter)
     # A sum, other than a maximum, cannot lose a number that is none.
     return [excess + 0.0 * np.add.reduce(after), depth, after, first, second]
@@ -166,30 +166,30 @@ class _Motion:
         self.drive, self.rtol = drive, float(rtol)
         self.constants = [constant.tolist() for constant in walls.constants]
         self.closed, self.snap_m = walls.closed.tolist(), (_SNAP * walls.diameter).tolist()
-        self.width: list[float] = np.maximum(start_m, walls.closed).tolist()
-        self.free, self.piece = [1.0] * len(self.width), 0
+        self.diameter: list[float] = np.maximum(start_m, walls.closed).tolist()
+        self.free, self.piece = [1.0] * len(self.diameter), 0
         self.time, self.step_s = drive.starts[0], min(_FIRST_STEP_S, drive.ends[-1] - drive.starts[0])
         # A failed step this short cannot move the time: it would be repeated for ever.
         self.least_step_s = 1e-3 * _EPS * max(abs(drive.starts[0]), abs(drive.ends[-1]))
         self.steps = array("d")
-        self._try_step, self._lift = _unrolled(len(self.width) - 1)
+        self._try_step, self._lift = _unrolled(len(self.diameter) - 1)
 
     def snap(self) -> bool:
         """Put free walls that all but touch into contact; True if there are any."""
-        near = [i for i, free in enumerate(self.free) if free and self.width[i] - self.closed[i] <= self.snap_m[i]]
+        near = [i for i, free in enumerate(self.free) if free and self.diameter[i] - self.closed[i] <= self.snap_m[i]]
         for i in near:
-            self.width[i] = self.closed[i]
+            self.diameter[i] = self.closed[i]
         return bool(near)
 
     def settle(self) -> None:
         """Choose which of the touching walls are held: the contact problem at one instant."""
-        touching = [d <= c for d, c in zip(self.width, self.closed, strict=True)]
+        touching = [d <= c for d, c in zip(self.diameter, self.closed, strict=True)]
         self.free = [0.0 if t else 1.0 for t in touching]
         if not any(touching):
             return
         inputs = self.drive.at(self.time, self.piece, self.piece)
         for _ in range(2 * len(touching) + 2):
-            lift = self._lift(*self.constants, inputs, self.width, self.free)
+            lift = self._lift(*self.constants, inputs, self.diameter, self.free)
             wrong = [(abs(f), i) for i, f in enumerate(lift) if touching[i] and (f > 0.0) != (self.free[i] > 0.0)]
             if not wrong:
                 return
@@ -209,7 +209,7 @@ class _Motion:
             inputs = self.drive.read([self.time + part * step_s for part in _INSTANTS], piece, until)
             try:
                 excess, depth, after, first, second = self._try_step(
-                    *self.constants, *inputs, change, self.width, self.free, step_s, self.rtol
+                    *self.constants, *inputs, change, self.diameter, self.free, step_s, self.rtol
                 )
             except ZeroDivisionError:
                 # The step hit a pole of the method's stability function, at a growing mode: any other will do.
@@ -222,21 +222,21 @@ class _Motion:
                 continue
             part = 1.0
             if depth > _SNAP or 0.0 in self.free:
-                part = self._contact_changes(step_s, list(zip(self.width, after, first, second, strict=True)), until)
+                part = self._contact_changes(step_s, list(zip(self.diameter, after, first, second, strict=True)), until)
             if part < 1.0:
                 self.step_s = part * step_s
                 continue
-            self.steps.extend([self.time, step_s, *self.width, *after, *first, *second, *self.free])
+            self.steps.extend([self.time, step_s, *self.diameter, *after, *first, *second, *self.free])
             self.time = ends[until] if at_end else self.time + step_s
             while self.piece < last and ends[self.piece] <= self.time:
                 self.piece += 1
             scale = 5.0 if excess < 1e-3 else 0.9 * excess**-0.25
             self.step_s = max(proposed_s, step_s * scale) if at_end and scale >= 1.0 else step_s * scale
-            self.width = after
+            self.diameter = after
             return
 
     def _contact_changes(self, step_s: float, curves: list[Curve], until: int) -> float:
-        """The part of a step at which a free wall first reaches contact or the blood lifts a held one; 1 without."""
+        """Fraction of a step at which a free wall first reaches contact or the blood lifts a held one; 1 without."""
 
         def lifted(part: float) -> bool:
             inputs = self.drive.at(self.time + part * step_s, self.piece, until)
@@ -279,14 +279,14 @@ def integrate(
             if motion.snap() or 0.0 in motion.free:
                 motion.settle()
     _LOG.debug("massless model: %d steps over %g s", taken, drive.ends[-1] - drive.starts[0])
-    width, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
-    pressure = np.empty((len(width), 0 if inputs is None else time_s.size))
+    diameter, free = _sample(np.frombuffer(motion.steps).reshape(taken, -1), time_s, walls.closed)
+    pressure = np.empty((len(diameter), 0 if inputs is None else time_s.size))
     for start in range(0, pressure.shape[1], _AT_ONCE):
         assert inputs is not None
-        given, at, loose = (rows[:, start : start + _AT_ONCE] for rows in (inputs, width, free))
+        given, at, loose = (rows[:, start : start + _AT_ONCE] for rows in (inputs, diameter, free))
         network = MasslessNetwork(walls, at, loose.astype(float))
         pressure[:, start : start + _AT_ONCE] = network.rates(_load(walls, given, at), given[0], given[1])[0]
-    return width, pressure, ~free
+    return diameter, pressure, ~free
 
 
 def _sample(steps: np.ndarray, time_s: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -295,16 +295,16 @@ def _sample(steps: np.ndarray, time_s: np.ndarray, closed: np.ndarray) -> tuple[
     row = np.clip(np.searchsorted(starts, time_s, side="right") - 1, 0, starts.size - 1)
     part = np.clip((time_s - starts[row]) / lengths[row], 0.0, 1.0)
     # Wall by wall: of a million samples the arrays between are the largest.
-    width, free = np.empty((len(closed), time_s.size)), np.empty((len(closed), time_s.size), bool)
+    diameter, free = np.empty((len(closed), time_s.size)), np.empty((len(closed), time_s.size), bool)
     for i, (begin, end, first, second, is_free) in enumerate(zip(*np.split(steps[:, 2:].T, 5), strict=True)):
         free[i] = is_free[row] > 0.0
         path = interpolate(begin[row], end[row], first[row], second[row], part)
-        width[i] = np.where(free[i], np.maximum(path, closed[i]), closed[i])
-    return width, free
+        diameter[i] = np.where(free[i], np.maximum(path, closed[i]), closed[i])
+    return diameter, free
 
 
 def _contact(curve: Curve, closed: float, slack: float) -> float:
-    """The part of the step at which a wall reaches contact, 1 if it does not."""
+    """The fraction of the step at which a wall reaches contact, 1 if it does not."""
     begin, end = curve[:2]
     high = 1.0
     if end >= closed - slack:
@@ -320,7 +320,7 @@ def _contact(curve: Curve, closed: float, slack: float) -> float:
 
 
 def _first_part(holds: Callable[[float], bool], high: float, *, within: float) -> float:
-    """The part of a step, no more than `within` too high, from which on something holds, as it does at `high`."""
+    """The fraction of a step, no more than `within` too high, from which on something holds, as it does at `high`."""
     low = 0.0
     while high - low > within:
         middle = 0.5 * (low + high)

@@ -24,7 +24,7 @@ Model = Literal["massless", "inertial", "printed"]
 # Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]
 _CONTACT_OVER_WALL = 1e6
 # Steps of the differences for the Jacobian: in diameters over the listed ones, and in speeds over those per second.
-_WIDTH_STEP, _SPEED_STEP = 1e-7, 1.0
+_DIAMETER_STEP, _SPEED_STEP = 1e-7, 1.0
 
 
 def respond(
@@ -106,8 +106,8 @@ def _dataset(
     """Diameters and, with the inputs over time, pressures, contacts and inputs."""
     import xarray
 
-    (width, pressure, closed), n = run, zones.count
-    data = {"capillary_diameter_m": width[:n], "vein_diameter_m": width[n]}
+    (diameter, pressure, closed), n = run, zones.count
+    data = {"capillary_diameter_m": diameter[:n], "vein_diameter_m": diameter[n]}
     if over_time is not None:
         data |= {"capillary_pressure_pa": pressure[:n], "capillary_closed": closed[:n]}
         data |= {"vein_pressure_pa": pressure[n], "vein_closed": closed[n]}
@@ -139,16 +139,16 @@ def integrate_with_mass(
     rest, closed, n = walls.diameter, walls.closed, walls.diameter.size
 
     def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
-        width, speed = state[:n] * rest, state[n:] * rest
+        diameter, speed = state[:n] * rest, state[n:] * rest
         inputs = drive.at(time, *pieces)
-        open_width = np.maximum(width, closed) if contact else width
-        pressure = inertial_pressures(walls, open_width, speed, inputs[0], inputs[1])
-        force = walls.area * (pressure - inputs[2:]) - walls.stiffness * (width - rest) - walls.damping * speed
-        force += contact * _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - width, 0.0)
+        open_diameter = np.maximum(diameter, closed) if contact else diameter
+        pressure = inertial_pressures(walls, open_diameter, speed, inputs[0], inputs[1])
+        force = walls.area * (pressure - inputs[2:]) - walls.stiffness * (diameter - rest) - walls.damping * speed
+        force += contact * _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - diameter, 0.0)
         return np.concatenate([speed, force / walls.mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
-    steps = np.diag(np.repeat([_WIDTH_STEP, _SPEED_STEP], n))
+    steps = np.diag(np.repeat([_DIAMETER_STEP, _SPEED_STEP], n))
 
     def jacobian(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
         sides = [(rates(time, state + e, pieces), rates(time, state - e, pieces), 2.0 * e.sum()) for e in steps]
@@ -168,7 +168,7 @@ def integrate_with_mass(
             )
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
-    width, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)
-    touching = contact & (width <= closed[:, None])
-    width = np.maximum(width, closed[:, None]) if contact else width
-    return width, inertial_pressures(walls, width, speed, *inputs[:2]), touching
+    diameter, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)
+    touching = contact & (diameter <= closed[:, None])
+    diameter = np.maximum(diameter, closed[:, None]) if contact else diameter
+    return diameter, inertial_pressures(walls, diameter, speed, *inputs[:2]), touching

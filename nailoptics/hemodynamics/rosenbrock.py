@@ -22,9 +22,9 @@ Jacobian = tuple[np.ndarray, np.ndarray, np.ndarray]
 class Method:
     """Coefficients of a method in the form in which a stage needs no product with the Jacobian.
 
-    gamma : of the diagonal. instants : part of the step at which each stage takes the slope. in_time : factor of each
-    stage for the slope's derivative by time (d). states, slopes : weights of the stages before in the state (A) and in
-    the slope (C). result : weights of the stages in the state after the step (m).
+    gamma : of the diagonal. instants : fraction of the step at which each stage takes the slope. in_time : factor of
+    each stage for the slope's derivative by time (d). states, slopes : weights of the earlier stages in the state (A)
+    and in the slope (C). result : weights of the stages in the state after the step (m).
     """
 
     gamma: float
@@ -73,7 +73,7 @@ def stages(
 ) -> list[np.ndarray]:
     """The stages of one step, each of the shape of the state, (n, ...) float; `combine` makes states of them.
 
-    slope : d state/d time as a function of the part of the step and the state.
+    slope : d state/d time as a function of the fraction of the step and the state.
     slope_in_time : its partial derivative by time at the start; None for 0.
     solve : the `solver` for the Jacobian at the start, with the shift 1 / (gamma step_s).
     """
@@ -100,7 +100,7 @@ def interpolate(start: Any, end: Any, first: Any, second: Any, part: Any) -> Any
 
 def step(
     walls: Walls,
-    width: np.ndarray,
+    diameter: np.ndarray,
     outside: np.ndarray,
     high: Any,
     low: Any,
@@ -113,24 +113,24 @@ def step(
     For fits and filters, which step thousands of networks side by side by some 10 ms, by ROS2.
 
     walls : its constants may be arrays that broadcast to S.
-    width : (N+1, *S) float. Diameters before it. [m]
+    diameter : (N+1, *S) float. Diameters before it. [m]
     outside : (N+1, *S) float. Touch pressure on each wall at its start. [Pa]
     high, low : S float or one number. P_H and P_L. [Pa]
     outside_change : (N+1, *S) float. By how much the touch pressures grow over the step; None where they stay. [Pa]
     """
-    walls = walls.with_axes(width.ndim)
+    walls = walls.with_axes(diameter.ndim)
     area, stiffness, closed = walls.area, walls.stiffness, walls.closed
     change = None if outside_change is None else area * outside_change
     forces = {0.0: area * outside}
     forces[1.0] = forces[0.0] if change is None else forces[0.0] + change
-    load = forces[0.0] + stiffness * (width - walls.diameter)
-    touching = width <= closed
+    load = forces[0.0] + stiffness * (diameter - walls.diameter)
+    touching = diameter <= closed
     free = np.where(touching, 0.0, 1.0)
-    network = MasslessNetwork(walls, width, free)
+    network = MasslessNetwork(walls, diameter, free)
     pressures, speeds = network.rates(load, high, low)
     if touching.any() and (lifted := touching & (area * pressures > load)).any():
         free = np.where(lifted, 1.0, free)
-        network = MasslessNetwork(walls, width, free)
+        network = MasslessNetwork(walls, diameter, free)
         pressures, speeds = network.rates(load, high, low)
 
     def slope(part: float, state: np.ndarray) -> np.ndarray:
@@ -142,5 +142,5 @@ def step(
 
     by_time = None if change is None else network.speeds(change / step_s, 0.0, 0.0)
     solve = solver(network.jacobian(pressures, high, low), 1.0 / (ROS2.gamma * step_s))
-    done = stages(ROS2, slope, width, slope_in_time=by_time, solve=solve, step_s=step_s)
-    return np.maximum(combine(width, ROS2.result, done), closed)
+    done = stages(ROS2, slope, diameter, slope_in_time=by_time, solve=solve, step_s=step_s)
+    return np.maximum(combine(diameter, ROS2.result, done), closed)

@@ -65,10 +65,10 @@ def steady_state(
     high, low, *touch = np.broadcast_arrays(*[finite(name, value) for name, value in given.items()])
     walls, n, shape = build_walls(parameters, zones), zones.count, high.shape
     outside = zones.on_walls(np.array([pressure.ravel() for pressure in touch]))
-    width, pressure = solve_walls(walls, outside, high.ravel(), low.ravel(), branch=branch)
+    diameter, pressure = solve_walls(walls, outside, high.ravel(), low.ravel(), branch=branch)
     return SteadyState(
-        capillary_diameter_m=width[:n].reshape((n, *shape)),
-        vein_diameter_m=width[n].reshape(shape)[()],
+        capillary_diameter_m=diameter[:n].reshape((n, *shape)),
+        vein_diameter_m=diameter[n].reshape(shape)[()],
         capillary_pressure_pa=pressure[:n].reshape((n, *shape)),
         vein_pressure_pa=pressure[n].reshape(shape)[()],
     )
@@ -94,13 +94,13 @@ def linear_response(
     The absolute value is the amplitude of a diameter over that of the wave, the angle its phase. The massless network,
     linearised where it rests: a wall that touches does not move.
     """
-    width, pressure = solve_walls(walls, outside_pa, high_pa, low_pa)
-    free = np.where(width > walls.with_axes(2).closed * (1.0 + 1e-9), 1.0, 0.0)
-    network = MasslessNetwork(walls, width, free)
+    diameter, pressure = solve_walls(walls, outside_pa, high_pa, low_pa)
+    free = np.where(diameter > walls.with_axes(2).closed * (1.0 + 1e-9), 1.0, 0.0)
+    network = MasslessNetwork(walls, diameter, free)
     diagonal, left, right = (part[:, 0] for part in network.jacobian(pressure, high_pa, low_pa))
     # Speeds are linear in P_H.
-    by_high = network.speeds(np.zeros_like(width), 1.0, 0.0)
-    slopes, count = np.diag(diagonal) + np.outer(left, right), len(width)
+    by_high = network.speeds(np.zeros_like(diameter), 1.0, 0.0)
+    slopes, count = np.diag(diagonal) + np.outer(left, right), len(diameter)
     turning = 2j * np.pi * frequency_hz[:, None, None] * np.eye(count)
     return np.linalg.solve(turning - slopes, np.broadcast_to(by_high, (frequency_hz.size, count, 1)))[..., 0].T
 
@@ -114,7 +114,7 @@ def solve_walls(
     tolerance: float = 1e-14,
     branch: Branch = "wide",
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Widths [m] and pressures [Pa], (N+1, *S), of the walls in steady states.
+    """Diameters [m] and pressures [Pa], (N+1, *S), of the walls in steady states.
 
     outside : (N+1, *S) float. Touch pressure on each wall. high, low : S float. P_H and P_L. [Pa]
     tolerance : error of the vein's pressure, relative to P_H and P_L, and of the diameters. [1]
@@ -161,8 +161,8 @@ def solve_walls(
     opening = unit_openings(node, *known)[0]
     arteriole = conductance[:n] * np.square(np.square(opening))
     pressure = (arteriole * high + venule * node) / (arteriole + venule)
-    width = np.concatenate([opening, vein_opening(node)[None]]) * walls.diameter
-    return width[..., 0], np.concatenate([pressure, node[None]])[..., 0]
+    diameter = np.concatenate([opening, vein_opening(node)[None]]) * walls.diameter
+    return diameter[..., 0], np.concatenate([pressure, node[None]])[..., 0]
 
 
 def _brackets(excess: Array, branch: Branch, *tried: Array) -> list[list[Array]]:

@@ -30,7 +30,7 @@ class Contact:
     """Where a force presses on the fingertip; numbers, or arrays over time.
 
     contact_area_mm2 : Area of the whole touch. [mm^2]
-    proximal_share : Part of the force that the proximal side carries, 0 to 1. [1]
+    proximal_share : Fraction of the force that the proximal side carries, 0 to 1. [1]
     proximal_area_mm2, distal_area_mm2 : Area of a side. None: the part of the contact that goes with the side's share
         of the force, but no less than half. [mm^2]
     contact_force_n : Force at which all areas are as stated. They grow with force^(2/3), as the contact of a sphere
@@ -118,7 +118,7 @@ def spreading_pressure(
 
     time_s : (T,) float, not decreasing; a time that comes twice is a jump. [s]
     pressure_pa : (..., T) float. Of the touch on a pulp that does not spread, linear between the times. [Pa]
-    part : (...) float. Part of the pressure that is lost in the end, 0 to 1. [1]
+    part : (...) float. Fraction of the pressure that is lost in the end, 0 to 1. [1]
     time_constant_s : of its loss, and of the pulp's return once the touch is over. [s]
 
     What is lost follows the pressure with that delay, and never exceeds it.
@@ -171,7 +171,7 @@ def named_pressures(parameters: Parameters, zones: Zones, pressures: Pressures) 
     Raises: InputError if there are not as many as inputs; TypeError for a pressure that is none of `Pressures`.
     """
     if unknown := pressures.keys() - Pressures.__annotations__:
-        raise TypeError(f"{min(unknown)} is no pressure; give {', '.join(Pressures.__annotations__)}")
+        raise TypeError(f"{min(unknown)} is not a pressure; give {', '.join(Pressures.__annotations__)}")
     ends = {name: pressures.get(name) for name in ("arterial_pressure_pa", "venous_pressure_pa")}
     given = {name: getattr(parameters, name) if value is None else value for name, value in ends.items()}
     touch: Any = pressures.get("pressure_pa")

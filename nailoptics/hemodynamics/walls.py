@@ -43,7 +43,7 @@ class Walls:
         return [getattr(self, field.name) for field in dataclasses.fields(self)]
 
     def with_axes(self, count: int) -> "Walls":
-        """The same constants with so many axes: further ones of length 1 behind that of the walls."""
+        """The constants with so many axes: further ones of length 1 behind that of the walls."""
         if self.area.ndim == count:
             return self
         more = (1,) * (count - self.area.ndim)
@@ -90,14 +90,14 @@ class MasslessNetwork:
     """The network whose walls have no mass: with A P - load = b dx/dt at each free wall, each unit's pressure follows
     from the vein node's, and the vein node's from one sum: exact elimination, no matrix.
 
-    width : (N+1, ...) float. D + x, no less than `walls.closed`. [m]
+    diameter : (N+1, ...) float. D + x, no less than `walls.closed`. [m]
     free : (N+1, ...) float. 1 where the wall may move, 0 where it is held in contact.
     """
 
-    def __init__(self, walls: Walls, width: np.ndarray, free: np.ndarray) -> None:
-        self.walls = walls = walls.with_axes(width.ndim)
-        square = width * width
-        self.width, self.free, self.mobile = width, free, walls.mobile * free
+    def __init__(self, walls: Walls, diameter: np.ndarray, free: np.ndarray) -> None:
+        self.walls = walls = walls.with_axes(diameter.ndim)
+        square = diameter * diameter
+        self.diameter, self.free, self.mobile = diameter, free, walls.mobile * free
         self.conductance = walls.flow_factor * (square * square)
         self.arteriole, self.vein = self.conductance[:-1], self.conductance[-1:]
         outflow = self.arteriole + self.mobile[:-1] * walls.area[:-1]
@@ -135,9 +135,9 @@ class MasslessNetwork:
         return self.free * np.concatenate([drive, net]) / (total * damping)
 
     def jacobian(self, pressures: np.ndarray, high: Any, low: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How the speeds change with the widths: d, p, q of diag(d) + outer(p, q), (N+1, ...) float each, as units meet
-        in the vein node only. pressures : (N+1, ...) float. Of `rates`. [Pa]"""
-        slope = 4.0 * self.conductance / self.width
+        """Jacobian of the speeds by the diameters: d, p, q of diag(d) + outer(p, q), (N+1, ...) float each, as units
+        meet in the vein node only. pressures : (N+1, ...) float. Of `rates`. [Pa]"""
+        slope = 4.0 * self.conductance / self.diameter
         rise = slope[:-1] * (high - pressures[:-1])
         give = self.free * self.walls.stiffness / self.walls.damping
         pull = self.mobile * self.walls.stiffness
@@ -147,11 +147,11 @@ class MasslessNetwork:
         return np.concatenate([diagonal, -give[-1:]]), np.concatenate(left), np.concatenate(right) / self.node_total
 
 
-def inertial_pressures(walls: Walls, width: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
-    """The pressures in the network at given widths [m] and wall speeds [m/s], as of walls with mass, (N+1, ...) float
+def inertial_pressures(walls: Walls, diameter: np.ndarray, speed: np.ndarray, high: Any, low: Any) -> np.ndarray:
+    """Pressures in the network at given diameters [m] and wall speeds [m/s], as of walls with mass, (N+1, ...) float
     each; high, low : P_H and P_L. [Pa]"""
-    walls = walls.with_axes(width.ndim)
-    conductance, displaced = walls.flow_factor * (width * width * (width * width)), walls.area * speed
+    walls = walls.with_axes(diameter.ndim)
+    conductance, displaced = walls.flow_factor * (diameter * diameter * (diameter * diameter)), walls.area * speed
     total = conductance[:-1] + walls.venule
     ratio, inflow = walls.venule / total, conductance[:-1] * high - displaced[:-1]
     below = _sum(ratio * conductance[:-1]) + conductance[-1:]

@@ -20,8 +20,8 @@ from ..errors import InputError
 from ..scene import Body
 from ..statistics import seed_of
 
-# Height, instant (part of a beat) and sharpness of the systolic, the reflected and the dicrotic wave: chosen so that
-# their sum climbs faster than it falls and has the notch of a finger's pulse.
+# Height, instant (fraction of a beat) and sharpness of the systolic, the reflected and the dicrotic wave: chosen so
+# that their sum climbs faster than it falls and has the notch of a finger's pulse.
 _PULSE_COMPONENTS = ((1.0, 0.17, 12.0), (0.55, 0.33, 8.0), (0.35, 0.55, 6.0))
 
 # Streams of the seed.
@@ -33,12 +33,12 @@ BEAT_SAMPLES = 512
 # Frequencies that stand for the band of the slow waves.
 BAND_LINES = 16
 
-# Intervals between beats scatter by this part of their mean (Nunan 2010, PACE 33:1407), each by itself.
+# Intervals between beats scatter by this fraction of their mean (Nunan 2010, PACE 33:1407), each by itself.
 INTERVAL_SPREAD = 0.05
 # Between recordings, and slowly within one, the heart's rate differs by this part; it changes over so long. [s]
 RATE_SPREAD, RATE_MEMORY_S = 0.1, 30.0
 # Half the width of the band in which a harmonic lies, of the beat's rate; a harmonic is resolved where its band ends
-# below this part of the Nyquist frequency.
+# below this fraction of the Nyquist frequency.
 HARMONIC_BAND, RESOLVED_BELOW = 0.35, 0.75
 # How long a beat that is too high or too low stays so. [s]
 HEIGHT_MEMORY_S = 10.0
@@ -241,6 +241,17 @@ class DampedOscillator:
         return decay * np.array(rotation), float((1 - decay**2) * self.rms_pa**2)
 
 
+def slow_waves(frequency_hz: Array, variance_pa2: Array) -> list[DampedOscillator]:
+    """Oscillators with the variance, (n,) float at frequencies, that the bands of breathing and vasomotion hold."""
+    out = []
+    for wave in WAVES:
+        near = (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1])
+        if wave.coherence_s is not None and (total := float(variance_pa2[near].sum())) > 0:
+            middle_hz = float(frequency_hz[near] @ variance_pa2[near]) / total
+            out.append(DampedOscillator(middle_hz, wave.coherence_s, total**0.5))
+    return out
+
+
 def resolved_harmonics(rate_hz: float, count: int, nyquist_hz: float) -> NDArray[np.bool_]:
     """Which of so many harmonics of a heart's rate samples resolve, whose Nyquist frequency is given."""
     return np.asarray((np.arange(1, 1 + count) + HARMONIC_BAND) * rate_hz < RESOLVED_BELOW * nyquist_hz)
@@ -271,7 +282,7 @@ class CardiacOscillator:
         return np.concatenate([[RATE_SPREAD**2], np.repeat(np.square(self.rms_pa), 2)])
 
     def propagate(self, state: Array, step_s: float) -> tuple[Array, Array, Array]:
-        """The state (size,) after a step, its Jacobian, and the covariance of the process noise.
+        """The state (size,) after a step [s], its Jacobian, and the covariance of the process noise, (size, size) each.
 
         Each harmonic turns, and its height r returns to the usual one h, a limit cycle: dr/dt = r (1 - r^2/h^2) / 2 t,
         solved over the step, so that none is ever thrown further off.

@@ -17,8 +17,8 @@ class Zones:
     """Capillary units along the nail, from the cuticle to the tip, and the reach of the pressure inputs.
 
     share : (N,) floats. Size of a unit over that of one of the paper's two; the sum is 2. [1]
-    reach : (N, M) floats. Part of pressure input m that acts on the capillary wall of unit i. [1]
-    vein_reach : (M,) floats. Part of pressure input m that acts on the vein wall. [1]
+    reach : (N, M) floats. Fraction of pressure input m that acts on the capillary wall of unit i. [1]
+    vein_reach : (M,) floats. Fraction of pressure input m that acts on the vein wall. [1]
 
     A unit of share s has s N_C, s A_C, s k_C, s b_C, s m_C and R_V1/s: cutting a bed that feels one pressure changes
     nothing.

@@ -106,7 +106,7 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
     Raises: InputError, one line, where the requested backend is unknown or does not work here.
     """
     if requested != "auto" and requested not in NAMES:
-        raise InputError(f'backend "{requested}" is not known; choose one of auto, {", ".join(NAMES)}.')
+        raise InputError(f'backend "{requested}" is unknown; choose from auto, {", ".join(NAMES)}.')
     failures: list[str] = []
     for name in (name for name in NAMES if requested in ("auto", name)):
         failed = []

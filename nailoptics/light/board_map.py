@@ -19,7 +19,7 @@ from ..statistics import stderr_of_mean
 from ..variables import Estimate, described
 from . import backend as backends, optics
 from .identity import light_scene
-from .tracing.store import LightStore, made_of, stored_or_made
+from .tracing.store import LightStore, led_cache_key, load_or_compute
 from .transfer.records import attenuation
 
 if TYPE_CHECKING:
@@ -52,12 +52,12 @@ class Arrivals:
     mu_a: np.ndarray
 
     def stored(self) -> dict[str, np.ndarray]:
-        """The same as arrays of numbers in single precision, in which they were traced."""
+        """The arrivals as arrays of numbers in single precision, in which they were traced."""
         arrays = {"photon": self.photon.astype(np.uint32), "place_mm": self.place_mm.astype(np.float32)}
         return arrays | {"weight": self.weight.astype(np.float32), "path_mm": self.path_mm}
 
     def reweighted(self, by: np.ndarray) -> "Arrivals":
-        """The same with every weight times `by`, (n,) float. [1]"""
+        """The arrivals with every weight times `by`, (n,) float. [1]"""
         return replace(self, weight=self.weight * by)
 
     def select(self, which: np.ndarray) -> "Arrivals":
@@ -77,9 +77,9 @@ class Arrivals:
         the sum over the photons that were emitted is all of it.
 
         By reciprocity: of diffuse irradiance E on the finger, a photodiode of area A in a medium of index n collects
-        n^2 A E times the part of the light that would leave the finger if the photodiode were a Lambertian LED. A sun
-        in one place gives no more, but for the few percent by which steep light enters more easily. Scattering is that
-        of the traced wavelength: at shorter ones light scatters more and less of it comes in.
+        n^2 A E times the fraction of the light that would leave the finger if the photodiode were a Lambertian LED. A
+        sun in one place gives no more, but for the few percent by which steep light enters more easily. Scattering is
+        that of the traced wavelength: at shorter ones light scatters more and less of it comes in.
 
         per_mm2 : (sources, q) float. What an area would collect without a finger, wavelength by wavelength. [mm^-2]
         mu_a : (q, r) float. Absorption at each wavelength. [mm^-1]
@@ -132,10 +132,10 @@ class BoardTracer:
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
-        made = made_of(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
+        made = led_cache_key(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
         made |= {"traced_per_mm": self.mu_a[led].tolist(), "one_by_one": self.one_by_one}
-        lights = [store.light(made) for store in self.stores]
-        return stored_or_made(lights, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
+        entries = [store.entry(made) for store in self.stores]
+        return load_or_compute(entries, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 
     def _stored_arrivals(self, led: int, name: str, photons: int, seed: int, trace: Callable[[], Arrivals]) -> Arrivals:
         """Arrivals of the store, or new ones, with the same bits."""

@@ -24,7 +24,7 @@ from .identity import led_digest, light_scene
 from .reference import readings as volpath
 from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
-from .tracing.store import LightStore, made_of, stored_or_made
+from .tracing.store import LightStore, led_cache_key, load_or_compute
 from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
 from .transfer.series import ReadingSeries, readings_over_states
 
@@ -215,11 +215,11 @@ def section(scene: Scene, light: DetectedLight | None = None, options: TraceOpti
     if light is None or light.transfer is None:
         return _section(scene, options, geometry.build(scene))
     options = replace(options, backend=backends.choose(options.backend).name)
-    made = made_of(scene, 0, seed=options.seed, backend=options.backend, what="section")
+    made = led_cache_key(scene, 0, seed=options.seed, backend=options.backend, what="section")
     made |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
     stores = LightStore.of_command(options)
-    lights = [store.light(made) for store in stores]
-    result, _ = stored_or_made(lights, "section", lambda: to_record(_section(light_scene(scene), options)), from_record)
+    entries, traced = [store.entry(made) for store in stores], lambda: to_record(_section(light_scene(scene), options))
+    result, _ = load_or_compute(entries, "section", traced, from_record)
     for store in stores:
         store.close()
     # Its light knows no names.

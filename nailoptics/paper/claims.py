@@ -16,14 +16,14 @@ import numpy as np
 from ..assets import read_toml
 from ..hemodynamics.blood import white_band_mm
 from ..statistics import jackknife, t95
-from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, N_PER_CM2, PHASE_S, SHEARED, PeopleReadings, Responses
+from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, PA_PER_N_PER_CM2, PHASE_S, SHEARED, PeopleReadings, Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30
 SIMULATION, SUBJECT = "simulation", "subject"
-# A reading rises visibly by this part of its change. [1]
+# A reading rises visibly by this fraction of its change. [1]
 _SLIGHT_RISE = 1e-3
-# A time constant is the time to this part of a change, a level is reached at that part. [1]
+# A time constant is the time to this fraction of a change, a level is reached at that fraction. [1]
 _TIME_CONSTANT_PART, _LEVEL_PART = 1.0 - math.exp(-1.0), 0.95
 
 
@@ -58,7 +58,7 @@ def is_shown_by(name: str, figure: str) -> bool:
 
 def _at(pressure_n_per_cm2: float) -> int:
     """Where a pressure lies on the static curves."""
-    return int(np.argmin(np.abs(CURVE_PA - pressure_n_per_cm2 * N_PER_CM2)))
+    return int(np.argmin(np.abs(CURVE_PA - pressure_n_per_cm2 * PA_PER_N_PER_CM2)))
 
 
 def _crossing(done: np.ndarray, target: float, after: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -89,7 +89,7 @@ def _level_from(curve: np.ndarray) -> np.ndarray:
     done = np.abs(curve - curve[..., :1]) / np.maximum(np.abs(curve[..., -1:] - curve[..., :1]), _TINY)
     samples = done.shape[-1]
     last_below = samples - 1 - np.argmax((done < _LEVEL_PART)[..., ::-1], axis=-1)
-    return _crossing(done, _LEVEL_PART, np.minimum(last_below + 1, samples - 1), CURVE_PA) / N_PER_CM2
+    return _crossing(done, _LEVEL_PART, np.minimum(last_below + 1, samples - 1), CURVE_PA) / PA_PER_N_PER_CM2
 
 
 def _time_constant(path: np.ndarray, *, end: np.ndarray | None = None) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
 
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
-N_PER_CM2 = 1e4
+PA_PER_N_PER_CM2 = 1e4
 # Pressures of the static curves: 0 to 2 N/cm^2. (41,) [Pa]
 CURVE_PA = np.linspace(0.0, 2e4, 41)
 # The paper's steps: 0.1 to 1 N/cm^2. (10,) [Pa]
@@ -82,7 +82,7 @@ def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
 
 def cycle() -> Protocol:
     """The static experiments: 0 to 2 N and back at 0.05 Hz, thrice (Figs. 15 and 17), where it passes CURVE_PA."""
-    force = np.concatenate([CURVE_PA, CURVE_PA[-2::-1]]) / N_PER_CM2
+    force = np.concatenate([CURVE_PA, CURVE_PA[-2::-1]]) / PA_PER_N_PER_CM2
     rising = np.arccos(1.0 - 2.0 * CURVE_PA / CURVE_PA[-1]) / (2.0 * np.pi)
     turn = np.concatenate([rising, 1.0 - rising[-2::-1]])[1:]
     time = np.concatenate([[0.0], *(turns + turn for turns in range(CYCLES))]) / CYCLE_HZ
@@ -174,7 +174,7 @@ class PeopleReadings:
     skin_effect: np.ndarray
 
     def without(self, person: int) -> "PeopleReadings":
-        """The same of all others."""
+        """The readings of all other people, as by a jackknife."""
         return PeopleReadings(**{name: np.delete(values, person, axis=1) for name, values in vars(self).items()})
 
 

@@ -37,7 +37,7 @@ class Nail:
         kind = str(attributes.get("title", type(result).__name__))
         known = max(filter(kind.startswith, KINDS), key=len, default=None)  # a sweep's title ends in its name
         if known is None:
-            raise InputError(f'"{kind}" is no result that nailoptics can show; keep the attributes of its Dataset.')
+            raise InputError(f'"{kind}" is not a result that nailoptics can show; keep the attributes of its Dataset.')
         self._kind, (module, _, name) = kind, KINDS[known].rpartition(".")
         self._report: Report = getattr(import_module(f".pages.{module}", __package__), name)
 
@@ -54,7 +54,7 @@ class Nail:
         """The scene of a result: a placement's best, what an explanation requires; raises InputError if it has none."""
         scene = self._shown("the scene", self._report.scene)
         if not isinstance(scene, str | Scene):
-            raise InputError(f'"{self._kind}" has no scene; take the one that it was made of.')
+            raise InputError(f'"{self._kind}" has no scene; use the scene that it was computed from.')
         return parse_scene(scene) if isinstance(scene, str) else scene
 
     def plot(self, figure: str | None = None, **which: Any) -> "style.Figure":

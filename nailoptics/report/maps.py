@@ -20,7 +20,7 @@ NAIL, LED, TISSUE = TEXTS["nail"], TEXTS["led"], TEXTS["regions"]
 BOARD, BARRIER = TISSUE["kapton"], TISSUE["barrier"]
 DECADES = 3
 # Names of parts stand so far beside the board; mean width of their letters, and from line to line; names that take
-# more than this part of the drawing's width are written smaller. [mm], [inch], [1]
+# more than this fraction of the drawing's width are written smaller. [mm], [inch], [1]
 LABEL_MM, LETTER_IN, LINE_IN, MOST_NAMES_PART = 0.45, 0.065, 0.125, 0.65
 # Beside the section stand its key and the scale of the paths.
 BESIDE = style.Room(left=0.55, right=1.25, down=0.7)

@@ -19,10 +19,10 @@ from .tracing import Accuracy, Light, Viewing
 from .vessels import Blood, Tuning
 
 
-class _Room(ModuleType):
+class _CallableModule(ModuleType):
     def __call__(self, path: str | Path) -> Scene:
         """Read a scene file, or the shipped scene of that name, as `load_scene` does."""
         return load_scene(path)
 
 
-sys.modules[__name__].__class__ = _Room
+sys.modules[__name__].__class__ = _CallableModule

@@ -82,7 +82,7 @@ class Drift(Table):
     # Amplifiers and photodiodes drift by less than 1e-4 for each kelvin; the bond between board and nail takes up
     # moisture and sweat, which nobody has measured: an assumption.
     reading_per_rt_min: Annotated[float, Field(ge=0, le=0.1)] = 0.0005
-    """The same of each reading, independently: adhesive, photodiode, amplifier. [1/sqrt(min)]"""
+    """Relative standard deviation after a minute of each reading alone: bond, photodiode, amplifier. [1/sqrt(min)]"""
     # How alike a sensor sits that is bonded anew nobody has measured: an assumption.
     donning: Annotated[float, Field(ge=0, le=0.5)] = 0.05
     """Relative standard deviation of each reading from one time that the sensor is put on to the next, independently,
@@ -103,8 +103,7 @@ class Motion(Table):
 
 
 class Body(Table):
-    """What changes readings besides the touch: the arterial pressure P_H, and the sensor itself. What is not given does
-    not vary."""
+    """What changes readings besides the touch: arterial pressure P_H, and the sensor itself; constant unless given."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of intervals between beats, of phases, of slow waves, of drift and of motion."""

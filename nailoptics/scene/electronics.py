@@ -21,8 +21,7 @@ class Electronics(Table):
     """Feedback resistance of stages whose photodiode gives none: the gain from photocurrent to volts. auto: for each
     photodiode the largest E24 value, up to 22 Mohm, at which its brightest reading has the headroom. [ohm]"""
     headroom: Annotated[float, Field(ge=1, le=1000)] = 2.0
-    """Full scale over the brightest reading for "auto": room for other people and for light from outside beyond
-    [ambient]."""
+    """Full scale over the brightest reading for "auto": room for other people and light beyond [ambient]."""
     bandwidth_hz: Positive = 100.0
     """Noise bandwidth, whatever the feedback resistance. [Hz]"""
     capacitance_pf: NonNegative = 50.0

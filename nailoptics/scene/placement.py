@@ -106,8 +106,7 @@ class Placement(Table):
     search: bool = True
     """Also search for positions of the LED and the photodiodes."""
     outline: str | None = None
-    """Board outline in the scene's folder, a KiCad board, a DXF or a CSV with columns x_mm, y_mm; that of [board] if
-    not given."""
+    """Board outline: a KiCad board, DXF or CSV (x_mm, y_mm) in the scene's folder; that of [board] if not given."""
     outline_origin: Literal["middle"] | Point | None = None
     """Point of that file on the nail's centre: the outline's centre, or (x, y); (0, 0), of a KiCad board its auxiliary
     origin, if not given. [mm]"""
@@ -141,7 +140,7 @@ class Placement(Table):
     """Number of people, drawn from the priors and the sizes of fingers around the first finger, for whom layouts are
     ranked; the search itself is for the fingers. 0: layouts are ranked for the fingers."""
     quantile: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    """Part of the people for whom a layout is at least as good as its rank says, instead of the worst or the mean."""
+    """Fraction of people for whom a layout is at least as good as its rank says, in place of the worst or the mean."""
     edge_mm: NonNegative = 0.3
     """Minimum distance of any part from the board's edge. [mm]"""
     clearance_mm: NonNegative = 0.1

@@ -57,8 +57,7 @@ class Priors(Table):
     """Prior uncertainty of the results; the ranges are shipped, with their sources."""
 
     spread: bool = True
-    """Report the prior uncertainty of every result in addition to its standard error. The priors of [body] count in
-    place alone."""
+    """Report the prior uncertainty of every result beside its standard error; priors of [body] in place and explore."""
     own_traces: bool | None = None
     """Include scattering and thickness, each of which takes two short traces; else absorption and blood only. If not
     given they are included but in place, where every layout would take as many."""
@@ -87,7 +86,7 @@ class Priors(Table):
         return tuple(prior for prior in unknown if not prior.field.startswith("body."))
 
     def of_body(self, body: Body | None) -> tuple[Prior, ...]:
-        """The same of [body], for the tables that it has."""
+        """The priors of [body] without the known fields, for the tables that it has."""
         tables = body.waves if body is not None else {}
         return tuple(one for one in self._unknown() if one.field.split(".")[1] in tables)
 

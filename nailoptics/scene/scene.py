@@ -298,7 +298,7 @@ def steps_of(path: str) -> list[str | int]:
     for part in path.split("."):
         match = re.fullmatch(r"([\w\-]+)((?:\[\d+\])*)", part)
         if not match:
-            raise ValueError(f'"{path}": "{part}" is no field; write it as in leds[0].flux_mw')
+            raise ValueError(f'"{path}": "{part}" is not a field; write it as in leds[0].flux_mw')
         steps.append(int(match[1]) if match[1].isdigit() else match[1])
         steps += [int(n) for n in re.findall(r"\d+", match[2])]
     return steps

@@ -70,7 +70,7 @@ class AxisTable(Table):
 
     def values_at(self, quantiles: np.ndarray | None = None) -> tuple[Any, ...]:
         """The values of the axis; at quantiles (samples,) in 0 to 1 of a Latin hypercube."""
-        with np.errstate(all="ignore"):  # what overflows is no value of any field, which says so
+        with np.errstate(all="ignore"):  # what overflows is not a value of any field, which says so
             if self.linspace is not None:
                 return tuple(np.linspace(*self.linspace).tolist())
             if self.logspace is not None:
@@ -181,7 +181,7 @@ def sweep_over(
     for path, given in over.items():
         values = frozen(list(given) if isinstance(given, range) else given)
         if not (isinstance(values, tuple) and values):
-            raise InputError(f'over: "{path}" = {given!r} is no list of values; give one, such as [0.9, 0.97].')
+            raise InputError(f'over: "{path}" = {given!r} is not a list of values; give one, such as [0.9, 0.97].')
         shared = last[path] in reserved or list(last.values()).count(last[path]) > 1
         name = re.sub(r"\W+", "_", str(path)).strip("_") if shared else None
         axes.append({"path": str(path), "values": values, "name": name})

@@ -59,12 +59,12 @@ def read_bytes(path: Path, expected: str) -> bytes:
 
 @contextmanager
 def _reading(path: str | Path, expected: str, name: str) -> Iterator[None]:
-    """InputError where the path is no ordinary file of bounded size, cannot be read, or holds no text."""
+    """InputError where the path is not an ordinary file of bounded size, cannot be read, or holds no text."""
     try:
         status = Path(path).stat()
         if not stat.S_ISREG(status.st_mode) and not stat.S_ISDIR(status.st_mode):
             # A pipe would be waited for without end.
-            raise InputError(f"{name}: is no ordinary file; give {expected}.")
+            raise InputError(f"{name}: is not an ordinary file; give {expected}.")
         if status.st_size > MOST_BYTES:
             raise InputError(f"{name}: has {status.st_size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:g}; shorten it.")
         yield
@@ -73,7 +73,7 @@ def _reading(path: str | Path, expected: str, name: str) -> Iterator[None]:
     except UnicodeDecodeError:
         raise InputError(f"{name}: is not a text file; give {expected}.") from None
     except (TypeError, ValueError):  # no path at all, or with a character that none may have
-        raise InputError(f"{short(repr(name))}: is no path; give {expected}.") from None
+        raise InputError(f"{short(repr(name))}: is not a path; give {expected}.") from None
 
 
 def is_there(path: Path) -> bool:
@@ -94,7 +94,7 @@ def read_rows(path: str | Path, expected: str, *, shown: str | None = None) -> R
                 if any(cell.strip() for cell in row) and row[0].lstrip()[:1] != "#":
                     yield reader.line_num, row
         except csv.Error as error:
-            raise InputError(f"{name} line {reader.line_num}: is no line of a table ({error}).") from None
+            raise InputError(f"{name} line {reader.line_num}: is not a line of a table ({error}).") from None
 
 
 def number_columns(
@@ -132,7 +132,7 @@ def number_columns(
 def parse_toml(text: str, name: str) -> dict[str, Any]:
     """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
     if not isinstance(text, str):
-        raise InputError(f"{name}: {short(repr(text))} is no text; give TOML, as a file has it.")
+        raise InputError(f"{name}: {short(repr(text))} is not text; give TOML, as a file has it.")
     if len(text) > MOST_TOML_BYTES:
         size = f"{len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}"
         raise InputError(f"{name}: has {size}; shorten it.")
@@ -149,7 +149,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def frozen(data: Any, depth: int = 0) -> Any:
-    """The same tables with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError for
+    """Tables of a file with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError for
     what no scene needs."""
     if depth > MOST_DEPTH:
         raise RecursionError
@@ -169,7 +169,7 @@ def finite_number(text: str, name: str, where: str, *, hint: str = "correct it")
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{where}: {name} = {text[:40]!r} is no finite number; {hint}.")
+        raise InputError(f"{where}: {name} = {text[:40]!r} is not a finite number; {hint}.")
     return value
 
 

@@ -135,8 +135,8 @@ class Blood(Table):
     """Decay length of the distal pressure, in lengths of the nail, instead of the bone's shield: it decreases as
     exp(-d/decay_length) with the distance d from the tip."""
     distal_reach: Fraction = 0.0
-    """Part of the distal pressure that acts on the whole bed, whatever shields it; 0 in the paper, where the bone keeps
-    all of it from the bed behind."""
+    """Fraction of the distal pressure that acts on the whole bed, whatever shields it; 0 in the paper, where the bone
+    keeps all of it from the bed behind."""
 
     def _check(self) -> None:
         edges = self.zone_edges_mm
@@ -153,7 +153,7 @@ class Blood(Table):
             raise ValueError(f"oxygen_balance needs venous_so2; {max(self.so2 - 0.08, 0.0):.2g} is usual in a finger")
 
     def with_so2(self, so2: float) -> Self:
-        """The same with another arterial saturation; that of the veins stays as far below."""
+        """The blood with another arterial saturation; that of the veins stays as far below."""
         venous = None if self.venous_so2 is None else max(so2 - (self.so2 - self.venous_so2), 0.0)
         return self.model_copy(update={"so2": so2, "venous_so2": venous})
 

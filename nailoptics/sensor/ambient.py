@@ -17,14 +17,14 @@ from ..scene import Ambient, Photodiode, Scene
 from ..statistics import Z95, seed_of
 from . import electronics
 
-LUMENS_PER_WATT = 683.0
+LUMENS_PER_WATT = 683.0  # by definition (CIE 1931, photopic)
 # Second constant of Planck's law, as CIE illuminants have it. [nm K]
 C2_NM_K = 1.4388e7
 STEP_NM = 10.0
 # Wavelengths that silicon sees, and in tissue, where that of the nearest wavelength stands for what has no data.
 SILICON_NM = np.arange(380.0, 1100.0 + STEP_NM / 2, STEP_NM)
 INSIDE_NM = np.clip(SILICON_NM, *tissue.WAVELENGTH_RANGE_NM)
-KELVIN = {"sun": 5778.0, "lamp": 2856.0}
+KELVIN = {"sun": 5778.0, "lamp": 2856.0}  # effective temperature of the Sun; CIE standard illuminant A
 # Over these wavelengths a black body's irradiance is taken. [nm]
 ALL_NM = np.arange(100.0, 60_000.0)
 # Full sun, and a bright place in the light of incandescent lamps, the kind with the most infrared for its lux.

@@ -147,7 +147,7 @@ def limit_v(amplifier: Electronics) -> float:
 def noise_budget(
     current_a: Array | float, photodiode: Photodiodes, amplifier: Electronics, *, feedback_ohm: Ohm = None
 ) -> NoiseBudget:
-    """The noise of a stage's output at a photocurrent without its dark current [A], cause by cause.
+    """Noise of a stage's output at a photocurrent without its dark current [A]: shot, Johnson, amplifier, quantization.
 
     Current noise density 2q(I + I_d) + 4kT/R_f + 4kT/R_sh + (1/R_f^2 + (2 pi f C)^2) e_n^2, integrated from 0 to the
     bandwidth B (f^2 gives B^3 / 3) and multiplied by R_f^2; the converter adds LSB^2/12.
@@ -210,7 +210,7 @@ def read(
 ) -> Output:
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
-    detected_fraction : array. Part of the LED's light that the photodiode detects.
+    detected_fraction : array. Fraction of the LED's light that the photodiode detects.
     photodiode : or several, along the last axis.
     amplifier : The stage and its converter, a scene's `[electronics]`.
     ambient_a : photocurrent by light from outside; as feedback_ohm a number or an array that broadcasts. [A]
@@ -239,7 +239,7 @@ def read(
 
 
 def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiodes) -> Array:
-    """The photocurrent of a part of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
+    """Photocurrent of a fraction of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
     per_w = _of_each(photodiode, lambda p: float(responsivity_a_per_w(p, led.wavelength_nm)))
     return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
 

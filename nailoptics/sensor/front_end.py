@@ -176,7 +176,7 @@ def ratio_stderr(
 
     ratio : (...) float. index : (..., 2) float, ac/dc of red and infrared. level_v : (..., 2) float. [V]
     noise_v2 : (..., 2) float. Variance of one frame's reading. [V^2]
-    shape_rms : rms of a pulse's waveform, as a part of its height.
+    shape_rms : rms of a pulse's waveform, as a fraction of its height.
     """
     relative = noise_v2 / level_v**2
     return np.sqrt((relative[..., 0] + ratio**2 * relative[..., 1]) / frames) / (shape_rms * index[..., 1])

@@ -75,7 +75,7 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
 
     since_rest_s : time since the untouched finger was read, in which readings of a scene with a body drift. [s]
 
-    Drift and lift of the sensor move all readings of an LED alike, as parts of themselves.
+    Drift and lift of the sensor move all readings of an LED alike, as fractions of themselves.
     """
     model, body, waves = blood_model(scene), scene.body, np.zeros((2, 2))
     touch = vars(model.at_force(force_n))
@@ -101,10 +101,11 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
 class Response:
     """What photodiodes read and how it changes, any shape (...).
 
-    volts, noise_v2 : reading and the variance that the electronics give one sample. [V], [V^2]
+    amplified_v : output of the stage, dark and ambient current included, as if the converter had no limit. [V]
+    noise_v2 : variance of one sample by the electronics. [V^2]
     slope_v_per_pa : (..., 2) float. Change with either pressure, times the root of `unsaturated`. [V/Pa]
     zone_v : (..., 2) float. Change with the blood of either zone. [V]
-    shunted_fraction : (...) float. Part of the light that was never in the bed.
+    shunted_fraction : (...) float. Fraction of the light that was never in the bed.
     body_v : (..., k) float. What each of the body's k shapes adds, rms, to all readings at once, times the root of
         `unsaturated`; None without a body. [V]
     independent_v2 : what the body adds to each reading by itself. [V^2]
@@ -113,7 +114,7 @@ class Response:
     noise : the causes of noise_v2.
     """
 
-    volts: Array
+    amplified_v: Array
     noise_v2: Array
     slope_v_per_pa: Array
     zone_v: Array
@@ -176,7 +177,7 @@ def response(
     # Information is of second degree in these.
     weight = np.sqrt(unsaturated)[..., None]
     return Response(
-        volts=read.amplified_v,
+        amplified_v=read.amplified_v,
         noise_v2=read.noise_v2,
         slope_v_per_pa=(zone @ point.blood_per_pa) * weight,
         zone_v=zone,
@@ -198,7 +199,7 @@ def noise_by_cause(read: Response, body: PhysiologicalNoise | None) -> dict[str,
         drift, waves = math.hypot(body.led_drift, body.reading_gain), np.linalg.norm(read.zone_v @ body.blood, axis=-1)
         relative = {"drift": drift, "lift": body.lift, "slide": body.slide}
         causes |= {name: part * read.light_v for name, part in relative.items()} | {"waves": waves}
-    return {name: np.broadcast_to(rms_v, read.volts.shape) for name, rms_v in causes.items()}
+    return {name: np.broadcast_to(rms_v, read.amplified_v.shape) for name, rms_v in causes.items()}
 
 
 def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[str, float]:
@@ -297,7 +298,7 @@ def _stderr_of(information: Array, per_pa: Array) -> Array:
 
 
 def fixed_ratio_resolution_n(information: Array, point: OperatingPoint) -> Array:
-    """The same if the touch always splits as the scene's does, so that one number is unknown. [N]"""
+    """Force resolution if the touch always splits as the scene's does: one number is unknown, (...) float. [N]"""
     (a, b), proximal, both, distal = point.pressure_per_n, *np.moveaxis(pressure_information(information), -1, 0)
     return 1 / np.sqrt(a * a * proximal + 2 * a * b * both + b * b * distal)
 
@@ -322,7 +323,7 @@ def condition_number(read: Response) -> float:
 
 def over_fingers(resolution: Array, over: str, people: int = 0, quantile: float = 1.0) -> Array:
     """One resolution for all fingers, along the first axis: the worst or the mean; or, where the last so many are
-    people, the least that no less than this part of them reach."""
+    people, the least that no less than this fraction of them reach."""
     if people:
         return np.quantile(resolution[-people:], quantile, axis=0, method="inverted_cdf")
     return resolution.mean(0) if over == "mean" else resolution.max(0)

@@ -92,7 +92,7 @@ def compare(
     over : what is swept: the steady force from 0 to the touch's largest, both zones' blood fraction from 0 to 10 %,
         the saturation from 1 to 0.5.
 
-    Returns: Dataset over sweep, led, photodiode and point; errors as parts of the traced swing over the sweep.
+    Returns: Dataset over sweep, led, photodiode and point; errors as fractions of the traced swing over the sweep.
 
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
@@ -128,7 +128,7 @@ def state_sweep(scene: Scene, over: Over) -> StateSweep:
         saturation = 1 - along * (1 - LEAST_SO2)
         return StateSweep(over, saturation, np.full((POINTS, zones), scene.blood.rest_blood_fraction), saturation)
     if over != "force":
-        raise InputError(f'over = "{over}" is not known; choose from {", ".join(OVER)}.')
+        raise InputError(f'over = "{over}" is unknown; choose from {", ".join(OVER)}.')
     largest = largest_force_n(scene)
     if largest <= 0:
         raise InputError("touch: the force never leaves 0, so there is no range to compare over; give a force.")
@@ -316,7 +316,7 @@ def range_errors(model: np.ndarray, traced: np.ndarray) -> np.ndarray:
 
 
 def fitted_range_errors(x: np.ndarray, traced: np.ndarray, *, curved: bool) -> np.ndarray:
-    """The same for a model that is fitted anew to each range, (r, t) float; 0 while it has as many constants."""
+    """`range_errors` of a model fitted anew to each range, (r, t) float; 0 while it has as many constants as points."""
     error = np.zeros_like(traced)
     for end in range(4 if curved else 3, len(x) + 1):
         some, y = x[:end], traced[:, :end]
@@ -354,7 +354,7 @@ class Verdict:
 
     sure : probability with which it does so, or does not, by the traces' noise; readings : how many were compared.
     surely_within : how many of these stay within it, each with a probability of 95 %.
-    worst_error : of the reading that is furthest off, in parts of its swing.
+    worst_error : of the reading that is furthest off, as a fraction of its swing.
     worst_low, worst_high : what the largest error of all readings lies between, 95 % sure.
     """
 

@@ -28,11 +28,11 @@ NODES = np.array([-(3**0.5), 0.0, 3**0.5])
 WEIGHTS = np.array([1, 4, 1]) / 6
 # A parabola through the nodes at the ends and the scene's value needs that to be no nearer to them.
 MOST_OFFSET = 1.0
-# Draws from the joint prior, and the part of them in which a sign that holds holds.
+# Draws from the joint prior, and the fraction of them in which a sign that holds holds.
 DRAWS, SURELY = 1024, 0.975
 # Relative changes of readings as small as this are rounding.
 ROUNDING = 1e-9
-# Photons of a trace of its own, as a part of the scene's: of an effect of a third a tenth is enough to know.
+# Photons of a trace of its own, as a fraction of the scene's: of an effect of a third a tenth is enough to know.
 OWN_SHARE = 0.1
 LEAST_OWN_PHOTONS = 1 << 14
 
@@ -75,8 +75,8 @@ def over_priors(
 
     answer : of a scene, by all photons and without each group of them, (1 + groups, ...) float. Where another value
         takes a trace, that of the middle node is on the parabola through the ends and the scene's own.
-    retraced : the answer of fewer photons of their own, where a value takes a trace: what it adds to that of the scene
-        by as many photons with the same random numbers, so that what both have in common cancels.
+    retraced : the answer of fewer photons of their own, where a value takes a trace: the difference from that of the
+        scene by as many with common random numbers is added to the scene's by all, which is the control variate.
     """
     base, nodes = answer(scene), []
     reread = [only_absorbs(scene, prior) for prior in priors]
@@ -198,7 +198,7 @@ class PriorSensitivity:
     @cached_property
     def _standard(self) -> np.ndarray:
         """Draws of normal numbers with exactly these correlations, means of 0 and variances of 1, (DRAWS, priors)
-        float. Always the same ones: a Latin hypercube with its mirror image, so that odd moments are exactly 0, too."""
+        float. Always the same ones: a Latin hypercube with antithetic draws, so that odd moments are exactly 0, too."""
         count, generator = len(self.correlation), np.random.default_rng(1)
         below = [NormalDist().inv_cdf((k + 0.5) / DRAWS) for k in range(DRAWS // 2)]
         sides = generator.choice([-1.0, 1.0], (DRAWS // 2, count))
@@ -260,7 +260,7 @@ class ReadingUncertainty:
 
     level : natural logarithm of the reading in the first state.
     change : the change, as a multiple of the scene's own.
-    signal : the change as a part of the reading in the first state.
+    signal : the change as a fraction of the reading in the first state.
     untraced : priors that need traces of their own and had none.
     """
 
@@ -273,8 +273,8 @@ class ReadingUncertainty:
         """All of it over prior, led and photodiode; of priors that were not traced it is NaN."""
         pair, count = ("led", "photodiode"), len(self.untraced)
         data = self.level.variables("reading", pair, "the logarithm of the reading at the start", count)
-        data |= self.change.variables("change", pair, "the change by touch, as a part of the scene's,", count)
-        signal = "the change by touch as a part of the reading at the start"
+        data |= self.change.variables("change", pair, "the change by touch, as a fraction of the scene's,", count)
+        signal = "the change by touch as a fraction of the reading at the start"
         data |= self.signal.variables("signal", pair, signal, count)
         data |= described(__package__, signal=self.signal.base_answer[0], keeps_sign=self.signal.keeps_sign)
         return xr.Dataset(data).merge(prior_variables(self.level.priors, self.untraced, scene))
@@ -302,7 +302,7 @@ def readings_over_priors(
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
     def reread(varied: Scene, light: Transfer = transfer) -> np.ndarray:
-        """Logarithms of the first reading and of the second as a part of it, (1 + groups, led, photodiode, 2) float."""
+        """Logarithms of the first reading and of the second over it, (1 + groups, led, photodiode, 2) float."""
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = np.moveaxis(np.log(read_by_groups(light, varied, states(varied))), -1, 0)
             return np.stack([first, second - first], -1)

@@ -22,7 +22,7 @@ from ..sensor.volts import with_fitted_resistors
 from .placement import boards, candidates
 
 # Over the priors of its finger a reading of the shipped prototype varies by up to 17 % (standard deviation), and the
-# short trace by 5 %: from this part of the range on, three of both below its end, a reading may be full.
+# short trace by 5 %: from this fraction of the range on, three of both below its end, a reading may be full.
 MAY_BE_FULL = 0.6
 # Causes of noise in stage and converter; relative steps of either zone's blood; what "auto" must gain to be named.
 ELECTRONIC = tuple(name.removesuffix("_v2") for name in NoiseBudget._fields)

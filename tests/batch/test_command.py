@@ -27,7 +27,7 @@ def test_a_batch_from_the_command_line(jit_backend, tmp_path, capsys):
     assert cli.run(["batch", "--status", folder]) == 0
     assert "3 of 3 scenes done" in capsys.readouterr().out
     assert cli.run(["batch", sweep, "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["lights"] == 3
+    assert json.loads(capsys.readouterr().out)["traces"] == 3
 
 
 def test_a_sweep_names_once_the_vessels_that_are_far_off_the_list(tmp_path, capsys):

@@ -45,7 +45,7 @@ def children() -> list[int]:
 def test_a_run_gives_each_scene_its_reading_and_a_second_run_does_nothing(jit_backend, tmp_path):
     sweep = phantoms(tmp_path, 6)
     outcome = run_batch(sweep, tmp_path / "b", workers=1)
-    assert (len(outcome.done), outcome.lights, outcome.failed) == (6, 6, {})
+    assert (len(outcome.done), outcome.traces, outcome.failed) == (6, 6, {})
     results = nail.open_results(tmp_path / "b")
     assert results.detected_fraction_rest.dims == ("thickness_mm", "led", "photodiode")
     assert results.thickness_mm.values == pytest.approx(np.linspace(0.5, 3.0, 6))
@@ -217,7 +217,7 @@ def test_the_number_of_threads_changes_no_bit_of_a_finger(jit_backend, here, fin
 
 def test_scenes_of_one_light_trace_it_once(jit_backend, here, fingers, tmp_path):
     outcome = run_batch(fingers, tmp_path / "b", workers=1)
-    assert (outcome.lights, outcome.total) == (1, 4)
+    assert (outcome.traces, outcome.total) == (1, 4)
     assert len(list((tmp_path / "b" / "light").iterdir())) == 1
     results = nail.open_results(tmp_path / "b", course=True)
     table = write_table(results, tmp_path / "table.csv").read_text().splitlines()

@@ -65,7 +65,7 @@ def test_a_killed_sweep_of_photographs_is_resumed(jit_backend, coarse_cells, tmp
     after = bits(tmp_path / "b")
     assert len(after) == 4 and before.items() <= after.items()
     # People of one finger share their rays: one light for each wavelength that is walked.
-    assert outcome.lights == 1 and len(list((tmp_path / "b" / "light").iterdir())) == NODES
+    assert outcome.traces == 1 and len(list((tmp_path / "b" / "light").iterdir())) == NODES
     results = nail.open_results(tmp_path / "b")
     assert results.photograph.dims == ("illuminant", "melanin", "force", "row", "column", "channel")
     assert results.photograph.shape == (2, 2, 2, 30, 40, 3) and results.photograph.dtype == np.uint8

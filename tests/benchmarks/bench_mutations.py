@@ -284,8 +284,8 @@ MUTATIONS = (
     Mutation(
         "what flows in goes with the square of the diameter",
         "hemodynamics/for_scene.py",
-        "within_pa) * width_m**4",
-        "within_pa) * width_m**2",
+        "within_pa) * diameter_m**4",
+        "within_pa) * diameter_m**2",
         "hemodynamics/test_oxygen_balance.py",
     ),
     Mutation(

@@ -288,7 +288,7 @@ def test_blood_that_cannot_be_is_refused_in_one_line(text, words):
 
 
 def test_place_refuses_more_than_two_zones_in_one_line():
-    with pytest.raises(InputError, match="place knows two blood zones, and the scene has 8") as caught:
+    with pytest.raises(InputError, match="place supports two blood zones, and the scene has 8") as caught:
         nail.place(zoned())
     assert len(str(caught.value).splitlines()) == 1
 

@@ -56,8 +56,8 @@ def test_listed_set_is_as_stiff_as_the_masses_make_it():
     # The fastest rate is damper over mass, b_C / m = 1e4 / 1e-3 1/s; the slowest is hydraulic, some 1/s.
     p = parameters("listed")
     rest = steady_state(p)
-    width = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
-    rates = np.linalg.eigvals(state_matrices(p, width)[0])
+    diameter = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
+    rates = np.linalg.eigvals(state_matrices(p, diameter)[0])
     assert np.all(np.abs(rates.imag) < 1e-6 * np.abs(rates.real))
     assert -1.1e7 < rates.real.min() < -0.9e7
     assert -10.0 < rates.real.max() < -5.0
@@ -78,17 +78,17 @@ def test_eliminations_agree_with_kirchhoff_for_any_number_of_units(count):
     walls = build_walls(parameters("listed"), equal_zones(count, decay_length=0.3))
     n = count + 1
     for _ in range(100):
-        width = walls.diameter * 10.0 ** rng.uniform(-1, 0.5, n)  # narrower, the direct solution loses digits
+        diameter = walls.diameter * 10.0 ** rng.uniform(-1, 0.5, n)  # narrower, the direct solution loses digits
         high, low = rng.uniform(0, 2e4, 2)
-        resistance = 1 / (walls.flow_factor * width**4)
+        resistance = 1 / (walls.flow_factor * diameter**4)
         network = (resistance[:-1], 1 / walls.venule, resistance[-1])
         speed = rng.normal(0, 1e-5, n)
         direct = kirchhoff(*network, -walls.area * speed, high, low)
-        assert np.allclose(inertial_pressures(walls, width, speed, high, low), direct, rtol=1e-9, atol=1e-6)
+        assert np.allclose(inertial_pressures(walls, diameter, speed, high, low), direct, rtol=1e-9, atol=1e-6)
 
         load = walls.area * rng.uniform(-1e4, 2e4, n)
         free = np.where(rng.random(n) < 0.7, 1.0, 0.0)
-        pressure, speed = MasslessNetwork(walls, width, free).rates(load, high, low)
+        pressure, speed = MasslessNetwork(walls, diameter, free).rates(load, high, low)
         assert np.allclose(pressure, kirchhoff(*network, -walls.area * speed, high, low), rtol=1e-9, atol=1e-6)
         force = walls.area * pressure - load
         assert np.allclose(walls.damping * speed, force * free, rtol=1e-9)
@@ -100,18 +100,18 @@ def test_jacobian_agrees_with_finite_differences():
     rest, stiffness = walls.diameter, walls.stiffness
     outside = walls.area * rng.uniform(0, 1e4, 3)
 
-    def speed(width, free):
-        return MasslessNetwork(walls, width, free).speeds(outside + stiffness * (width - rest), 1e4, 0.0)
+    def speed(diameter, free):
+        return MasslessNetwork(walls, diameter, free).speeds(outside + stiffness * (diameter - rest), 1e4, 0.0)
 
     for free in np.array([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]):
-        width = rest * rng.uniform(0.3, 2.0, 3)
-        network = MasslessNetwork(walls, width, free)
-        pressure = network.rates(outside + stiffness * (width - rest), 1e4, 0.0)[0]
+        diameter = rest * rng.uniform(0.3, 2.0, 3)
+        network = MasslessNetwork(walls, diameter, free)
+        pressure = network.rates(outside + stiffness * (diameter - rest), 1e4, 0.0)[0]
         diagonal, left, right = network.jacobian(pressure, 1e4, 0.0)
         exact = np.diag(diagonal) + np.outer(left, right)
         step = 1e-5 * rest
         numeric = np.column_stack(
-            [(speed(width + e, free) - speed(width - e, free)) / (2 * e.sum()) for e in np.diag(step)]
+            [(speed(diameter + e, free) - speed(diameter - e, free)) / (2 * e.sum()) for e in np.diag(step)]
         )
         scale = np.abs(exact).max()
         assert np.abs(exact - numeric).max() < 1e-6 * scale
@@ -120,12 +120,12 @@ def test_jacobian_agrees_with_finite_differences():
 def test_massless_speeds_solve_the_printed_equations_without_mass():
     p = parameters("listed")
     walls = build_walls(p, PAPER_ZONES)
-    width = np.array([1.3e-5, 0.8e-5, 1.7e-4])
-    stretch = width - walls.diameter
+    diameter = np.array([1.3e-5, 0.8e-5, 1.7e-4])
+    stretch = diameter - walls.diameter
     inputs = np.array([1e4, 200.0, 3e3, 5e3])
-    a, b = state_matrices(p, width)
+    a, b = state_matrices(p, diameter)
     load = walls.area * [0.0, 5e3, 3e3] + walls.stiffness * stretch
-    speed = MasslessNetwork(walls, width, np.ones(3)).speeds(load, 1e4, 200.0)
+    speed = MasslessNetwork(walls, diameter, np.ones(3)).speeds(load, 1e4, 200.0)
     acceleration = (a @ np.concatenate([stretch, speed]) + b @ inputs)[3:]
     largest = np.abs(a[3:, 3:] @ speed).max()
     assert np.abs(acceleration).max() < 1e-12 * largest

@@ -20,14 +20,14 @@ def test_a_press_agrees_with_respond(name: str, side: str) -> None:
     proximal, distal = force * (side != "distal"), force * (side != "proximal")
     walls, high, low = build_walls(parameters, PAPER_ZONES), parameters.arterial_pressure_pa, 0.0
     rest = hemodynamics.steady_state(parameters)
-    width = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
-    start = width
-    path = [width]
+    diameter = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
+    start = diameter
+    path = [diameter]
     outside = np.stack([np.zeros_like(force), distal, proximal])
     for k in range(TIME_S.size - 1):
         change = outside[:, k + 1] - outside[:, k]
-        width = step(walls, width, outside[:, k], high, low, step_s=0.01, outside_change=change)
-        path.append(width)
+        diameter = step(walls, diameter, outside[:, k], high, low, step_s=0.01, outside_change=change)
+        path.append(diameter)
     run = hemodynamics.respond(parameters, TIME_S, proximal_pressure_pa=proximal, distal_pressure_pa=distal)
     exact = np.vstack([run.capillary_diameter_m.values, run.vein_diameter_m.values])
     # Blood goes with the square of a capillary's diameter: 0.5 % of it at most, on a course that moves it by tens.
@@ -37,22 +37,22 @@ def test_a_press_agrees_with_respond(name: str, side: str) -> None:
 def test_many_networks_step_as_each_alone() -> None:
     sets = [hemodynamics.parameters(name) for name in hemodynamics.NAMES]
     rest = [hemodynamics.steady_state(one) for one in sets]
-    widths = np.transpose([np.append(one.capillary_diameter_m, one.vein_diameter_m) for one in rest])
+    diameters = np.transpose([np.append(one.capillary_diameter_m, one.vein_diameter_m) for one in rest])
     each = [build_walls(one, PAPER_ZONES) for one in sets]
     many = Walls(*(np.stack(columns, axis=1) for columns in zip(*(one.constants for one in each), strict=True)))
     outside = np.repeat(np.array([[0.0], [3e3], [5e3]]), len(sets), axis=1)
-    together = step(many, widths, outside, 1e4, 0.0, step_s=0.01)
+    together = step(many, diameters, outside, 1e4, 0.0, step_s=0.01)
     for k, walls in enumerate(each):
-        alone = step(walls, widths[:, k], outside[:, k], 1e4, 0.0, step_s=0.01)
+        alone = step(walls, diameters[:, k], outside[:, k], 1e4, 0.0, step_s=0.01)
         np.testing.assert_array_equal(together[:, k], alone)
 
 
 def test_steps_far_longer_than_a_wall_takes_end_in_the_steady_state() -> None:
     parameters = hemodynamics.parameters("best")
     walls, rest = build_walls(parameters, PAPER_ZONES), hemodynamics.steady_state(parameters)
-    width = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
+    diameter = np.append(rest.capillary_diameter_m, rest.vein_diameter_m)
     outside = np.array([0.0, 5e3, 5e3])
     for _ in range(400):
-        width = step(walls, width, outside, 1e4, 0.0, step_s=0.05)
+        diameter = step(walls, diameter, outside, 1e4, 0.0, step_s=0.05)
     held = hemodynamics.steady_state(parameters, proximal_pressure_pa=5e3, distal_pressure_pa=5e3)
-    np.testing.assert_allclose(width[:2], held.capillary_diameter_m, rtol=1e-6)
+    np.testing.assert_allclose(diameter[:2], held.capillary_diameter_m, rtol=1e-6)

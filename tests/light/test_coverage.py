@@ -23,7 +23,7 @@ from nailoptics.light.walk.finger import FingerTracer
 from nailoptics.paper.reduced_optics import fit_curve
 from nailoptics.scene import Accuracy, Scene, load_scene, parse_scene
 from nailoptics.sensor import information
-from nailoptics.statistics import jackknife, left_out, stderr_of_mean
+from nailoptics.statistics import jackknife, leave_one_out, stderr_of_mean
 
 FINGER = finger(
     {"name": "proximal", "position_mm": [0.6, -1.2], "size_mm": [2.0, 2.0]},
@@ -154,7 +154,7 @@ def test_intervals_of_the_map_and_of_the_force_that_a_layout_resolves(jit_backen
         for arrivals in several:
             one.add(arrivals, point.values(arrivals))
         together = Arrivals.joined(several)
-        left = left_out(one.over(areas))
+        left = leave_one_out(one.over(areas))
         volts = information.response(left, scene, 0, scene.photodiodes[0], at)
         resolution = information.force_resolution_n(information.fisher_information(volts).sum(-2), at)
         (over_areas,), error_over_areas = readings(together, point.values(together), areas)

@@ -18,7 +18,7 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
 from nailoptics.light.tracing import store as store_module, trace_scene, trigger
-from nailoptics.light.tracing.store import LightStore, made_of, user_folder
+from nailoptics.light.tracing.store import LightStore, led_cache_key, user_folder
 from nailoptics.light.tracing.trace_scene import LedSource, LightEngine
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.scene import Scene, parse_scene
@@ -197,18 +197,18 @@ def _made(folder) -> str:
 
 def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeypatch):
     store, scene = LightStore(tmp_path), slab()
-    made = made_of(scene, 0, seed=1, backend="llvm")
+    made = led_cache_key(scene, 0, seed=1, backend="llvm")
     others = [
-        made_of(scene, 0, seed=2, backend="llvm"),
-        made_of(scene, 0, seed=1, backend="cuda"),
-        made_of(scene, 1, seed=1, backend="llvm"),
-        made_of(slab(x=0.7), 1, seed=1, backend="llvm"),
+        led_cache_key(scene, 0, seed=2, backend="llvm"),
+        led_cache_key(scene, 0, seed=1, backend="cuda"),
+        led_cache_key(scene, 1, seed=1, backend="llvm"),
+        led_cache_key(slab(x=0.7), 1, seed=1, backend="llvm"),
         made | {"versions": made["versions"] | {"nailoptics": "0.0"}},
         made | {"program": "another"},
     ]
-    assert len({store.light(one).folder for one in (made, *others)}) == 7
+    assert len({store.entry(one).folder for one in (made, *others)}) == 7
     for same in (slab(layer="x"), slab(flux=4.0), slab(x=0.7)):
-        assert store.light(made_of(same, 0, seed=1, backend="llvm")).folder == store.light(made).folder
+        assert store.entry(led_cache_key(same, 0, seed=1, backend="llvm")).folder == store.entry(made).folder
 
 
 def test_walks_that_go_otherwise_have_lights_of_their_own(tmp_path):
@@ -227,20 +227,20 @@ def test_walks_that_go_otherwise_have_lights_of_their_own(tmp_path):
 def test_what_was_not_used_for_longest_goes_first_and_foreign_files_stay(tmp_path):
     store = LightStore(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
-    lights = [store.light({"light": i}) for i in range(5)]
-    for i, light in enumerate(lights):
-        light.write("0-1", {"a": 1}, {"x": np.zeros(50)})
-        os.utime(light.folder, (1000 + i, 1000 + i))
-    assert lights[0].read("0-1", lambda about, arrays: about) == {"a": 1}
+    entries = [store.entry({"light": i}) for i in range(5)]
+    for i, entry in enumerate(entries):
+        entry.write("0-1", {"a": 1}, {"x": np.zeros(50)})
+        os.utime(entry.folder, (1000 + i, 1000 + i))
+    assert entries[0].read("0-1", lambda about, arrays: about) == {"a": 1}
     LightStore(tmp_path, most_bytes=2500, optional=True).trim()
-    left = [light.folder.exists() for light in lights]
+    left = [entry.folder.exists() for entry in entries]
     assert left[0] and left[4] and not left[1] and sum(left) < 5
     assert sum(path.stat().st_size for path in tmp_path.glob("*/*.dat")) <= 2500
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
 def test_no_command_pushes_its_own_light_out(tmp_path):
-    light = LightStore(tmp_path, most_bytes=20_000, optional=True).light({"light": 1})
+    light = LightStore(tmp_path, most_bytes=20_000, optional=True).entry({"light": 1})
     for number in range(100):
         light.write(f"{number}-1", {}, {"x": np.zeros(100)})
     assert light.path("0-1").exists() and light.path("5-1").exists() and not light.path("99-1").exists()
@@ -248,7 +248,7 @@ def test_no_command_pushes_its_own_light_out(tmp_path):
 
 def test_a_store_that_cannot_be_written_stops_no_trace_and_says_so_once(tmp_path, caplog):
     (tmp_path / "store").write_text("a file")
-    light = LightStore(tmp_path / "store", optional=True).light({"light": 1})
+    light = LightStore(tmp_path / "store", optional=True).entry({"light": 1})
     for _ in range(3):
         light.write("0-1", {}, {"x": np.zeros(3)})
     assert len(caplog.records) == 1 and "not stored" in caplog.records[0].getMessage()
@@ -318,8 +318,8 @@ def test_the_store_from_the_command_line(jit_backend, store, tmp_path, capsys):
     assert reused == [False, True, False]
     assert run(["store", "--json"]) == 0
     stored = json.loads(capsys.readouterr().out)
-    assert stored["lights"] == 2 and stored["bytes"] == sum(path.stat().st_size for path in store.rglob("*.dat"))
-    assert run(["store"]) == 0 and "2 lights" in capsys.readouterr().out
+    assert stored["traces"] == 2 and stored["bytes"] == sum(path.stat().st_size for path in store.rglob("*.dat"))
+    assert run(["store"]) == 0 and "2 cached traces" in capsys.readouterr().out
     assert run(["store", "--clear"]) == 0 and not list(store.iterdir())
 
 

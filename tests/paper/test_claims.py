@@ -25,8 +25,8 @@ from nailoptics.hemodynamics.parameters import beds, each_bed
 from nailoptics.paper.claims import RULES, as_rows, evaluate
 from nailoptics.paper.responses import (
     CURVE_PA,
-    N_PER_CM2,
     ON_S,
+    PA_PER_N_PER_CM2,
     RELAXATION_S,
     Responses,
     cycle,
@@ -103,7 +103,7 @@ def test_linear_walls_without_feedback_cannot_begin_as_steeply_as_v_p2():
     slope = next(rule for rule in RULES if rule.text.startswith("slope of V_P2"))
     chord = next(rule for rule in RULES if rule.text.startswith("V_P2 off its chord"))
     closing = np.linspace(0.2, 3.0, 2801)[:, None]
-    blood = np.maximum(1.0 - CURVE_PA / N_PER_CM2 / closing, 0.0) ** 2
+    blood = np.maximum(1.0 - CURVE_PA / PA_PER_N_PER_CM2 / closing, 0.0) ** 2
     names = [field.name for field in dataclasses.fields(Responses)]
     made = Responses(**dict.fromkeys(names, np.empty(0)) | {"alone": np.stack([blood, blood])})
     straight = chord.measure(made) <= chord.high
@@ -160,7 +160,7 @@ def test_each_touch_presses_where_its_figure_says():
     for touch in (cycle(), press()):
         assert not touch.touch_pa[1][0].any() and not touch.touch_pa[0][1].any()
         assert touch.touch_pa[0][0].max() == pytest.approx(touch.touch_pa[1][1].max())
-    assert cycle().touch_pa[0].max() == 2 * N_PER_CM2
+    assert cycle().touch_pa[0].max() == 2 * PA_PER_N_PER_CM2
     # Three cycles of 20 s, each a sine.
     wave = 1e4 * (1.0 - np.cos(2 * np.pi * 0.05 * cycle().time_s))
     assert cycle().time_s[-1] == pytest.approx(60.0) and np.allclose(cycle().touch_pa[0][0], wave, atol=1e-6)
@@ -189,7 +189,7 @@ def test_overshoots_and_late_changes_are_what_they_are_on_made_up_curves(respons
     made = dataclasses.replace(responses["best"], proximal_on=np.stack([path] * 3), proximal_off=np.stack([back] * 3))
     rule = next(rule for rule in RULES if rule.text.startswith("overshoot of the vein"))
     assert rule.measure(made) == pytest.approx(0.2)
-    force = CURVE_PA / N_PER_CM2
+    force = CURVE_PA / PA_PER_N_PER_CM2
     bent = np.where(force <= 1.0, force, 1.0 + 0.1 * (force - 1.0))
     made = dataclasses.replace(responses["best"], cycle=np.stack([[-bent, -bent], [bent, bent]]))
     rule = next(rule for rule in RULES if rule.figure == "17" and rule.text.startswith("slope"))

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from nailoptics.errors import InputError
 from nailoptics.paper import reduced_optics
 from nailoptics.paper.reduced_optics import fit_beer_lambert, fit_taylor
-from nailoptics.statistics import left_out
+from nailoptics.statistics import leave_one_out
 
 DIAMETER_M = np.linspace(8e-6, 11e-6, 50)
 V0_V, V1_V = 0.1, 0.2
@@ -71,7 +71,7 @@ def test_jackknifed_errors_are_those_of_repeated_readings(fit, truth, shared):
     pulls = []
     for _ in range(400):
         noise = rng.normal(0, 5e-6, (40, DIAMETER_M.size))
-        replicates = left_out(exact + (rng.normal(0, 5e-5, (40, 1)) + noise if shared else noise))
+        replicates = leave_one_out(exact + (rng.normal(0, 5e-5, (40, 1)) + noise if shared else noise))
         got = fit(DIAMETER_M, replicates[0])
         pulls.append([got.constants[name] - value for name, value in truth.items()])
         pulls[-1] /= got.stderr(DIAMETER_M, replicates)
@@ -82,7 +82,7 @@ def test_jackknifed_errors_are_those_of_repeated_readings(fit, truth, shared):
 
 def test_noise_that_hides_the_bend_is_reported_and_spoils_no_prediction():
     rng = np.random.default_rng(4)
-    replicates = left_out(readings(1e-2) + rng.normal(0, 1e-3 * np.sqrt(40), (40, DIAMETER_M.size)))
+    replicates = leave_one_out(readings(1e-2) + rng.normal(0, 1e-3 * np.sqrt(40), (40, DIAMETER_M.size)))
     fit = fit_beer_lambert(DIAMETER_M, replicates[0])
     stderr = fit.stderr(DIAMETER_M, replicates)
     assert "alpha" in fit.remark(stderr)

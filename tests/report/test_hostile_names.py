@@ -30,7 +30,7 @@ def test_every_slot_of_a_page_shows_a_name_as_text(name):
 
 
 def test_what_nobody_sees_is_written_out_on_a_page():
-    """A name that clears a terminal, one that turns the writing round, and the byte of a file's name that is no text;
+    """A name that clears a terminal, one that turns the writing round, and the byte of a file's name that is not text;
     an unbreakable space and a line break stay."""
     name = "a\x1b[2J\u202eb\udcffc\u00a0d\ne"
     shown = "a\\x1b[2J\\u202eb\\udcffc\u00a0d\ne"

@@ -108,7 +108,7 @@ _BAR = """() => {
     [
         ("time_s,grams\n0,1\n", "stdin: has no column force_n"),
         ("", "stdin: has no column time_s"),
-        ("time_s,force_n\n0,x\n", "stdin line 2: force_n = 'x' is no finite number"),
+        ("time_s,force_n\n0,x\n", "stdin line 2: force_n = 'x' is not a finite number"),
     ],
 )
 def test_lines_that_are_no_force_end_it_with_one_line(tmp_path: Path, lines: str, message: str) -> None:

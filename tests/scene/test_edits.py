@@ -89,7 +89,7 @@ UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
         (lambda s: s.with_led("ir", flux=1), r'leds\[0\].flux is not a known field; did you mean "flux_mw"'),
         (lambda s: s.with_led("ir", flux_mw=-1), r"leds\[0\].flux_mw = -1: must be greater than 0"),
         (lambda s: s.with_led("ir", position_mm=(0, -2)), "position_mm lies .* mm inside photodiode"),
-        (lambda s: s.with_(**{"blood so2": 0.9}), "is no field"),
+        (lambda s: s.with_(**{"blood so2": 0.9}), "is not a field"),
         (lambda s: s.with_(**{"blood.so2": 97}), "blood.so2 = 97: must be less than or equal to 1"),
         (lambda s: s.with_(**{"blood.so2.x": 1}), "blood.so2"),
         (lambda s: s.with_(leds=[]), "leds = .*at least 1 item"),

@@ -145,7 +145,7 @@ def test_a_slot_without_a_corner_under_a_part_is_seen():
     [
         ("u,v\n1,2\n", "x_mm,y_mm"),
         ("x_mm,y_mm\n0,0\n1,1\n2,2\n", "no area"),
-        ("x_mm,y_mm\n0\n", "y_mm = '' is no finite number"),
+        ("x_mm,y_mm\n0\n", "y_mm = '' is not a finite number"),
     ],
 )
 def test_wrong_corners_are_refused_in_one_line(tmp_path, text, words):

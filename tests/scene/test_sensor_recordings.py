@@ -42,9 +42,9 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s,a\n0,1\n", "two or more are needed"),
         ("time_s,a\n0,1\n0,2\n", "does not come after"),
         ("time_s,a\n1,1\n0,2\n", "line 3: time_s = 0 does not come after 1"),
-        ("time_s,a\n0,x\n1,2\n", "line 2: a = 'x' is no finite number"),
-        ("time_s,a\n0,inf\n1,2\n", "line 2: a = 'inf' is no finite number"),
-        ("time_s,a\n,1\n1,2\n", "line 2: time_s = '' is no finite number"),
+        ("time_s,a\n0,x\n1,2\n", "line 2: a = 'x' is not a finite number"),
+        ("time_s,a\n0,inf\n1,2\n", "line 2: a = 'inf' is not a finite number"),
+        ("time_s,a\n,1\n1,2\n", "line 2: time_s = '' is not a finite number"),
         ("time_s,a\n0,\n1,\n", "column 'a' is empty"),
         ("time_s,a\n0,1\n1,1\n2,1\n", "constant at 1 V; check its wiring"),
         ("time_s,a\n0,31000\n1,32000\n", "looks like millivolts or a converter's counts"),
@@ -102,7 +102,7 @@ def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
     assert result.of(("b", "a")).names == ("b", "a")
     with pytest.raises(InputError, match="has no column 'c'"):
         result.of(("a", "b", "c"))
-    with pytest.raises(InputError, match="column 'b' is no reading of this board"):
+    with pytest.raises(InputError, match="column 'b' is not a reading of this board"):
         result.of(("a",))
 
 
@@ -129,5 +129,5 @@ def _written(tmp_path: Path, text: str) -> Path:
 
 def test_an_unknown_column_is_named_before_what_it_holds(tmp_path: Path) -> None:
     text = "time_s,a,room\n0,1.0,21\n0.1,1.1,21\n0.2,1.0,21\n"
-    with pytest.raises(InputError, match="column 'room' is no reading of this board"):
+    with pytest.raises(InputError, match="column 'room' is not a reading of this board"):
         read_sensor_recording(_written(tmp_path, text)).of(("a",))

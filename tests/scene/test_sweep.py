@@ -131,7 +131,7 @@ def test_shipped_sweeps_name_and_meet_the_schema(path):
         (BASE, "at least one [[axes]]"),
         (BASE + "axis = 3", "axis is not a known field"),
         (BASE + "[[axes]]\nvalues = [1]", "axes[0].path is missing"),
-        (BASE + '[[axes]]\npath = "blood..so2"\nvalues = [1]', "is no field"),
+        (BASE + '[[axes]]\npath = "blood..so2"\nvalues = [1]', "is not a field"),
         (BASE + '[[axes]]\npath = "blood.so2"', "exactly one of"),
         (BASE + '[[axes]]\npath = "blood.so2"\nvalues = []', "axes[0].values = []: must have at least 1 item"),
         (BASE + '[[axes]]\npath = "blood.so2"\nvalues = [1.5]', "blood.so2 = 1.5"),

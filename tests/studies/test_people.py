@@ -7,12 +7,12 @@ from benchmarks.parameter_search import largest_loop_gain
 from nailoptics.assets import read_toml
 from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.paper.claims import PEOPLE_RULES, Claim, evaluate_people
-from nailoptics.paper.responses import CURVE_PA, N_PER_CM2, PHASE_S, PeopleReadings
+from nailoptics.paper.responses import CURVE_PA, PA_PER_N_PER_CM2, PHASE_S, PeopleReadings
 from nailoptics.scene.priors import shipped_priors
 from nailoptics.studies import people
 from nailoptics.studies.prior_uncertainty import at_value
 
-FORCE_N = CURVE_PA / N_PER_CM2
+FORCE_N = CURVE_PA / PA_PER_N_PER_CM2
 
 
 def made_up(proximal, distal, *, late=0.0, skin_effect=0.0) -> PeopleReadings:

@@ -21,7 +21,7 @@ from nailoptics.scene import Priors, Scene, Touch
 from nailoptics.scene.priors import Prior, PriorRange, shipped_priors
 from nailoptics.scene.vessels import Tuning
 from nailoptics.sensor.information import operating_point
-from nailoptics.statistics import Z95, jackknife, left_out
+from nailoptics.statistics import Z95, jackknife, leave_one_out
 from nailoptics.studies.prior_uncertainty import (
     NODES,
     WEIGHTS,
@@ -225,7 +225,7 @@ def test_the_standard_error_of_a_spread_is_true(traced):
 def test_noise_of_the_photons_adds_nothing_to_a_spread():
     """Answers that go with the standardised field, by slopes of 20 groups of photons that scatter by 1 about 1.
     Expected: their mean's square is 1.05 in the mean of repeats, and 1 once its noise is taken away, to 0.003."""
-    slopes = left_out(1 + np.random.default_rng(5).standard_normal((20, 20_000)))
+    slopes = leave_one_out(1 + np.random.default_rng(5).standard_normal((20, 20_000)))
     nodes = NODES[None, :, None, None] * slopes
     value, _ = PriorSensitivity((shipped_priors()[0],), nodes, 0 * slopes, np.eye(1)).by_prior
     assert np.mean(value**2) == pytest.approx(1.0, abs=0.015) and np.mean(slopes[0] ** 2) > 1.04

@@ -28,7 +28,7 @@ from .. import optics
 from ..backend import NAMES, Backend, Name, activate, choose
 from ..optics import Media
 from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, run_until, unlit
-from ..tracing.store import LightStore, StoredLight, made_of, stored_or_made
+from ..tracing.store import CacheEntry, LightStore, led_cache_key, load_or_compute
 from ..tracing.trigger import out_of_time, share_of_time
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
@@ -50,7 +50,7 @@ LEAST_BATCHES = 8
 FIRST_ROUND, MAX_BATCH_PATHS = 1 << 14, 1 << 15
 # A photodiode that so many paths saw nothing of is taken for unlit.
 UNLIT_PATHS = 1 << 23
-# A zone whose blood changes by less than this part of it gets a state of its own, so that its mean path is known: by a
+# A zone whose blood changes by less than this fraction gets a state of its own, so that its mean path is known: by a
 # fifth more, or less where half is blood; without blood, by a thousandth.
 LEAST_CHANGE, OWN_CHANGE, OWN_BLOOD = 0.02, 0.2, 1e-3
 # The bed's absorption is given on so many places per width of the step between two blood zones, and a little beyond
@@ -178,7 +178,7 @@ class _Group:
 
     traced: Paths
     photodiodes: Sequence[str]
-    lights: Sequence[StoredLight] = ()
+    entries: Sequence[CacheEntry] = ()
     sizes: list[int] = field(default_factory=list)
     rows: list[NDArray[np.float64]] = field(default_factory=list)
     seconds: float = 0.0
@@ -203,7 +203,7 @@ class _Group:
             row = self.traced.batch(paths=self.size, seed=seed)
             return {}, {"row": row, "seconds": np.array(time.perf_counter() - begin)}
 
-        batch, _ = stored_or_made(self.lights, f"{seed}-{self.size}", trace, lambda _, arrays: arrays)
+        batch, _ = load_or_compute(self.entries, f"{seed}-{self.size}", trace, lambda _, arrays: arrays)
         self.rows.append(batch["row"])
         self.seconds += float(batch["seconds"])
         self.sizes.append(self.size)
@@ -314,12 +314,12 @@ def finger_states(
     together = 1 if states > 1 else mitsuba_scene.channel_count(SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     columns = (np.ascontiguousarray(a).tobytes() for a in (*vars(media).values(), bed.v_mm, bed.mu_a_per_mm))
-    made = made_of(scene, led, seed=options.seed, backend=backend.name, what="volpath")
+    made = led_cache_key(scene, led, seed=options.seed, backend=backend.name, what="volpath")
     made |= {"optics": hashlib.sha256(b"".join(columns)).hexdigest()}
-    lights = [store.light(made) for store in LightStore.of_command(options)]
+    entries = [store.entry(made) for store in LightStore.of_command(options)]
     # One change of Mitsuba's variant for all batches.
     with stock_mitsuba(backend, SPECTRAL):
-        groups = [_Group(paths(photodiodes=part), [names[i] for i in part], lights) for part in parts]
+        groups = [_Group(paths(photodiodes=part), [names[i] for i in part], entries) for part in parts]
         reason, interrupted = _sample(groups, scene.leds[led].name, options, seed_of(options.seed, led), progress)
     return _readings(groups, reason, interrupted, states=states)
 

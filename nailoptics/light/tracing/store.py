@@ -1,4 +1,4 @@
-"""The cache of traced light on disk: a folder for each light, named by the digest of all that decides its bits."""
+"""The cache of traced light on disk: a folder for each entry, named by the digest of all that decides its bits."""
 
 import hashlib
 import json
@@ -49,14 +49,14 @@ def program_digest(code: tuple[str, ...] = CODE) -> str:
     return digest.hexdigest()[:_KEY]
 
 
-def made_of(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
-    """All that decides the bits of one LED's light, plain enough for JSON."""
+def led_cache_key(scene: Scene, led: int, *, seed: int, backend: str, what: str = "photons") -> dict[str, Any]:
+    """Cache key of one LED's light: all that decides its bits, plain enough for JSON."""
     light, wavelength_nm = led_digest(scene, led), scene.leds[led].wavelength_nm
-    return made_by(what, light, wavelength_nm, seed=seed, backend=backend) | {"led": led}
+    return cache_key(what, light, wavelength_nm, seed=seed, backend=backend) | {"led": led}
 
 
-def made_by(what: str, light: str, wavelength_nm: float, *, seed: int, backend: str) -> dict[str, Any]:
-    """All that decides the bits of some light, plain enough for JSON. light : digest of what decides its ways."""
+def cache_key(what: str, light: str, wavelength_nm: float, *, seed: int, backend: str) -> dict[str, Any]:
+    """Cache key of some light, all that decides its bits, plain enough for JSON. light : digest of its paths' scene."""
     return {
         "what": what,
         "light": light,
@@ -96,10 +96,10 @@ class LightStore:
         store = cls.of_user() if options.store else None
         return [store] if store else []
 
-    def light(self, made: Mapping[str, Any]) -> "StoredLight":
-        """What is stored of one light; `made` is all that decides it."""
+    def entry(self, made: Mapping[str, Any]) -> "CacheEntry":
+        """The entry of one traced light; `made` is its key, all that decides it."""
         text = json.dumps(made, sort_keys=True, separators=(",", ":"))
-        return StoredLight(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
+        return CacheEntry(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
 
     def write(self, path: Path, data: memoryview) -> None:
         """Write a file of the store; where it is optional, the first refusal ends storing with a word."""
@@ -122,13 +122,13 @@ class LightStore:
             self.trim()
 
     def folders(self) -> Iterator[Path]:
-        """The folders of lights, without symbolic links and what else may be there; OSError if it cannot be listed."""
+        """The entries' folders, without symbolic links and what else may be there; OSError if it cannot be listed."""
         there = sorted(self.root.iterdir()) if self.root.exists() else []
         named = (path for path in there if re.fullmatch(f"[0-9a-f]{{{_KEY}}}", path.name))
         yield from (path for path in named if not path.is_symlink())
 
     def trim(self) -> None:
-        """Let the lights go that were not used for longest, until the rest is within bounds."""
+        """Evict the entries that were not used for longest (LRU), until the rest is within bounds."""
         self._unchecked = 0
         if math.isinf(self.most_bytes):
             return
@@ -148,8 +148,8 @@ class LightStore:
 
 
 @dataclass(frozen=True)
-class StoredLight:
-    """What is stored of one light: files of which each knows its light and its name."""
+class CacheEntry:
+    """What is stored of one traced light: files of which each holds its key and its name."""
 
     store: LightStore
     folder: Path
@@ -183,25 +183,25 @@ class StoredLight:
         self.store.write(self.path(name), io.pack({"made": self.made, "name": name, "about": about}, arrays))
 
 
-def stored_or_made(
-    lights: Sequence[StoredLight],
+def load_or_compute(
+    entries: Sequence[CacheEntry],
     name: str,
     make: Callable[[], tuple[dict[str, Any], dict[str, np.ndarray]]],
     build: Callable[[dict[str, Any], dict[str, np.ndarray]], T],
 ) -> tuple[T, bool]:
     """What `build` makes of a header and arrays that lie stored or, if there are none, are made and go to the first;
     and whether it was stored."""
-    for light in lights:
-        if (stored := light.read(name, build)) is not None:
+    for entry in entries:
+        if (stored := entry.read(name, build)) is not None:
             return stored, True
     about, arrays = make()
-    if lights:
-        lights[0].write(name, about, arrays)
+    if entries:
+        entries[0].write(name, about, arrays)
     return build(about, arrays), False
 
 
 def remove(folder: Path) -> None:
-    """Remove the files of one light, and the folder unless something else lies in it, such as a writer's file."""
+    """Remove the files of one entry, and the folder unless something else lies in it, such as a writer's file."""
     for path in folder.glob("*.dat"):
         with suppress(OSError):
             path.unlink()

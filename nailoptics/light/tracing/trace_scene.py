@@ -17,7 +17,7 @@ from .. import backend as backends, optics
 from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
-from .store import LightStore, made_of, stored_or_made
+from .store import LightStore, led_cache_key, load_or_compute
 from .trigger import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
@@ -131,8 +131,8 @@ class LedSource:
     ) -> None:
         self.scene, self.led, self.engine, self.seed, self.reused = scene, led, engine, seed, 0
         self.mu_a = optics.absorption(engine.scene, scene.leds[led].wavelength_nm)[0]
-        made = made_of(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more if stores else {}
-        self.stored = [store.light(made) for store in stores]
+        made = led_cache_key(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more if stores else {}
+        self.stored = [store.entry(made) for store in stores]
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""
@@ -155,7 +155,7 @@ class LedSource:
             batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))
             return batch
 
-        batch, stored = stored_or_made(self.stored, f"{number}-{photons}", make, build)
+        batch, stored = load_or_compute(self.stored, f"{number}-{photons}", make, build)
         self.reused += photons * stored
         if ends:
             read_mu_a = optics.absorption(self.scene, self.scene.leds[self.led].wavelength_nm)[0]
@@ -179,7 +179,7 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
 def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: ProgressCallback | None = None) -> Ending:
     """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
 
-    What is stored is taken even when time is over; opening the engine is no part of the time.
+    What is stored is taken even when time is over; opening the engine does not count.
     """
     begin = time.perf_counter() - source.engine.wall_seconds
 

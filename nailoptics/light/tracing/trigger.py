@@ -169,7 +169,7 @@ class Trigger:
         return math.ceil(max(min(more, self.growth * samples), self.least))
 
     def share_done(self, error: float) -> float:
-        """The part of the samples that are there, 0 to 1."""
+        """Fraction of the required samples taken, 0 to 1."""
         return min(1.0, (self.target / error) ** 2) if error > 0 else 1.0
 
 

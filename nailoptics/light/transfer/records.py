@@ -27,7 +27,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[in
 
 
 def attenuation(path_mm: np.ndarray, mu_a: np.ndarray) -> np.ndarray:
-    """What each photon's weight is multiplied by in other states, (n,) or (n, m) float; of both swapped, (m, n).
+    """Beer-Lambert factor that reweights each photon to other states, (n,) or (n, m) float; of both swapped, (m, n).
 
     path_mm : (n, r) float. Path in each absorber. [mm]
     mu_a : (r,) or (m, r) float. Absorption, less that for which the weights hold. [mm^-1]
@@ -36,7 +36,7 @@ def attenuation(path_mm: np.ndarray, mu_a: np.ndarray) -> np.ndarray:
 
 
 def transmissions(path_mm: np.ndarray, mu_a: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """The same over an LED's line, in many states that differ in few absorbers, (n, states) float.
+    """`attenuation` over an LED's line, in many states that differ in few absorbers, (n, states) float.
 
     mu_a : (states, q, r) float. Absorption over the line, less that for which the weights hold. [mm^-1]
     share : (q,) float. Weights of the line.
@@ -73,8 +73,7 @@ class Moments:
 
     @property
     def stderr(self) -> np.ndarray:
-        """Its standard error, (p,); NaN where it rests on fewer than 25 effective photons, as of mean paths and
-        derivatives."""
+        """Its standard error, (p,); NaN of fewer than 25 effective photons, as of mean paths and derivatives."""
         stderr = statistics.stderr_of_mean(self.weight, self.square, self.photons)
         return statistics.stderr_or_nan(stderr, self.weight, self.square)
 

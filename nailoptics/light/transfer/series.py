@@ -12,12 +12,12 @@ from ... import checks
 from ...checks import Array
 from ...errors import InputError
 from ...scene import Scene
-from ...statistics import left_out, quotient, stderr_of_mean
+from ...statistics import leave_one_out, quotient, stderr_of_mean
 from .. import optics
 from .records import attenuation, transmissions
 from .transfer import Transfer
 
-# Interpolation may be off by this part of a reading; no trace has a standard error near it.
+# Interpolation may be off by this fraction of a reading; no trace has a standard error near it.
 INTERPOLATION_ERROR = 1e-7
 # States that need more nodes than this are halved, and each half is read by itself.
 NODES_AT_ONCE = 64
@@ -113,8 +113,7 @@ class _Course:
         if not (high - low > 1e-12).any():
             self.out[..., which] = self.sums(states[:1])
             return
-        # Orthonormal directions along which states spread, in columns, the widest first: a touch moves all zones along
-        # few of them.
+        # Principal directions of the states, in columns, the widest first: a touch moves all zones along few of them.
         centre = states.sum(0) / len(which)
         directions = np.linalg.eigh((states - centre).T @ (states - centre))[1][:, ::-1]
         along = (states - centre) @ directions
@@ -264,6 +263,6 @@ def read_replicates(
         group = trace.photodiode[chunk].astype(int) * GROUPS + trace.photon[chunk] % GROUPS
         rows = [*weights, *(slope * lengths[:, zones].T)]
         sums += [np.bincount(group, row, minlength=count * GROUPS) for row in rows]
-    read = left_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
+    read = leave_one_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))
     total = read[..., : len(mu_a)]
     return total, quotient(read[..., len(mu_a) :], total[..., :1])

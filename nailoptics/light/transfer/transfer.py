@@ -22,7 +22,7 @@ from ...version import code_attributes, code_versions
 from .. import optics
 from .records import COLUMNS, SUMS, LedTrace, Moments, check_arrays, joined, moments_of
 
-# A reading that rests on fewer effective photons than this has no trustworthy standard error.
+# Below so many effective photons a reading has a `ReweightWarning`, below `MIN_EFFECTIVE_TERMS` no standard error.
 MIN_EFFECTIVE_PHOTONS = 400.0
 # What the photodiodes' standard errors alone do not say.
 SHARED_ERROR = (
@@ -258,7 +258,7 @@ class Transfer(Displayed):
         for name, value in (override or {}).items():
             if name not in self.absorbers:
                 raise InputError(
-                    f'mu_a_per_mm names "{name}", which is no absorber here; known: {", ".join(self.absorbers)}.'
+                    f'mu_a_per_mm names "{name}", which is not an absorber here; known: {", ".join(self.absorbers)}.'
                 )
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"mu_a_per_mm of {name} = {value}; must be a number of at least 0.")

@@ -16,7 +16,7 @@ from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
 from .interfaces import DETECTED, Emitter, FingerPhoton, Interfaces, Medium, Regions, ZoneEdges, off_surface
-from .sampling import PhotonEnds, WalkedPhotons, remaining, rotate_direction
+from .sampling import PhotonEnds, WalkedPhotons, rotate_direction, survival
 from .splitting import Reach, Splitting, copies_of
 from .tallies import BoardTally, FluenceTally, Section
 
@@ -200,7 +200,7 @@ class FingerWalk:
             p=p,
             w=w,
             region=mi.UInt32(self.emitter.region),
-            absorption_optical_depth=sampling.free_absorption_length(rng.next_float32()),
+            absorption_optical_depth=sampling.absorption_depth(rng.next_float32()),
             path=[mi.Float(0) for _ in self.ends.path],
         )
 
@@ -228,7 +228,7 @@ class FingerWalk:
         beyond = self.zones.beyond(dr.fma(0.5 * step, photon.w.y, photon.p.y), step)
         segment.beyond = [a + dr.select(medium.in_bed, b, 0) for a, b in zip(segment.beyond, beyond, strict=True)]
         if self.section is not None:
-            weight = photon.weight * remaining(dr.fma(segment.length, medium.mu_a, photon.tau))
+            weight = photon.weight * survival(dr.fma(segment.length, medium.mu_a, photon.tau))
             self.section.add(photon, photon.p + photon.w * (0.5 * step), step, weight, active)
         segment.length = segment.length + step
         photon.p = mi.Point3f(photon.p + photon.w * step)
@@ -283,7 +283,7 @@ class FingerWalk:
             place, tallied = self.tallied(photon.region)
             # Of a photon's copies the last one counts for all.
             tallied &= photon.has_no_copies_left()
-            left = photon.weight * copies_of(photon) * remaining(photon.tau)
+            left = photon.weight * copies_of(photon) * survival(photon.tau)
             self.ends.absorb(photon, place, left, ~reflected, tallied)
             end = dr.gather(mi.UInt32, regions.end, there)
             photon.outcome = dr.select(opaque & ~reflected, end, photon.outcome)

@@ -11,7 +11,7 @@ from ...scene import Led, Phantom, Scene
 from .. import optics
 from ..transfer.records import LedTrace
 from . import sampling
-from .sampling import Photon, PhotonEnds, PhotonQueue, WalkedPhotons, maximum, minimum, remaining, safe_sqrt, starts
+from .sampling import Photon, PhotonEnds, PhotonQueue, WalkedPhotons, maximum, minimum, safe_sqrt, starts, survival
 
 # Of a cosine, or in mm: keeps a division by what may be 0 finite, and is lost in any number that is not.
 TINY = 1e-12
@@ -155,7 +155,7 @@ def _launch(layers: _Layers, queue: PhotonQueue, index: Any) -> _LayeredPhoton:
         index=index,
         rng=rng,
         w=mi.Vector3f(sin * cos_phi, sin * sin_phi, -cos_in),
-        absorption_optical_depth=sampling.free_absorption_length(rng.next_float32()),
+        absorption_optical_depth=sampling.absorption_depth(rng.next_float32()),
         path=[mi.Float(0) for _ in range(layers.count)],
         u=u,
         v=v,
@@ -221,7 +221,7 @@ def _meet_face(photon: _LayeredPhoton, w: Any, layers: _Layers, up: Any, meets: 
         reflected = u < reflectance
         leaves = ~reflected & dr.select(up, photon.layer == 0, photon.layer == layers.count - 1)
         moves = ~reflected & ~leaves
-        ends.absorb(photon, photon.layer, photon.weight * remaining(photon.tau), moves)
+        ends.absorb(photon, photon.layer, photon.weight * survival(photon.tau), moves)
         photon.w = dr.select(
             reflected, mi.Vector3f(w.x, w.y, -w.z), mi.Vector3f(eta * w.x, eta * w.y, dr.copysign(cos_out, w.z))
         )

@@ -19,7 +19,7 @@ from ...scene import Board, Led, Light, Scene, digest
 from ...statistics import seed_of
 from .. import optics
 from ..identity import light_scene
-from ..tracing.store import LightStore, made_by, stored_or_made
+from ..tracing.store import LightStore, cache_key, load_or_compute
 from .finger import FingerTracer, FingerWalk
 from .interfaces import Interfaces, Regions, ZoneEdges, table_of_rows
 from .sampling import TOP, PhotonEnds, PhotonQueue
@@ -118,8 +118,8 @@ class NailReflectance:
         # Neither blood nor melanin, board nor lamp decides the ways of rays into a bare nail.
         bare = {"leds": (Led(name="eye", wavelength_nm=550.0),), "photodiodes": (), "board": Board()}
         light = digest(light_scene(self.scene).model_copy(update=bare))
-        made = made_by("colour", light, wavelength_nm, seed=seed, backend=self.backend) | parameters
-        lights = [store.light(made) for store in self.stores]
+        made = cache_key("colour", light, wavelength_nm, seed=seed, backend=self.backend) | parameters
+        entries = [store.entry(made) for store in self.stores]
 
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])
@@ -145,7 +145,7 @@ class NailReflectance:
                 "gloss": np.asarray(path.max(1) == 0),
             }
 
-        return stored_or_made(lights, f"{groups}-{photons}", make, lambda _, arrays: ReflectedLight(**arrays))[0]
+        return load_or_compute(entries, f"{groups}-{photons}", make, lambda _, arrays: ReflectedLight(**arrays))[0]
 
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
         """Index, weight, paths and cosine of the rays that came back."""
@@ -174,7 +174,7 @@ class _Ends(PhotonEnds):
 
 
 class _Beam:
-    """Parallel rays onto patches, to each in its turn: from above, or through a port from below."""
+    """Parallel rays onto patches, stratified to each in its turn: from above, or through a port from below."""
 
     def __init__(self, patches: Sequence[Patch], table: np.ndarray, heights_mm: np.ndarray, air: Any) -> None:
         """heights_mm : below and above the finger. [mm]"""

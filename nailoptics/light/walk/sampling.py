@@ -16,8 +16,8 @@ import numpy as np
 
 from ...scene import Led, Photodiode
 
-# Absorption ends a photon at half its rate; the other half only dims it. Ending it all the way makes long paths
-# rare that a reading with less absorption needs, not at all wastes scatterings on photons that no longer count.
+# Partial implicit capture: absorption ends a photon at half its rate; the other half reduces its weight. More makes
+# long paths rare that a reading with less absorption needs, less wastes scatterings on photons that no longer count.
 KILLED_SHARE = 0.5
 # From so many steps on a photon survives each doubling of them with probability 1/2 and counts twice.
 LONG_WALK = 1 << 16
@@ -154,7 +154,7 @@ class PhotonEnds:
 
     def record(self, photon: Photon, medium: Any, tallied: Any) -> None:
         """Write how a photon ended, and with what weight; tally, if its medium is, what absorption took there."""
-        weight = dr.select(photon.outcome == ABSORBED, 0, photon.weight * remaining(photon.tau))
+        weight = dr.select(photon.outcome == ABSORBED, 0, photon.weight * survival(photon.tau))
         self.absorb(photon, medium, weight, True, tallied)
         dr.scatter(self.outcome, photon.outcome, photon.index)
         dr.scatter(self.weight, weight, photon.index)
@@ -214,13 +214,13 @@ class PhotonQueue:
         return rng
 
 
-def free_absorption_length(u: Any) -> Any:
+def absorption_depth(u: Any) -> Any:
     """The optical depth of absorption at which a photon ends, for a uniform number u."""
     return -dr.log(1 - u) / KILLED_SHARE
 
 
-def remaining(tau: Any) -> Any:
-    """The part of its weight that a photon keeps over an optical depth of absorption; the rest ends photons."""
+def survival(tau: Any) -> Any:
+    """Fraction of its weight that a photon keeps over an optical depth of absorption; the rest ends photons."""
     return dr.exp(-(1 - KILLED_SHARE) * tau)
 
 
@@ -235,14 +235,14 @@ def roulette(photon: Photon, steps: Any, copies: Any) -> None:
     if (photon.outcome == 0) & (photon.steps >= LONG_WALK) & doubled:
         ended = photon.rng.next_float32() < 0.5
         # What roulette gives is no absorption.
-        gain = photon.weight * copies * remaining(photon.tau)
+        gain = photon.weight * copies * survival(photon.tau)
         photon.entered = dr.select(ended, photon.entered, photon.entered + gain)
         photon.weight = dr.select(ended, photon.weight, 2 * photon.weight)
         photon.outcome = dr.select(ended, mi.UInt32(LOST), 0)
 
 
 def henyey_greenstein(g: Any, u: Any) -> Any:
-    """The cosine of the scattering angle for anisotropy g and a uniform number u.
+    """Cosine of a scattering angle, sampled from the Henyey-Greenstein phase function; uniform number u, anisotropy g.
 
     References: Henyey, Greenstein 1941, Astrophys. J. 93, 70.
     """

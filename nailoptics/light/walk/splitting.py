@@ -1,4 +1,4 @@
-"""Splitting on the way to the photodiodes: where light may be detected, a photon goes on as several of less weight."""
+"""Splitting (variance reduction) on the way to the photodiodes: a photon goes on as several of less weight."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 from ...geometry import Face, Geometry
 from .interfaces import DETECTED, FingerPhoton, Regions
-from .sampling import free_absorption_length, remaining
+from .sampling import absorption_depth, survival
 from .tallies import CellGrid
 
 # A photon over the bed that comes within reach of a photodiode, and flies so that it will miss it by no more than
@@ -90,7 +90,7 @@ class Splitting:
     def add(self, photon: FingerPhoton, accepted: Any) -> None:
         """Keep a photon, or a copy, that arrives at a photodiode, which makes so much of its light."""
         if photon.outcome >= DETECTED:
-            weight = photon.weight * remaining(photon.tau) * accepted
+            weight = photon.weight * survival(photon.tau) * accepted
             slot = dr.scatter_inc(self.count, mi.UInt32(0), weight > 0)
             inside = (weight > 0) & (slot < self.room)
             values = photon.index, photon.outcome - DETECTED, weight, *photon.path
@@ -162,7 +162,7 @@ def _go_on(photon: FingerPhoton, forks: list[Any], far: Any, back: Any, active: 
         photon.region, photon.weight, photon.tau, photon.entered = mi.UInt32(state[6]), *state[7:10]
         photon.path = state[10:]
         # What absorption leaves a photon knows nothing of how far it came.
-        photon.absorption_optical_depth = photon.tau + free_absorption_length(photon.rng.next_float32())
+        photon.absorption_optical_depth = photon.tau + absorption_depth(photon.rng.next_float32())
         photon.near_copies = dr.select(from_near, photon.near_copies - 1, 0)
         photon.strides = dr.select(from_near, photon.strides, place + 1)
         photon.pending ^= dr.select(from_near, 0, mi.UInt32(1) << place)

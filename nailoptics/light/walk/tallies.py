@@ -10,7 +10,7 @@ import numpy as np
 from ...geometry import Geometry
 from ...scene import Scene
 from .interfaces import FingerPhoton
-from .sampling import atan2, remaining
+from .sampling import atan2, survival
 
 
 class CellGrid:
@@ -48,7 +48,7 @@ class BoardTally:
         """Keep a photon that arrives once more, at an angle of this cosine."""
         slot, inside = photon.index * ARRIVALS + photon.arrivals, active & (photon.arrivals < ARRIVALS)
         u = self.board_mm * atan2(photon.p.x, photon.p.z + self.nail_mm)
-        values = (u, photon.p.y, photon.weight * remaining(photon.tau), cos, *photon.path)
+        values = (u, photon.p.y, photon.weight * survival(photon.tau), cos, *photon.path)
         for column, value in zip(self.columns, values, strict=True):
             dr.scatter(column, value, slot, inside)
 

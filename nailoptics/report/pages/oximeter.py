@@ -178,7 +178,7 @@ def _over_time_figure(result: xr.Dataset) -> "style.Figure":
 
 
 def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
-    """Calibration and errors of an oximeter; so2 in parts of 1, everything called SpO2 in percent."""
+    """Calibration and errors of an oximeter; so2 as a fraction, everything called SpO2 in percent."""
     readings = {}
     by_led = {"perfusion_index": "led", "perfusion_index_stderr": "led", "spo2_stderr_by_cause": "cause"}
     for name in result.photodiode.values:

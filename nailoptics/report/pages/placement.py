@@ -265,7 +265,7 @@ def _tolerances(result: xr.Dataset) -> list[dict[str, Any]]:
 
 
 def _tolerance_rows(parts: list[dict[str, Any]]) -> list[dict[str, str]]:
-    """The same in words."""
+    """Rows of the table of tolerances, in words."""
     return [{"Part": p["part"]} | {kind: _change(p[kind]) if kind in p else "–" for kind in KINDS} for p in parts]
 
 

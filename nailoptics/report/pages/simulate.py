@@ -270,7 +270,7 @@ def courses(result: xr.Dataset) -> "style.Figure":
 
 @style.drawing()
 def bed(result: xr.Dataset, scene: Scene) -> "style.Figure":
-    """Blood of the nail bed along the nail over time, as a part of that at rest, and where the white band ends."""
+    """Blood of the nail bed along the nail over time, as a fraction of that at rest, and where the white band ends."""
     from matplotlib.colors import LinearSegmentedColormap
 
     half_mm, thin = scene.fingertip.nail_length_mm / 2, _thin(result)

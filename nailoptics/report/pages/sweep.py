@@ -100,7 +100,7 @@ def _others(results: xr.Dataset, name: str) -> dict[Any, int]:
 
 
 def _held(results: xr.Dataset, name: str) -> str:
-    """The same in words: so2 = 0.85, force_n = 1 N."""
+    """Where the other axes are held, in words: so2 = 0.85, force_n = 1 N."""
     held = {d: results[d][i] for d, i in _others(results, name).items() if d in results.coords}
     shown = {d: f"{at.item():.4g}" if at.dtype.kind == "f" else str(at.item()) for d, at in held.items()}
     return ", ".join(f"{d} = {shown[d]} {at.attrs.get('units', '1')}".removesuffix(" 1") for d, at in held.items())

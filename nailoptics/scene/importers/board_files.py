@@ -181,7 +181,7 @@ def read_outline(path: Path, *, unit_mm: float = 1.0) -> Outline:
         return join(dxf_lines(path, unit_mm=unit_mm), str(path))
     rows = read_rows(path, "an outline")
     if [name.strip().lower() for name in next(rows, (0, []))[1][:2]] != ["x_mm", "y_mm"]:
-        raise InputError(f"{path}: is no outline; give a KiCad board, a DXF, or a CSV whose first line is x_mm,y_mm.")
+        raise InputError(f"{path}: is not an outline; give a KiCad board, DXF, or CSV whose first line is x_mm,y_mm.")
     _, columns = number_columns(rows, {"x_mm": 0, "y_mm": 1}, str(path), gaps=False)
     corners = [*zip(*(column.tolist() for column in columns.values()), strict=True)]
     if len(corners) > 1 and math.dist(corners[0], corners[-1]) < SAME_PLACE_MM:

@@ -163,7 +163,7 @@ def _table(
     first = next((_columns(cells) for line in lines if len(cells := _cells(line, ",")) > 1), {})
     missing = ", ".join(name for name in NEEDED if name not in first)
     usual = f"{','.join(COLUMNS)}, or as an assembler has it (Designator, Mid X, Mid Y, Layer, Rotation)"
-    raise InputError(f"{path}: is no position file: {missing} missing; its first line must be {usual}.")
+    raise InputError(f"{path}: is not a position file: {missing} missing; its first line must be {usual}.")
 
 
 def _cells(line: str, separator: str) -> list[str]:

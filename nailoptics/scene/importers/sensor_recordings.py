@@ -42,7 +42,7 @@ STDIN = "stdin"
 # Millivolts and a converter's counts lie far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
 NOT_VOLTS = "looks like millivolts or a converter's counts; convert it to volts"
-# Samples of a touch lie so far apart, usually: what is outside is no time in seconds. [s]
+# Samples of a touch lie so far apart, usually: what is outside is not a time in seconds. [s]
 LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
 
 
@@ -128,14 +128,14 @@ class Recording:
         return f"<Recording {self.name}: {len(self.names)} readings, {samples}>"
 
     def of(self, names: Sequence[str]) -> "Recording":
-        """The same with these readings, in this order; raises InputError unless it has just these, in volts."""
+        """The recording with its readings in this order; raises InputError unless it has just these, in volts."""
         check_known(self.names, names, self.name)
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
 
     def at(self, samples: slice | NDArray[Any]) -> "Recording":
-        """The same with some of the samples."""
+        """The recording of some of the samples."""
         force_n, site = (None if one is None else one[samples] for one in (self.force_n, self.site))
         return Recording(self.name, self.names, self.time_s[samples], self.volts[:, samples], force_n, site)
 
@@ -200,7 +200,7 @@ def check_header(header: Sequence[str], name: str) -> None:
     twice = next((title for title in header if header.count(title) > 1), None)
     for wrong, why in (
         (not any(header), "is empty; give a CSV with time_s and the readings in volts"),
-        ("\ufffd" in "".join(header), "is no text; give a CSV with time_s and the readings in volts"),
+        ("\ufffd" in "".join(header), "is not text; give a CSV with time_s and the readings in volts"),
         (";" in "".join(header[:1]), "has semicolons between columns; write commas, and numbers with a decimal point"),
         ("time_s" not in header, f"has no column time_s (it has {', '.join(header)[:80]}); add the times in seconds"),
         ("" in header, f"column {[*header, ''].index('') + 1} has no title; name it or leave it out"),
@@ -219,7 +219,7 @@ def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None
         raise InputError(f"{label}: has no column {missing[0]!r}; {why}")
     if unknown:
         why = "rename it or leave it out."
-        raise InputError(f"{label}: column {unknown[0]!r} is no reading of this board ({', '.join(names)}); {why}")
+        raise InputError(f"{label}: column {unknown[0]!r} is not a reading of this board ({', '.join(names)}); {why}")
 
 
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:
@@ -242,7 +242,7 @@ def samples_by_line(lines: Iterable[str], titles: Callable[[list[str]], Sequence
 
     Empty lines, comments (#) and a last line that ends in its midst, as of a sensor that was unplugged, are left out.
 
-    titles : what is read, of the header, which is read at once. Raises: InputError for a line that is no sample.
+    titles : what is read, of the header, which is read at once. Raises: InputError for a line that is not a sample.
     """
     rows = (
         (number, line)

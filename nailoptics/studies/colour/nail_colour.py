@@ -231,7 +231,7 @@ def _attributes(
 
 
 def _redness_left(redness: Array, pale: Array) -> Array:
-    """Part of its blood's redness that each place has in each state, (..., p, s) float; 1 where it never had any.
+    """Fraction of its blood's redness that each place has in each state, (..., p, s) float; 1 where it never had any.
 
     redness : (..., p, s) float. a* of each state; the first is at rest. pale : (..., p) float. a* without blood.
     """

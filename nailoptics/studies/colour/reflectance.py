@@ -19,7 +19,7 @@ from ...light.transfer.series import ChebyshevBox
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
 from ...scene import Scene, Viewing
 from ...scene.tracing import Illuminant, Observer
-from ...statistics import Array, left_out
+from ...statistics import Array, leave_one_out
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}
 # The wavelengths at which reflectance is taken. At 5 nm haemoglobin's bands are resolved; the eye sees little beyond
@@ -145,7 +145,7 @@ class ColourRays:
     def reflectance(self) -> Array:
         """Reflectance factor in these states, by all rays and without each group, (1 + GROUPS, patches, states, q)."""
         means = (GROUPS * sums / cell.rays[:, None, None] for sums, cell in zip(self.sums, self.light, strict=True))
-        return left_out(sum(mean * weight for mean, weight in zip(means, WEIGHTS, strict=True)))
+        return leave_one_out(sum(mean * weight for mean, weight in zip(means, WEIGHTS, strict=True)))
 
 
 def _weighted(light: ReflectedLight, viewing: Viewing) -> ReflectedLight:

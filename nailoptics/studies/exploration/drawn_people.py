@@ -15,7 +15,7 @@ from ...sensor.information import force_resolution_n, operating_point, scene_res
 from ..placement.photon_maps import recorded
 from ..prior_uncertainty import at_value, draw_people, known_priors, only_absorbs
 
-# People who are drawn, and which of them the page has: by this part of them a force is resolved no coarser.
+# People who are drawn, and which of them the page has: by this fraction of them a force is resolved no coarser.
 DRAWN, QUANTILES = 20, (0.1, 0.5, 0.9)
 # They are ranked at this force [N], by so many photons of each LED, by which other seeds exchange neighbours at most.
 RANKED_N, RANK_PHOTONS = 1.0, 1 << 16

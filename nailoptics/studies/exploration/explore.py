@@ -31,7 +31,7 @@ from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
 from ...light.identity import light_scene
 from ...light.tracing import Ending, StageProgress, run_until
-from ...light.tracing.store import CODE, LightStore, made_by, program_digest, stored_or_made
+from ...light.tracing.store import CODE, LightStore, cache_key, load_or_compute, program_digest
 from ...light.transfer.records import transmissions
 from ...options import Requested, TraceOptions
 from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
@@ -222,7 +222,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     scene = as_scene(scene)
     options, cpu = TraceOptions(**requested), time.process_time()
     if options.relative_error is not None:
-        raise InputError("explore knows no relative_error, as every layout has its own; give photons or max_seconds.")
+        raise InputError("explore takes no relative_error, as every layout has its own; give photons or max_seconds.")
     _check(scene)
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
@@ -291,8 +291,8 @@ def _stored_light(
             raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
         return {}, light
 
-    lights = [store.light(_made(sums, options.seed)) for store in LightStore.of_command(options)]
-    return stored_or_made(lights, "-".join(map(str, photons)), trace, lambda _, arrays: arrays)[0]
+    entries = [store.entry(_made(sums, options.seed)) for store in LightStore.of_command(options)]
+    return load_or_compute(entries, "-".join(map(str, photons)), trace, lambda _, arrays: arrays)[0]
 
 
 def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
@@ -301,7 +301,7 @@ def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
     light = digest(light_scene(base).model_copy(update=read_by))
     leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.lit.leds[0] for band in sums)]
-    made = made_by("explore", light, leds[0][0], seed=seed, backend=backend) | {"leds": leds}
+    made = cache_key("explore", light, leds[0][0], seed=seed, backend=backend) | {"leds": leds}
     made |= {"states": [[*polynomial.blood_fraction, *polynomial.so2] for _, polynomial in fingers]}
     made |= {"people": [[one.model_dump_json() for one in (worn.fingertip, worn.blood)] for worn, _ in fingers[1:]]}
     return made | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
@@ -343,10 +343,10 @@ def _check(scene: Scene) -> None:
     boards.check_two_zones(scene, "explore")
     for i, led in enumerate(scene.leds):
         if led.pattern != "lambertian":
-            why = "explore knows Lambertian LEDs alone, whose light goes both ways"
+            why = "explore supports Lambertian LEDs only, whose light goes both ways"
             raise InputError(f'leds[{i}].pattern = "{led.pattern}": {why}; give "lambertian", or use simulate.')
     if len(scene.layout.barriers) > 1:
-        why = "explore knows one wall, and this board has walls on several sides of its photodiodes"
+        why = "explore supports one wall, and this board has walls on several sides of its photodiodes"
         raise InputError(f"board.barrier: {why}; put the LEDs on one side, or set barrier = false.")
 
 
@@ -391,7 +391,7 @@ FORCES, LEAST_REACH_N = 33, 4.0
 
 @lru_cache(8)
 def touch_table(scene: Scene) -> dict[str, Any]:
-    """Blood of both zones in parts of that at rest, its change with both pressures, and the body's noise, by force.
+    """Blood of both zones over that at rest, its change with both pressures, and the body's noise, by force.
 
     All blood goes with that at rest, so that each is per unit of it.
     """

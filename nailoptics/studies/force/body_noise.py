@@ -1,6 +1,6 @@
 """What moves a person's readings beside the touch, estimated from the residuals of a fit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import linear_response
-from ...hemodynamics.waves import HARMONIC_BAND, WAVES, CardiacOscillator, DampedOscillator, resolved_harmonics
+from ...hemodynamics.waves import HARMONIC_BAND, CardiacOscillator, DampedOscillator, resolved_harmonics, slow_waves
 from ...scene.importers.sensor_recordings import Recording
 from .person import Array, Person
 from .reading_table import ReadingTable
@@ -36,7 +36,7 @@ REST_FORCE_N = 0.05
 USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
 # The misfit of a held touch is taken for a polynomial of this degree in the force.
 MISFIT_DEGREE = 4
-# Of a Gaussian the median of |x| is this part of the standard deviation.
+# Of a Gaussian the median of |x| is this fraction of the standard deviation.
 MEDIAN_OF_GAUSSIAN = 0.6745
 # Spectra are of windows as long as two of the slowest waves. [s]
 WINDOW_S = 40.0
@@ -48,7 +48,7 @@ def arterial_response(person: Person, table: ReadingTable, gain: Array, recordin
     high = person.arterial_pa + STEP_PA * np.array([-0.5, 0.5])
     pressure_n_per_cm2 = np.repeat(person.pressures_n_per_cm2(recording.force_n, recording.site)[:, None], 2, axis=1)
     both = replace(person, rest_m=np.repeat(person.rest_m[:, None], 2, axis=1))
-    blood = person.blood(both.widths_over(recording.time_s, pressure_n_per_cm2, arterial_pa=high[:, None]))
+    blood = person.blood(both.diameters_over(recording.time_s, pressure_n_per_cm2, arterial_pa=high[:, None]))
     volts = gain[:, None, None] * table.volts(blood)
     return np.asarray((volts[:, 1] - volts[:, 0]) / STEP_PA)
 
@@ -82,7 +82,7 @@ def estimate_noise(
     for recording, residual in zip(recordings, residual_v, strict=True):
         time_s, force_n = recording.time_s, np.asarray(recording.force_n)
         response = arterial_response(person, table, gain, recording)
-        pressure_pa, light, left = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
+        pressure_pa, light, unexplained = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
         pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
@@ -91,25 +91,26 @@ def estimate_noise(
         spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
         with suppress(InputError):  # no heartbeat in it
             rates_hz.append(beats_per_second(time_s, pressure_pa))
-        # A reading's own drift lies where neither pressure nor LED took it along.
-        share = len(left) / max(len(left) - 1 - leds.shape[1], 1)
+        # A reading's own drift lies where neither pressure nor LED took it along, in fewer degrees of freedom.
+        share = len(unexplained) / max(len(unexplained) - 1 - leds.shape[1], 1)
         untouched = force_n < REST_FORCE_N
-        reading_drift2.append(share * _random_walk_variance(left / rest_v[:, None], time_s, untouched))
+        reading_drift2.append(share * _random_walk_variance(unexplained / rest_v[:, None], time_s, untouched))
         led_drift2.append(_random_walk_variance(light, time_s, untouched))
     frequency = spectra[int(np.argmax([len(recording.time_s) for recording in recordings]))][0]
     power = np.mean([np.interp(frequency, *spectrum) for spectrum in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
+    waves = slow_waves(frequency, power * (frequency[1] - frequency[0]))
     return white_v, Noise(
         drift_per_min=_drift(reading_drift2, USUAL_DRIFT),
         led_drift_per_min=_drift(led_drift2, USUAL_LED_DRIFT),
-        waves=tuple(_slow_waves(person, frequency, power)),
-        beat=_cardiac_oscillator(float(np.median(rates_hz)), frequency, power) if rates_hz else None,
+        waves=tuple(_before_vessels(person, wave) for wave in waves),
+        beat=_heartbeat(float(np.median(rates_hz)), frequency, power) if rates_hz else None,
     )
 
 
 def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
-    """Residuals (R, T) as the arterial pressure (T,) of a light that stays, as none follows the heart [Pa], light of
-    each LED (L, T) beside a pressure [1], and what is left of both (R, T).
+    """MAP estimate (ridge regression) by sample, from residuals (R, T), of the arterial pressure with the LEDs' light
+    fixed, as none follows the heart (T,) [Pa], of each LED's light beside it (L, T) [1]; and residuals of both (R, T).
 
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
     """
@@ -123,9 +124,9 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     normal[:, 0, 0] += np.where(strength > 0.01 * np.median(strength), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
-    right = np.einsum("trp,rt->tp", weighted, filled)
-    parts = np.linalg.solve(normal, right[..., None])[..., 0]
-    return right[:, 0] / normal[:, 0, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
+    rhs = np.einsum("trp,rt->tp", weighted, filled)
+    parts = np.linalg.solve(normal, rhs[..., None])[..., 0]
+    return rhs[:, 0] / normal[:, 0, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
 
 
 def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:
@@ -141,7 +142,12 @@ def _drift(variances: Sequence[Array], usual: float) -> float:
     return max(float(np.sqrt(all_of_them.mean())), LEAST_DRIFT) if all_of_them.size else usual
 
 
-def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> CardiacOscillator | None:
+def cardiac_oscillator(rate_hz: float, rms_pa: Sequence[float]) -> CardiacOscillator:
+    """The heartbeat by its harmonics, none of which is less than a hundredth of the largest. [Pa]"""
+    return CardiacOscillator(rate_hz, tuple(max(one, 0.01 * max(rms_pa)) for one in rms_pa), HEIGHT_SPREAD)
+
+
+def _heartbeat(rate_hz: float, frequency: Array, power: Array) -> CardiacOscillator | None:
     """The heartbeat of a rate in a spectrum of the arterial pressure [Pa^2/Hz]; None where it is too weak."""
 
     def rms_pa(middle: float, half: float) -> float:
@@ -151,23 +157,16 @@ def _cardiac_oscillator(rate_hz: float, frequency: Array, power: Array) -> Cardi
     heights = [rms_pa(k * rate_hz, HARMONIC_BAND * rate_hz) for k in orders]
     if not orders.size or np.hypot.reduce(heights) < LEAST_BEAT_PA:
         return None
-    return CardiacOscillator(rate_hz, tuple(max(height, 0.01 * max(heights)) for height in heights), HEIGHT_SPREAD)
+    return cardiac_oscillator(rate_hz, heights)
 
 
-def _slow_waves(person: Person, frequency: Array, power: Array) -> Iterator[DampedOscillator]:
-    """Oscillators with the power of the slow waves' bands in a spectrum of the arterial pressure [Pa^2/Hz]."""
-    for wave in WAVES:
-        near = (frequency >= wave.band_hz[0]) & (frequency < wave.band_hz[1])
-        if wave.coherence_s is not None and (total := power[near].sum()) > 0:
-            middle_hz = float((frequency[near] * power[near]).sum() / total)
-            rms_pa = float(np.sqrt(total * (frequency[1] - frequency[0])))
-            # Readings show what the vessels passed on.
-            gain = max(pressure_to_blood_gain(person, middle_hz), LEAST_GAIN)
-            yield DampedOscillator(middle_hz, wave.coherence_s, rms_pa / gain)
+def _before_vessels(person: Person, wave: DampedOscillator) -> DampedOscillator:
+    """A wave of the arterial pressure from that in readings, which show what the vessels passed on."""
+    return replace(wave, rms_pa=wave.rms_pa / max(pressure_to_blood_gain(person, wave.frequency_hz), LEAST_GAIN))
 
 
 def _white(residual: Array) -> Array:
     """White noise of each row, rms: from third differences, which take out what moves slowly."""
-    # Robust; third differences have 20 variances. Across a gap they are those of the samples beside it.
+    # Robust; var(third difference) = 20 sigma^2. Across a gap they are those of the samples beside it.
     third = [np.median(np.abs(np.diff(row[np.isfinite(row)], n=3))) for row in residual]
     return np.array(third) / MEDIAN_OF_GAUSSIAN / np.sqrt(20.0)

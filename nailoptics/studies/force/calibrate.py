@@ -30,7 +30,7 @@ from .training import calibration_series, train
 
 # Largest blood of the table of light, over the scene's at rest: pooling doubles it, people differ by two more.
 MOST_OVER_REST = 5.0
-# Part of a calibration's time that its fit takes.
+# Fraction of a calibration's time that its fit takes.
 FITTED = 0.8
 # Factors that say how fast vessels refill.
 REFILL_FACTORS = ("vein_damping", "capillary_damping")
@@ -48,6 +48,7 @@ def calibrate(
 
     scene : the board and a guess of the finger.
     recordings : one or more, or the files that hold them, each with the force and its site.
+    requested : photons, tolerance or time of the trace, seed and backend, as of `trace`.
 
     Returns: Dataset of the recordings beside what was fitted, over sample and reading; its attribute `subject` is the
     text of the subject's file, from which `predict` estimates force.
@@ -110,7 +111,7 @@ def calibrate_with(
         fitted = fit.solve(lambda done: report(FITTED * done))
         subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
-        why = f"is no recording of this scene's board ({explain(error, BaseModel).args[0]})"
+        why = f"cannot be calibrated with this scene ({explain(error, BaseModel).args[0]})"
         raise InputError(f"{recordings[0].name}: {why} Check units, columns and scene.") from None
     subject = _judged(subject, recordings)
     report(1.0)
@@ -146,7 +147,7 @@ def _warnings(subject: Subject, recordings: Sequence[Recording]) -> list[str]:
     """Limits of a calibration, for its user."""
     warnings, quality = [*lacking(recordings)], subject.quality
     factors = subject.factor_table()
-    # Of what is no constant of the vessels, as the pulp's creep, there may be hardly any.
+    # Of what is not a constant of the vessels, as the pulp's creep, there may be hardly any.
     of_vessels = [bool(prior.fields) for prior in PRIORS.values()]
     part = np.where(of_vessels, np.abs(subject.factors_ln), subject.factors_ln) / (FARTHEST_SPREADS * SPREAD_LN)
     at_bound = np.array(NAMES)[np.isclose(part, 1.0, atol=0.02)]
@@ -203,9 +204,9 @@ TOUCHED_N = 0.1
 RATE_PARTS, SAME_RATE = 5, 0.2
 # Longest usual step from sample to sample, and longest pause. [s]
 LONGEST_STEP_S, LONGEST_PAUSE_S = 0.5, 60.0
-# Least number of a reading's samples at rest, least valid part of all, and most that is saturated.
+# Least number of a reading's samples at rest, least valid fraction of all, and most that is saturated.
 LEAST_AT_REST, LEAST_PART, MOST_SATURATED = 10, 0.1, 0.01
-# A side lacks what it has less of than this part of the protocol's.
+# A side lacks what it has less of than this fraction of the protocol's.
 ENOUGH = 0.4
 # Touches are quick whose force rises or falls by so much within a time; each side has so many of either. [N, s, 1]
 QUICK_N, QUICK_S, QUICK_TOUCHES = 0.15, 0.3, 2

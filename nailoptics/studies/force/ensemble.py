@@ -33,7 +33,7 @@ NARROWNESS = 0.2
 HALF_WIDTH_TERMS, MOTION_LAG = 4, 1
 # A touch of a proximal share s is of one side alone where |2 s - 1| is this or more. [1]
 ONE_SIDED = 0.6
-# The estimate follows the filter from this part of the largest force that members are trained on. [1]
+# The estimate follows the filter from this fraction of the largest force that members are trained on. [1]
 HANDED_OVER = 0.9
 
 

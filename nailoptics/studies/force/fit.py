@@ -32,7 +32,7 @@ STARTS: tuple[dict[str, float], ...] = ({}, {"contact_area": 0.5}, {"contact_are
 STEP_LN = 0.02
 # Rounds of iterative reweighting, and evaluations of the residuals in each search.
 ROUNDS, FIRST_EVALUATIONS, MOST_EVALUATIONS = 2, 6, 10
-# First guess of the residuals' standard deviation, as a part of a reading's swing.
+# First guess of the residuals' standard deviation, as a fraction of a reading's swing.
 FIRST_MISFIT = 0.05
 # Huber's threshold for 95 % efficiency, in standard deviations.
 HUBER = 1.345
@@ -40,13 +40,13 @@ HUBER = 1.345
 LEAST_TOUCHES_OF_ALL = 8
 # Blocks of time of the sandwich covariance's scores.
 BLOCKS = 24
-# The arterial pressure is estimated where its effect on readings, squared, is at least this part of its median.
+# The arterial pressure is estimated where its effect on readings, squared, is at least this fraction of its median.
 LEAST_EFFECT = 0.01
-# Prior standard deviation of d ln volts / d blood, as a part of the traced slope: absorption of the nail plate alone, a
-# factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
+# Prior standard deviation of d ln volts / d blood, over the traced slope: absorption of the nail plate alone,
+# a factor 2 either way, moves the near photodiodes' signal by -30 to +20 %. And the least one, which moves no reading.
 OPTICS_PART, LEAST_SLOPE = 0.3, 1e-3
 # Prior standard deviations of ln gain and of its change from one putting-on of the sensor to the next, and of an offset
-# and a drift as parts of the reading at rest.
+# and a drift as fractions of the reading at rest.
 GAIN_SPREAD, DONNING_SPREAD, OFFSET_PART = 0.7, 0.2, 0.1
 
 
@@ -152,7 +152,7 @@ class Fit:
             assert recording.force_n is not None and recording.site is not None
             pressure_n_per_cm2 = who.pressures_n_per_cm2(recording.force_n, recording.site)
             rest = np.asarray(who.rest_blood)[..., None]
-            blood = rest * who.widths_over(recording.time_s, pressure_n_per_cm2)[:2] ** 2
+            blood = rest * who.diameters_over(recording.time_s, pressure_n_per_cm2)[:2] ** 2
             volts = self.table.volts(blood)
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out
@@ -196,8 +196,7 @@ class Fit:
 
     def _whiten(self, residual: Array) -> Array:
         """Residuals (R, S, T) over their standard deviations, (R * T, S). Correlations between readings are left out:
-        model error is common to all readings, and weights by their covariance would take the effect of the touch for
-        noise."""
+        model error is common to all readings, and weights by their covariance would take the touch for noise."""
         white = residual / np.sqrt(self.variance)[:, None, None] * np.sqrt(self.weight / self.memory)
         return np.asarray(np.moveaxis(white, 1, -1).reshape(-1, residual.shape[1]))
 

@@ -17,7 +17,7 @@ from .kalman import PressureEstimate, rest_odds, touch_pressure
 from .person import NAMES, SIDES, Array, Person
 from .subject import Subject
 
-# Held touches of either side at which the error is computed, in parts of closure.
+# Held touches of either side at which the error is computed, as fractions of closure.
 PARTS = np.array([0.0, 0.1, 0.25, 0.45, 0.7, 1.0])
 # Steps of derivatives: of the factors' logarithms, and of pressures in N/cm^2.
 STEP_LN, STEP_N_PER_CM2 = 0.05, 0.02
@@ -61,7 +61,7 @@ class ForceEstimate(NamedTuple):
     pressure_stderr_n_per_cm2: Array
 
     def where(self, known: Array) -> "ForceEstimate":
-        """The same, NaN where not known (T,)."""
+        """The estimates, NaN where not known (T,)."""
         return ForceEstimate(*(np.where(known, column, np.nan) for column in self))
 
 
@@ -160,8 +160,8 @@ class ForceInterval:
     def _risen_v(self, who: Person, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Volts of every reading over those at rest, (R, S), of one or many people under held pressures (2, S). And
         what steeper slopes by the blood of either zone add to them, (2, R, S)."""
-        width, light = who.steady_widths(pressure_n_per_cm2), self.subject.light
-        blood, rest = who.blood(width), who.blood(np.ones_like(width))
+        diameter, light = who.steady_diameters(pressure_n_per_cm2), self.subject.light
+        blood, rest = who.blood(diameter), who.blood(np.ones_like(diameter))
         volts = light.volts(blood)
         risen = self.subject.readings.gain[:, None] * (volts - light.volts(rest))
         return risen, volts * (blood - rest)[:, None]

@@ -26,7 +26,7 @@ from .subject import READING_CORRELATION_S, Subject
 
 # Below this a pressure bends smoothly to 0, so that its derivative never vanishes. [N/cm^2]
 SOFTNESS_N_PER_CM2 = 0.002
-# Past closure touches cannot be distinguished: the estimate is bounded at this part of it, from where it can return.
+# Past closure touches cannot be distinguished: the estimate is bounded at so many times it, from where it can return.
 PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
 LOWEST_N_PER_CM2 = -0.01
@@ -36,19 +36,19 @@ LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
 SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02]), 200.0
 # Process noise of the walls, of their diameters at rest per step. [1]
 WALL_NOISE = 1e-4
-# Process noise: error of the walls' velocity as a part of it, and its correlation time. Chosen on the virtual people:
+# Process noise: relative error of the walls' velocity, and its correlation time. Chosen on the virtual people:
 # without it a touch that is released past closure is estimated for seconds. [1, s]
 SPEED_ERROR, SPEED_CORRELATION_S = 0.2, 0.3
 # Process noise of the distal pulp. [N/cm^2 / sqrt(s)]
 PULP_NOISE_N_PER_CM2_RT_S = 0.05
 # Standard deviations of a state of which nothing is known but that the finger rests: diameters [1], pressures [N/cm^2].
-INITIAL_WIDTH, INITIAL_PRESSURE_N_PER_CM2 = 1e-2, 0.1
+INITIAL_DIAMETER, INITIAL_PRESSURE_N_PER_CM2 = 1e-2, 0.1
 # Least diameter over rest that the measurement takes.
-LEAST_WIDTH = 1e-3
+LEAST_DIAMETER = 1e-3
 # A time constant of this or less is none. [s]
 SHORTEST_S = 1e-9
 
-WIDTHS, TOUCH, PULP, FIRST_WAVE = slice(0, 3), slice(3, 5), 5, 6
+DIAMETERS, TOUCH, PULP, FIRST_WAVE = slice(0, 3), slice(3, 5), 5, 6
 # The states that the network's step depends on, each with a step up and down in the Jacobian; P_H has two more.
 WALL_STATES = FIRST_WAVE
 
@@ -88,9 +88,9 @@ class StateSpace:
     def initial(self) -> tuple[Array, Array]:
         """State and covariance of an untouched finger, as far as is known."""
         subject, state, covariance = self.subject, np.zeros(self.size), np.zeros((self.size, self.size))
-        state[WIDTHS] = 1.0
+        state[DIAMETERS] = 1.0
         variance = np.einsum("ii->i", covariance)
-        variance[WIDTHS] = INITIAL_WIDTH**2
+        variance[DIAMETERS] = INITIAL_DIAMETER**2
         variance[TOUCH] = variance[PULP] = INITIAL_PRESSURE_N_PER_CM2**2
         if subject.noise.beat:
             variance[self.beat] = subject.noise.beat.initial_variance()
@@ -121,7 +121,7 @@ class StateSpace:
     def process(
         self, state: Array, stderr: Array, relaxed_n_per_cm2: Array, step_s: float
     ) -> tuple[Array, Array, Array]:
-        """State after a step, its Jacobian F and the process noise Q, that of the touch left out.
+        """State (n,) after a step [s], its Jacobian F and the process noise Q, (n, n) each, that of the touch left out.
 
         stderr : (6,) float. Standard deviations of the states that act on the walls.
         relaxed_n_per_cm2 : (2,) float. Pressures that the viscoelastic pulp has relaxed to. [N/cm^2]
@@ -140,17 +140,17 @@ class StateSpace:
         # The distal pulp follows a rising touch at once, a falling one slowly.
         remaining = np.exp(-step_s / np.maximum(person.recovery_s, SHORTEST_S))
         touch[1] = np.maximum(touch[1], touch[1] + (around[PULP] - touch[1]) * remaining)
-        before_m = np.maximum(around[WIDTHS] * many.rest_m, self._closed_m)
+        before_m = np.maximum(around[DIAMETERS] * many.rest_m, self._closed_m)
         outside_pa = touch_on_walls(touch, many.distal_reach)
-        widths = step(many.walls, before_m, outside_pa, highs, person.venous_pa, step_s=step_s) / many.rest_m
-        moved = np.vstack([widths, touch[1]])
+        diameters = step(many.walls, before_m, outside_pa, highs, person.venous_pa, step_s=step_s) / many.rest_m
+        moved = np.vstack([diameters, touch[1]])
         driven, (up, down) = [0, 1, 2, PULP], np.split(moved[:, 1:first], 2, axis=1)
         transition[driven, :WALL_STATES] = (up - down) / (2 * step_by)
-        by_arterial = (widths[:, first] - widths[:, first + 1]) / (2 * ARTERIAL_STEP_PA)
-        transition[WIDTHS] += np.outer(by_arterial, self.wave_weights)
+        by_arterial = (diameters[:, first] - diameters[:, first + 1]) / (2 * ARTERIAL_STEP_PA)
+        transition[DIAMETERS] += np.outer(by_arterial, self.wave_weights)
         after = transition @ state
         after[driven] = moved[:, 0]
-        speed_error = SPEED_ERROR * (widths[:, 0] - state[WIDTHS])
+        speed_error = SPEED_ERROR * (diameters[:, 0] - state[DIAMETERS])
         noise[range(3), range(3)] += speed_error**2 * SPEED_CORRELATION_S / step_s
         if beat := self.subject.noise.beat:
             at = self.beat, self.beat
@@ -165,13 +165,13 @@ class StateSpace:
 
     def measurement(self, state: Array) -> tuple[Array, Array]:
         """Volts of every reading (R,) and their Jacobian H (R, size)."""
-        subject, calibrated, width = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_WIDTH)
+        subject, calibrated, diameter = self.subject, self.subject.readings, np.maximum(state[:2], LEAST_DIAMETER)
         pulsatile, by_touch = self._pulsatile_gain.at(touch_pressure(state[TOUCH]))
-        beat_pa, blood = self.beat_weights @ state, self.person.blood(width)
+        beat_pa, blood = self.beat_weights @ state, self.person.blood(diameter)
         volts, by_blood = subject.light.slopes(blood * (1.0 + pulsatile * beat_pa))
         by_blood = calibrated.gain[:, None] * by_blood
         jacobian = self._drift_jacobian.copy()
-        jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / width)
+        jacobian[:, :2] = by_blood * (1.0 + pulsatile * beat_pa) * (2 * blood / diameter)
         jacobian[:, TOUCH] = by_blood @ (blood[:, None] * by_touch) * beat_pa * expit(state[TOUCH] / SOFTNESS_N_PER_CM2)
         jacobian += np.outer(by_blood @ (blood * pulsatile), self.beat_weights)
         return calibrated.offset_v + calibrated.gain * volts + subject.rest_v * state[self.drift], jacobian
@@ -197,7 +197,7 @@ class StateSpace:
     def _linear_process(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
         transition, variance = np.eye(self.size), np.zeros(self.size)
-        variance[WIDTHS] = WALL_NOISE**2
+        variance[DIAMETERS] = WALL_NOISE**2
         variance[PULP] = PULP_NOISE_N_PER_CM2_RT_S**2 * step_s
         for k, wave in enumerate(self.subject.noise.waves):
             at = slice(self.waves.start + 2 * k, self.waves.start + 2 * k + 2)
@@ -223,7 +223,7 @@ TOUCH_RANGE_N_PER_CM2 = 0.5
 ZERO_STDERR_N_PER_CM2_RT_S = 0.025
 # A sample whose normalized innovation squared lies above this quantile of chi-squared is an outlier.
 OUTLIER_GATE = 0.999
-# The filter restarts, at rest, after gaps, and where a width over rest has a larger standard error than this: a soft
+# The filter restarts, at rest, after gaps, and where a diameter over rest has a larger standard error than this: a soft
 # vein past closure is known to no more than 2, and must not be taken for diverged.
 DIVERGED = 5.0
 
@@ -306,7 +306,7 @@ class KalmanFilter:
         variance = self.subject.measurement_noise(self._blood_v, self._moved_v, since_s)
         gate = 2.0 * float(gammaincinv(max(valid.sum(), 1) / 2, OUTLIER_GATE))  # quantile of chi-squared
         nis = self._update(volts, valid, variance, gate)
-        # That the touch is 0 is known with the probability that the finger rests.
+        # Pseudo-measurement of zero touch, weighted by the probability that the finger rests.
         touch, covariance = self.state[TOUCH], self.covariance[TOUCH, TOUCH]
         odds, elapsed_s = rest_odds(touch, covariance), min(since_s or 0.0, LONGEST_GAP_S)
         information = odds / (1.0 + odds) * elapsed_s / ZERO_STDERR_N_PER_CM2_RT_S**2
@@ -340,7 +340,7 @@ class KalmanFilter:
                 self._predict_step(since_s / steps)
         # Readings of another person can make a filter diverge.
         variance = np.einsum("mii->mi", self.mode_covariance)
-        if not (np.isfinite(variance).all() and (variance[:, WIDTHS] < DIVERGED**2).all()):
+        if not (np.isfinite(variance).all() and (variance[:, DIAMETERS] < DIVERGED**2).all()):
             self.restart()
 
     def _predict_step(self, step_s: float) -> None:
@@ -393,7 +393,7 @@ class KalmanFilter:
         self.mode_probability = probability
         self.covariance = np.einsum("m,mij->ij", probability, covariance) + (probability * from_mean.T) @ from_mean
         self.state = self.model.bound_touch(state, self.covariance)
-        self.state[WIDTHS] = np.maximum(self.state[WIDTHS], LEAST_WIDTH)
+        self.state[DIAMETERS] = np.maximum(self.state[DIAMETERS], LEAST_DIAMETER)
         self.state[PULP] = min(max(self.state[PULP], 0.0), self.model.touch_bounds_n_per_cm2[1][1])
         return nis
 

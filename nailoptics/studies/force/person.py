@@ -30,20 +30,20 @@ from ...scene.priors import factor_priors
 LONGEST_STEP_S, LONGEST_GAP_S = 0.05, 5.0
 # A finger's vessels are walked through pieces of time of about this length side by side, until diameters differ by less
 # than this part from piece to piece. [s, 1]
-PIECE_S, MET = 4.0, 1e-6
-# A touch past which less than this part of the change by pressure is left cannot be distinguished from a harder one.
+PIECE_S, CONVERGED = 4.0, 1e-6
+# A touch past which less than this fraction of the change by pressure is left is indistinguishable from a harder one.
 LEFT_AT_CLOSURE = 0.05
 # Pressures among which closure is searched. [N/cm^2]
 SEARCHED_N_PER_CM2 = np.linspace(0.0, 4.0, 401)
-# Pressures of either side at which a beat's effect is computed, and the change of arterial pressure by which. [Pa]
-PULSED, STEP_PA = 9, 200.0
+# Nodes of either side's pressure in `PulsatileGain`, and the change of arterial pressure in its differences. [1, Pa]
+GRID_NODES, ARTERIAL_STEP_PA = 9, 200.0
 # No calibration gives more: gains of readings, and constants of the vessels over those listed, either way.
 MOST_GAIN = 1e4
 # Cubes of a subject file's numbers, times others, are far from what numbers can hold.
 MOST = 1e30
 SIDES = ("proximal", "distal")
 # 1 N/cm^2, the paper's unit of pressure. [Pa]
-N_PER_CM2, MM2_PER_CM2 = 1e4, 100.0
+PA_PER_N_PER_CM2, MM2_PER_CM2 = 1e4, 100.0
 
 # Tables of a subject file; it also holds what is for its reader alone.
 TABLE = ConfigDict(extra="ignore", allow_inf_nan=False, arbitrary_types_allowed=True)
@@ -94,7 +94,7 @@ def _plausible(vessels: Parameters) -> Parameters:
 class Pulp:
     """What lies between a touch and the vessels.
 
-    creep : part of its pressure that a held touch loses in the end. [1]
+    creep : fraction of its pressure that a held touch loses in the end. [1]
     creep_s : time constant of that loss. [s]
     recovery_s : time constant with which the distal pulp recovers where a touch presses less. [s]
     """
@@ -128,8 +128,8 @@ class Person:
     rest_blood : S float. Blood fraction of the bed at rest.
     area_cm2 : S float. Area over which a distal touch presses. [cm^2]
     proximal_area : S float. That of a proximal touch over it.
-    distal_reach : S float. Part of P_F2 that acts on the proximal capillaries, too.
-    share : S float. Part of an even touch's force that presses proximally.
+    distal_reach : S float. Fraction of P_F2 that acts on the proximal capillaries, too.
+    share : S float. Fraction of an even touch's force that presses proximally.
     arterial_pa, venous_pa : P_H and P_L at rest. [Pa]
     creep, creep_s, recovery_s : of the `Pulp`, S float, float and S float.
     """
@@ -152,9 +152,9 @@ class Person:
         """Areas over which a proximal and a distal touch press, (2,) float, of one person."""
         return np.array([self.area_cm2 * self.proximal_area, self.area_cm2])
 
-    def blood(self, width: Array) -> Array:
+    def blood(self, diameter: Array) -> Array:
         """Blood fraction of both zones, (2, *S), from diameters over those at rest."""
-        return np.asarray(self.rest_blood * width[:2] ** 2)
+        return np.asarray(self.rest_blood * diameter[:2] ** 2)
 
     def pressures_n_per_cm2(self, force_n: Array, site: Array) -> Array:
         """Touch pressures P_F1 and P_F2, (2, *S, T) float, of a force at a site over time (T,). [N/cm^2]
@@ -164,7 +164,7 @@ class Person:
         share = np.where(np.isnan(site), np.asarray(self.share)[..., None], site)
         contact = Contact(MM2_PER_CM2 * np.asarray(self.area_cm2)[..., None], share)
         proximal_pa, distal_pa = contact.pressures(np.maximum(force_n, 0.0))
-        return np.stack([proximal_pa / np.asarray(self.proximal_area)[..., None], distal_pa]) / N_PER_CM2
+        return np.stack([proximal_pa / np.asarray(self.proximal_area)[..., None], distal_pa]) / PA_PER_N_PER_CM2
 
     def force(self, pressure_n_per_cm2: Array) -> tuple[Array, Array]:
         """Force [N] and its proximal share from both pressures (2, ...): the inverse of `pressures_n_per_cm2`."""
@@ -173,7 +173,7 @@ class Person:
         ratio = np.nan_to_num(np.minimum(proximal, distal) / np.where(larger > 0, larger, np.nan), nan=1.0)
         return self.area_cm2 * larger, np.where(proximal >= distal, 1.0 - ratio / 2.0, ratio / 2.0)
 
-    def steady_widths(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
+    def steady_diameters(self, pressure_n_per_cm2: Array, higher_pa: Array | float = 0.0) -> Array:
         """Diameters over those at rest, (3, n), under held pressures (2, n) [N/cm^2], of one person or of n.
 
         higher_pa : n float. By how much P_H lies above the person's. [Pa]
@@ -187,13 +187,13 @@ class Person:
     def closure_n_per_cm2(self) -> Array:
         """Proximal and distal pressure (2,) past which one person's readings stay as they are. [N/cm^2]"""
         touches = SEARCHED_N_PER_CM2 * np.eye(2)[..., None]
-        blood = np.stack([self.steady_widths(touch)[side] ** 2 for side, touch in enumerate(touches)])
+        blood = np.stack([self.steady_diameters(touch)[side] ** 2 for side, touch in enumerate(touches)])
         change = np.abs(blood - blood[:, :1])
         left = change < (1 - LEFT_AT_CLOSURE) * change.max(1, keepdims=True)
         last = np.where(left, np.arange(SEARCHED_N_PER_CM2.size), 0).max(1)
         return SEARCHED_N_PER_CM2[np.minimum(last + 1, SEARCHED_N_PER_CM2.size - 1)]
 
-    def widths_over(self, time_s: Array, pressure_n_per_cm2: Array, *, arterial_pa: Array | None = None) -> Array:
+    def diameters_over(self, time_s: Array, pressure_n_per_cm2: Array, *, arterial_pa: Array | None = None) -> Array:
         """Diameters over those at rest, (3, *S, T) float, of a finger that rests before the first sample.
 
         pressure_n_per_cm2 : (2, *S, T) float. P_F1 and P_F2, linear between samples. [N/cm^2]
@@ -217,16 +217,16 @@ class Person:
         start, change = (np.moveaxis(drive, (-2, -1), (0, 2)) for drive in (start, change[..., of]))
         high = np.moveaxis(high[..., of], (-2, -1), (0, 1))
         step_s = (sample_s / counts)[of].reshape(steps.shape + (1,) * (self.rest_m.ndim - 1))
-        width, out = np.repeat(self.rest_m[:, None], pieces, axis=1), np.empty_like(start)
+        diameter, out = np.repeat(self.rest_m[:, None], pieces, axis=1), np.empty_like(start)
         for walked in range(steps.size):
             k = walked % length
             if walked and k == 0:
-                width = np.concatenate([self.rest_m[:, None], width[:, :-1]], axis=1)
+                diameter = np.concatenate([self.rest_m[:, None], diameter[:, :-1]], axis=1)
             ends_pa = high[k], self.venous_pa
-            width = step(self.walls, width, start[k], *ends_pa, step_s=step_s[k], outside_change=change[k])
-            if walked >= length and (np.abs(width - out[k]) <= MET * width).all():
+            diameter = step(self.walls, diameter, start[k], *ends_pa, step_s=step_s[k], outside_change=change[k])
+            if walked >= length and (np.abs(diameter - out[k]) <= CONVERGED * diameter).all():
                 break
-            out[k] = width
+            out[k] = diameter
         after = np.moveaxis(out, (2, 0), (-2, -1)).reshape(*self.rest_m.shape, -1)[..., ends - 1]
         return np.asarray(np.concatenate([self.rest_m[..., None], after], axis=-1) / self.rest_m[..., None])
 
@@ -239,7 +239,7 @@ class NominalFinger:
     contact_area_cm2: Annotated[float, Field(ge=1e-3, le=1e3)]
     proximal_share: Fraction
     distal_reach: Fraction
-    """Part of a distal pressure on the proximal capillaries; 0 in the paper's two zones."""
+    """Fraction of a distal pressure on the proximal capillaries; 0 in the paper's two zones."""
     pulp: Pulp
     vessels: Annotated[Parameters, AfterValidator(_plausible)]
 
@@ -281,7 +281,7 @@ def nominal_finger(scene: Scene) -> NominalFinger:
     recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
     return NominalFinger(
         rest_blood_fraction=scene.blood.rest_blood_fraction,
-        contact_area_cm2=touch.contact_area_mm2 / 100.0,
+        contact_area_cm2=touch.contact_area_mm2 / MM2_PER_CM2,
         proximal_share=touch.proximal_share,
         distal_reach=scene.blood.distal_reach or USUAL_DISTAL_REACH,
         pulp=Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
@@ -292,9 +292,10 @@ def nominal_finger(scene: Scene) -> NominalFinger:
 def touch_on_walls(pressure_n_per_cm2: Array, distal_reach: Array | float) -> Array:
     """Touch pressure on each wall (3, *S) [Pa], from P_F1 and P_F2 (2, *S) [N/cm^2].
 
-    distal_reach : part of P_F2 that acts on the proximal capillaries.
+    distal_reach : fraction of P_F2 that acts on the proximal capillaries.
     """
-    return N_PER_CM2 * np.array([distal_reach * pressure_n_per_cm2[1], pressure_n_per_cm2[1], pressure_n_per_cm2[0]])
+    proximal, distal = PA_PER_N_PER_CM2 * pressure_n_per_cm2
+    return np.array([distal_reach * distal, distal, proximal])
 
 
 class PulsatileGain:
@@ -307,16 +308,16 @@ class PulsatileGain:
     """
 
     def __init__(self, person: Person, highest_n_per_cm2: Array) -> None:
-        self._steps_n_per_cm2 = highest_n_per_cm2 / (PULSED - 1)
-        touch = np.stack(np.meshgrid(*np.linspace(0.0, highest_n_per_cm2, PULSED).T, indexing="ij")).reshape(2, -1)
-        higher_pa = STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
-        blood = person.blood(person.steady_widths(np.repeat(touch, 2, axis=1), higher_pa))
-        higher, lower = np.moveaxis(blood.reshape(2, PULSED, PULSED, 2), -1, 0)
-        self._part = (higher - lower) / STEP_PA / (higher + lower)
+        self._steps_n_per_cm2 = highest_n_per_cm2 / (GRID_NODES - 1)
+        touch = np.stack(np.meshgrid(*np.linspace(0.0, highest_n_per_cm2, GRID_NODES).T, indexing="ij")).reshape(2, -1)
+        higher_pa = ARTERIAL_STEP_PA * np.tile([1.0, -1.0], touch.shape[1])
+        blood = person.blood(person.steady_diameters(np.repeat(touch, 2, axis=1), higher_pa))
+        higher, lower = np.moveaxis(blood.reshape(2, GRID_NODES, GRID_NODES, 2), -1, 0)
+        self._part = (higher - lower) / ARTERIAL_STEP_PA / (higher + lower)
 
     def at(self, touch: Array) -> tuple[Array, Array]:
         """Part (2,) by which the blood grows under a touch (2,) in N/cm^2, [1/Pa], and its slopes (2, 2) by that."""
-        place = np.minimum(np.maximum(touch / self._steps_n_per_cm2, 0.0), PULSED - 1.001)
+        place = np.minimum(np.maximum(touch / self._steps_n_per_cm2, 0.0), GRID_NODES - 1.001)
         (i, j), (x, y) = place.astype(int).tolist(), (place % 1.0).tolist()
         here = self._part[:, i : i + 2, j : j + 2]
         across, along = np.array([1.0 - x, x]), np.array([1.0 - y, y])

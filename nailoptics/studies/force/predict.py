@@ -17,7 +17,7 @@ from ...variables import Estimate, Variables, described
 from ...version import code_attributes
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
-from .person import N_PER_CM2, SIDES, Array
+from .person import PA_PER_N_PER_CM2, SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, load_subject, parse_subject
 
@@ -26,7 +26,7 @@ from .subject import Subject, load_subject, parse_subject
 MOST_OUTLIERS, OVER_CALIBRATION, MOST_CHI2 = 0.03, 2.0, 1.5
 # A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
 LATEST_S = 1.0
-# Patterns of a misfit are named where they explain this part of it.
+# Patterns of a misfit are named where they explain this fraction of it.
 EXPLAINED = 0.8
 
 
@@ -187,7 +187,7 @@ def _dataset(
     where = force.proximal_share if recording.site is None else np.nan_to_num(recording.site, nan=0.5)
     bounds_n, still = (force.force_low_n, force.force_high_n), is_still(recording.time_s, np.nan_to_num(known_n))
     touches = touches_by_kind(known_n, force.force_n, bounds_n, where > 0.5, still)
-    pressures_pa = (N_PER_CM2 * column for column in (force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2))
+    pressures_pa = (PA_PER_N_PER_CM2 * column for column in (force.pressure_n_per_cm2, force.pressure_stderr_n_per_cm2))
     of_sides = zip(SIDES, *pressures_pa, strict=True)
     data = described(
         __package__,
@@ -234,8 +234,7 @@ def _event_variables(time_s: Array, force_n: Array, known_n: Array, **thresholds
 
 def _misfit(subject: Subject, recording: Recording, estimates: PressureEstimate, force_n: Array) -> str:
     """The likely cause where readings do not fit the subject; empty where they do."""
-    # Outliers count where force has hardly changed for a while: no person's vessels follow a sudden touch quite as the
-    # model's do.
+    # Outliers count where force has hardly changed for a while: vessels follow a sudden touch unlike the model's.
     outlier, still = estimates.outlier, is_still(recording.time_s, force_n)
     outliers = float(outlier[still].mean()) if still.any() else 1.0
     chi2 = estimates.nis[~outlier].sum() / max(estimates.count[~outlier].sum(), 1)

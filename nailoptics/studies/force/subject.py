@@ -25,16 +25,16 @@ from .scores import Baseline
 MOST_FACTOR = 100.0
 # Correlations of a calibration are known to rounding but for this.
 ROUNDING = 1e-3
-# A calibration whose own touches come out further off than this part of their size, rms, does not fit its person; those
-# of files without touches, further than this. [1, N]
+# A calibration whose own touches come out further off than this fraction of their size, rms, does not fit its person;
+# those of files without touches, further than this. [1, N]
 MOST_ERROR, MOST_RMS_N = 0.15, 0.15
 # Parameters that are calibrated of each reading: gain, offset and an added slope by the blood of either zone.
 LINEAR = 4
-# A factor is informed by a calibration that leaves less than this part of the prior's standard deviation.
+# A factor is informed by a calibration that leaves less than this fraction of the prior's standard deviation.
 INFORMED = 0.7
-# Measurement noise by the model's error, as parts of a reading's recent change and of its distance from rest. Chosen on
-# the virtual people, and on light known to 2 %: without the first a touch released past closure leads the filter far
-# astray, without the second a held touch persists. [1]
+# Measurement noise by the model's error, as fractions of a reading's recent change and of its distance from rest.
+# Chosen on the virtual people, and on light known to 2 %: without the first a touch released past closure leads the
+# filter far astray, without the second a held touch persists. [1]
 DYNAMIC_ERROR, STATIC_ERROR = 0.03, 0.01
 # Correlation time of that error. [s]
 READING_CORRELATION_S = 0.4
@@ -45,7 +45,7 @@ class Quality:
     """How well a calibration fits its own recordings.
 
     chi2_per_dof : of the whitened residuals. rms_n : error of touches' force; NaN where it could not be judged. [N]
-    outliers : part of the samples of a force that stays that the filter takes for outliers. [1]
+    outliers : fraction of the samples of a force that stays that the filter takes for outliers. [1]
     touches : rms_n, relative_error (of the touches' rms force), coverage_95 and half_width_n of touches by kind. [N, 1]
     """
 
@@ -98,8 +98,8 @@ class Noise:
     led_drift_per_min : that of all readings of an LED together. [1]
     donning : by how much a reading's gain differs when the sensor is put on anew, as far as recordings show. [1]
     beat : the heart's; None where none was detected. waves : slower ones of the arterial pressure.
-    dynamic_error, static_error : of the model, as parts of a reading's recent change and of its distance from rest; not
-        in the file. [1]
+    dynamic_error, static_error : of the model, as fractions of a reading's recent change and of its distance from rest;
+        not in the file. [1]
     """
 
     drift_per_min: Fraction

@@ -18,12 +18,12 @@ from pydantic import BaseModel, ValidationError
 
 from ...checks import explain
 from ...errors import InputError
-from ...hemodynamics.waves import WAVES, CardiacOscillator, DampedOscillator, pressure_lines
+from ...hemodynamics.waves import HEARTBEAT, pressure_lines, slow_waves
 from ...scene import Body, Scene
 from ...scene.body import Drift
 from ...sensor.information import LIFT_PER_UM, SLIDE_PER_UM
 from . import kalman
-from .body_noise import HARMONICS, HEIGHT_SPREAD, pressure_to_blood_gain
+from .body_noise import HARMONICS, cardiac_oscillator, pressure_to_blood_gain
 from .kalman import TOUCH, StateSpace
 from .person import NAMES, Array, Person, nominal_finger
 from .reading_table import POWERS, ReadingTable
@@ -32,8 +32,8 @@ from .subject import LINEAR, READING_CORRELATION_S, Noise, Quality, Readings, Su
 
 # Samples in a second, as in recordings of touches; the longest step of the vessels' network is longer. [Hz]
 RATE_HZ = 25.0
-# Time of each part of a touch, and the part of the force at its end: a slow touch and a quick one of either side, after
-# a rest in which the filter takes hold of the body's waves. [s, 1]
+# Time of each part of a touch, and the fraction of the force at its end: a slow touch and a quick one of either side,
+# after a rest in which the filter takes hold of the body's waves. [s, 1]
 FIRST_REST_S = 6.0
 TOUCHES = ((3.0, 1.0), (2.0, 1.0), (1.0, 0.0), (3.0, 0.0), (0.16, 1.0), (2.0, 1.0), (0.1, 0.0), (3.0, 0.0))
 # A touch that moves by more than so many standard deviations of the slow mode's random walk is taken for quick.
@@ -143,12 +143,12 @@ class TouchError:
         """Mean squared errors of both touch pressures, (batch, 2) float, sample by sample. [(N/cm^2)^2]"""
         batch, count = noise.shape
         size, since_s, drift = len(self._initial), 1.0 / RATE_HZ, self.noise.drift_covariance(led)
-        # The covariance that the filter believes, and the true one, all of their rows, and what a sample adds to them.
+        # The filter's covariance and the actual one, all of their rows, and what a sample adds to them.
         everything, added = (np.zeros((2, n, size + count, size + count)) for n in (batch, 1))
         rows, driven = everything.reshape(-1, size + count)[:, :size], slice(kalman.FIRST_WAVE)
         everything[..., :size, :size], everything[..., size:, size:] = self._initial, drift
         added[..., size:, size:] = drift * since_s / 60.0
-        # Of readings, and of the touch, which is read as 0 at rest; and variances of their noise, believed and true.
+        # Of readings, and of the touch, which reads 0 at rest; variances of their noise, the filter's and the actual.
         jacobian, noise2 = np.zeros((batch, count + 2, size + count)), np.zeros((2, batch, count + 2))
         jacobian[:, :count, size:], jacobian[:, count:, TOUCH] = np.eye(count), np.eye(2)
         noise2[0, :, count:], noise2[1, :, :count] = kalman.ZERO_STDERR_N_PER_CM2_RT_S**2 / since_s, noise**2
@@ -177,17 +177,17 @@ def _diagonal(matrices: Array) -> Array:
 
 
 def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> None:
-    """Update the covariances that a filter believes and the true ones, (2, batch, n, n), and its lag (batch, n), by m
-    readings with a Jacobian (batch, m, n), whose noise has a variance (2, batch, m) in its belief and in truth."""
+    """Update the filter's covariances and the actual ones, (2, batch, n, n), and its lag (batch, n), by m readings with
+    a Jacobian (batch, m, n), whose noise has a variance (2, batch, m) to the filter and in truth, as `kalman` does."""
     by_state = jacobian @ covariances
-    innovation = by_state @ np.swapaxes(jacobian, 1, 2)
-    _diagonal(innovation)[...] += noise2
-    gain = np.linalg.inv(innovation[0]) @ by_state[0]  # K^T, of both
+    innovation_covariance = by_state @ np.swapaxes(jacobian, 1, 2)
+    _diagonal(innovation_covariance)[...] += noise2
+    gain_t = np.linalg.inv(innovation_covariance[0]) @ by_state[0]  # K^T, of both
     # Joseph's form, (1 - K H) P (1 - K H)^T + K R K^T: P less K (H P - S K^T / 2) and its transpose.
-    change = gain.swapaxes(1, 2) @ (by_state - 0.5 * innovation @ gain)
+    change = gain_t.swapaxes(1, 2) @ (by_state - 0.5 * innovation_covariance @ gain_t)
     covariances -= change
     covariances -= np.swapaxes(change, 2, 3)
-    lag -= ((jacobian @ lag[..., None]).swapaxes(1, 2) @ gain)[:, 0]
+    lag -= ((jacobian @ lag[..., None]).swapaxes(1, 2) @ gain_t)[:, 0]
 
 
 def scene_noise(body: Body | None, person: Person) -> Noise:
@@ -197,26 +197,17 @@ def scene_noise(body: Body | None, person: Person) -> Noise:
     per_min = np.sqrt(2.0 * 60.0 / REST_TO_REST_S)
     lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if motion else (0.0, 0.0)
     frequency_hz, variance_pa2 = pressure_lines(body) if body and body.moves else (np.empty(0), np.empty(0))
-    slow, beat = list[DampedOscillator](), None
-    for wave in WAVES:
-        lines = frequency_hz >= wave.band_hz[0]
-        if wave.coherence_s is not None:
-            lines &= frequency_hz < wave.band_hz[1]
-        if not (total := float(variance_pa2[lines].sum())):
-            continue
-        if wave.coherence_s is not None:
-            middle_hz = float(frequency_hz[lines] @ variance_pa2[lines]) / total
-            slow.append(DampedOscillator(middle_hz, wave.coherence_s, total**0.5))
-            continue
+    lines, beat = frequency_hz >= HEARTBEAT.band_hz[0], None
+    if variance_pa2[lines].any():
         rate_hz = float(frequency_hz[np.argmax(variance_pa2 * lines)])
         order = np.rint(frequency_hz / rate_hz) * lines
         rms_pa = [np.sqrt(variance_pa2[order == k].sum()) for k in range(1, 1 + HARMONICS)]
         heights = [pressure_to_blood_gain(person, k * rate_hz) * rms for k, rms in enumerate(rms_pa, start=1)]
-        beat = CardiacOscillator(rate_hz, tuple(max(x, 0.01 * max(heights)) for x in heights), HEIGHT_SPREAD)
+        beat = cardiac_oscillator(rate_hz, heights)
     return Noise(
         drift_per_min=float(np.hypot(drift.reading_per_rt_min, per_min * slide)),
         led_drift_per_min=float(np.hypot(drift.led_per_rt_min, per_min * lift)),
-        waves=tuple(slow),
+        waves=tuple(slow_waves(frequency_hz, variance_pa2)),
         beat=beat,
     )
 

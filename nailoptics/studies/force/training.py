@@ -1,4 +1,4 @@
-"""Train the ensemble of a subject on its calibration: touches below closure, held out one by one.
+"""Train the ensemble of a subject on its calibration: stacked regressions by grouped cross-validation over touches.
 
 Weights, errors and intervals are of touches that the members were not trained on, with the drift of minutes drawn onto
 the readings; where the sensor was put on several times, of another time than those. The filter itself was fitted to
@@ -6,7 +6,8 @@ all touches.
 
 References: Hoerl, Kennard 1970, Technometrics 12:55 (ridge); Saunders, Gammerman, Vovk 1998, ICML (kernel ridge);
 Wolpert 1992, Neural Netw. 5:241, and Breiman 1996, Mach. Learn. 24:49 (stacking by weights that are not negative);
-Vovk, Gammerman, Shafer 2005, Algorithmic Learning in a Random World (conformal intervals).
+Vovk, Gammerman, Shafer 2005, Algorithmic Learning in a Random World (conformal intervals; the
+coverage that they guarantee is of exchangeable samples, which those of one touch are not).
 """
 
 from collections.abc import Sequence
@@ -41,16 +42,15 @@ ALIKE_S = np.array([0.0, 0.15])
 COPIES = 4
 # Centres of the kernel.
 CENTRES = 300
-# Ridge penalties that are tried, as parts of a term's variance, and groups of touches that are held out in turn.
+# Ridge penalties that are tried, as fractions of a term's variance, and groups of touches that are held out in turn.
 PENALTIES, FOLDS = np.array([1e-5, 1e-4, 1e-3, 1e-2]), 5
 # Weight of touches over that of rest, and prior spread of half a coefficient's difference between sides over its own.
 TOUCH_WEIGHT, SIDE_SPREAD = 3.0, 0.1
 # Prior standard deviation of a member's weight; errors within a touch count as one.
 WEIGHT_SPREAD = 0.5
-# Part of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
+# Fraction of samples within intervals, and the quantile of estimates of touches past TOP_N from which they are open.
 COVERED, OPEN_FROM = 0.95, 0.05
-# How much wider they are for another recording than for another touch of the same; chosen on people of an independent
-# simulator.
+# How much wider they are for another recording than for another touch of it; chosen on people of another simulator.
 ANOTHER_RECORDING = 1.15
 
 
@@ -277,7 +277,7 @@ def _weights(held_out: Array, samples: CalibrationSeries, few: Array) -> Array:
 
 
 def _conformal_half_width(terms: Array, samples: CalibrationSeries, held_out_n: Array, at: NDArray[np.bool_]) -> Array:
-    """Coefficients (2, k) of the 95 % interval's half width, from the errors of some samples' held-out touches. [N]"""
+    """Coefficients (2, k) of the 95 % interval's half width: quantile of errors held out over their usual size. [N]"""
     error_n, touched, by_side = np.abs(held_out_n - samples.force_n), at & (samples.force_n >= TOUCH_N), []
     for side in (samples.is_proximal, ~samples.is_proximal):
         # Of a side without touches it is that of all.

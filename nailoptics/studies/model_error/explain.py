@@ -185,12 +185,12 @@ class Effect(Change):
     """A change that was measured: by how much readings move.
 
     of : "reading" where it may move the reading at rest by more than the tolerance, else "signal", the change by touch.
-    change, stderr : change of that, of the reading at rest relative and of the signal as a part of the largest, of the
-        photodiode named, which it changes most; the error allows for its selection: its 95 % interval holds
+    change, stderr : change of that, of the reading at rest relative and of the signal as a fraction of the largest, of
+        the photodiode named, which it changes most; the error allows for its selection: its 95 % interval holds
         with Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
     typical, typical_stderr : change over all photodiodes, weighted by the errors of the scene's readings.
-    modulation_bound : the same bound on the modulation by touch, as a part of the largest modulation.
+    modulation_bound : the same bound on the modulation by touch, as a fraction of the largest modulation.
     """
 
     how: Literal["reweighted", "retraced", "derived"]

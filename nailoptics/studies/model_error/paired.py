@@ -1,4 +1,4 @@
-"""Scenes traced with the same random numbers, what each reads, and how far one reads from another."""
+"""Scenes traced with common random numbers: what each reads, and their paired differences."""
 
 import math
 import time
@@ -18,12 +18,12 @@ from ...light import ProgressCallback, TraceProgress, Transfer, optics, trace
 from ...light.transfer.records import transmissions
 from ...options import TraceOptions
 from ...scene import Scene
-from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, farther_end, jackknife, quotient
+from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, jackknife, magnitude_bound_95, quotient
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
-# Photons that show what one costs, and the part of the time that goes to the traces; the rest is for what the plan does
-# not know.
+# Photons that show what one costs, and the fraction of the time that goes to the traces; the rest is for what the plan
+# does not know.
 PILOT_PHOTONS, PLANNED_SHARE = 1 << 15, 0.8
 # Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
 UNDETECTED = 1.53
@@ -57,7 +57,7 @@ class PairedReadings:
 
     @cached_property
     def modulation(self) -> np.ndarray:
-        """Change by touch, as a part of the reading at rest; NaN where nothing was detected."""
+        """Change by touch, as a fraction of the reading at rest; NaN where nothing was detected."""
         return quotient(self.sums(1), self.level) - 1
 
     @cached_property
@@ -69,7 +69,7 @@ class PairedReadings:
 
     @cached_property
     def relative_covariance(self) -> np.ndarray:
-        """Covariance of the levels of all LEDs' photodiodes, as parts of them, (r, r) float."""
+        """Covariance of the levels of all LEDs' photodiodes, as fractions of them, (r, r) float."""
         count, blocks = len(self.transfer.photodiodes), []
         for one, part, level in zip(self.transfer.traces, self.parts, self.level, strict=True):
             share = part[:, 0] / level[one.photodiode]
@@ -90,7 +90,7 @@ class PairedReadings:
 
     @cached_property
     def largest_modulation(self) -> tuple[float, float]:
-        """Largest change by touch, as a part of the reading at rest, and its standard error; NaN if unknown or 0."""
+        """Largest change by touch over the reading at rest, and its standard error; NaN if unknown or 0. [1]"""
         if not np.nan_to_num(self.modulation).any():
             return math.nan, math.nan
         largest = int(np.nanargmax(np.abs(self.modulation)))
@@ -217,14 +217,14 @@ class Estimates(NamedTuple):
     @property
     def bound(self) -> np.ndarray:
         """What no value exceeds, with 95 % confidence each."""
-        return farther_end(self.value, self.stderr, self.skew)
+        return magnitude_bound_95(self.value, self.stderr, self.skew)
 
 
 class Difference(NamedTuple):
     """How far one scene reads from another.
 
     reading : relative change of the reading at rest.
-    signal : change of the modulation, as a part of the largest modulation; None where that is not known.
+    signal : change of the modulation, as a fraction of the largest modulation; None where that is not known.
     """
 
     reading: Estimates
@@ -269,7 +269,7 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> Seq
         step, square_a, square_b = np.abs(b[:, 0] - a[:, 0]), total(a[:, 0] ** 2), total(b[:, 0] ** 2)
         carried, met = np.abs(swung) * (step > 0), np.maximum(a[:, 0], b[:, 0]) * (step > 0)
         carriers, taken = (np.nan_to_num(x) for x in (total(step) ** 2 / total(step**2), total(step) / total(met)))
-        whole = np.maximum(square_a / level_a, square_b / level_b) * _part_of_next(carriers, taken) / level_a
+        whole = np.maximum(square_a / level_a, square_b / level_b) * _expected_next_fraction(carriers, taken) / level_a
         # By as much do single photons differ in their modulation.
         scatter = np.sqrt(total(base_change**2)) * level_a / np.sqrt(square_a)
         undetected = np.fmax(whole, total(step**2) / total(step) / level_a)
@@ -282,15 +282,15 @@ def _by_photodiode(base: PairedReadings, other: PairedReadings, led: int) -> Seq
         return out
 
 
-def _part_of_next(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """The part of one more photon that a difference is likely to take away.
+def _expected_next_fraction(carriers: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    """The fraction of one more photon that a difference is likely to take away.
 
     Optical depths of paths fall off exponentially. After so many of mean depth t, the next is deeper than T with the
     probability (1 + T / sum t)^-carriers; this is its mean, what is deeper than 1 taken for 1: 1 where no photon
     carried the difference, t where many did.
 
     carriers : effective number of the photons that carry the difference.
-    taken : the part of them that it takes away.
+    taken : the fraction of them that it takes away.
     """
     total = np.maximum(carriers * taken, 1e-300)
     # At a power of one the integral is a logarithm, which is as near as rounding allows.

@@ -42,7 +42,7 @@ FORMULAS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @dataclass(frozen=True)
 class Bias:
-    """How far a level is from the reference, as a part of it.
+    """How far a level is from the reference, as a fraction of it.
 
     value, stderr : mean over all photodiodes, weighted by the reference's errors.
     bound : what no photodiode's exceeds, with 95 % confidence each.
@@ -58,10 +58,10 @@ class Level:
     """One level of model, measured.
 
     reading : bias of the reading at rest.
-    signal : bias of the change by touch, as a part of the largest change of any photodiode.
+    signal : bias of the change by touch, as a fraction of the largest change of any photodiode.
     setup_seconds : processor time of the first answer before its photons. [s]
-    reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a part of the largest,
-        after one processor second of photons. [s^0.5]
+    reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a fraction of the
+        largest, after one processor second of photons. [s^0.5]
     changes : what of the scene selects it.
     call : what gives it beside that, where no line of a scene does.
     """
@@ -108,9 +108,9 @@ class Level:
 class Tradeoff(Displayed):
     """All levels of model, and the fastest within a tolerance, as a scene.
 
-    An error is that of the worst photodiode: of its reading at rest, relative, or of its change by touch, as a part of
-    the largest change of any photodiode, whichever is larger; the bound on the level's bias and one standard error, in
-    squares.
+    An error is that of the worst photodiode: of its reading at rest, relative, or of its change by touch, as a fraction
+    of the largest change of any photodiode, whichever is larger; the bound on the level's bias and one standard error,
+    in squares.
 
     levels : the cheapest for the tolerance first, then those that never reach it.
     chosen : the fastest within the tolerance; the full model where too few photons came to evaluate any.

@@ -133,7 +133,7 @@ def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tupl
 def saturation_curve(
     transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, *, low: float, high: float
 ) -> Callable[[ArrayLike], Pulsation]:
-    """Pulsation at every saturation in a range, (n,) float in parts of 1, for no more photons.
+    """Pulsation at every saturation in a range, (n,) float as a fraction, for no more photons.
 
     It is interpolated between Chebyshev nodes.
     """
@@ -192,7 +192,7 @@ def saturation_of(ratio: ArrayLike, so2: Array, curve: Array) -> Array:
 def literature_bias(ratio: Array, so2: float) -> Array:
     """Bias of SpO2 by the nearer of both published lines, the textbook's and that of fingers. [percent]
 
-    ratio : (photodiodes,) float. Ratio of ratios at a saturation in parts of 1.
+    ratio : (photodiodes,) float. Ratio of ratios at a saturation as a fraction.
     """
     bias = np.stack([evaluate(line, ratio) - 100 * so2 for line in (TEXTBOOK, MEASURED)])
     return np.asarray(np.take_along_axis(bias, np.abs(bias).argmin(0)[None], 0)[0])

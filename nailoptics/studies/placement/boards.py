@@ -58,7 +58,7 @@ def check_two_zones(scene: Scene, command: str) -> None:
     scene.require_blood(command)
     if (zones := len(scene.zone_edges_mm) + 1) > 2:
         raise InputError(
-            f"blood: {command} knows two blood zones, and the scene has {zones}; leave zones out, or give one edge."
+            f"blood: {command} supports two blood zones, and the scene has {zones}; leave zones out, or give one edge."
         )
 
 
@@ -197,7 +197,7 @@ def _with_edges(scene: Scene, center_mm: Point, size_mm: Point, gap_mm: float | 
 
 
 def with_explicit_walls(scene: Scene, name: str) -> Scene:
-    """The same layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
+    """The layout with outline and wall spelled out, so that they stay when its photodiodes are taken away."""
     layout = scene.layout
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')

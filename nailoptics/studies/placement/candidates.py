@@ -16,7 +16,7 @@ from ...scene.rectangles import Rectangle
 from . import boards
 from .boards import DECIMALS, PartT, fixed_and_loose, straightened
 
-# Of simple layouts, and the part of it by which a place may be off.
+# Of simple layouts, and the fraction of it by which a place may be off.
 GRID_MM, ON_GRID = 0.25, 1e-3
 
 
@@ -156,8 +156,7 @@ def searched(
 
 
 def _named(base: Scene, placement: Placement, places: Sequence[Point]) -> list[tuple[str, str | None]]:
-    """Names and references of photodiodes at places on the nail: of the nearest of a board's file that is like them,
-    else new."""
+    """Names and references of photodiodes at places on the nail: of the nearest alike in a board's file, else new."""
     from scipy.optimize import linear_sum_assignment
 
     (_, loose), like, (du, dv) = fixed_and_loose(base, placement), base.photodiodes[0], base.board.center_mm

@@ -38,10 +38,10 @@ from .row_design import RowDesign, SearchedSite, coordinate_exchange
 from .search import LAST_STARTS, SEARCH_PHOTONS, SEARCH_SHARE, Search
 from .sites import PhotodiodePlaces
 
-# The bound is taken as found at this gap of the logarithm, or after so many programmes and steps for each mixture.
+# Duality gap of the logarithm at which the bound ends, and most linear programmes and multiplicative steps for each.
 GAP, PROGRAMMES, STEPS = 5e-4, 30, 100
-# Weight by which slopes are taken, and the power of the mean over fingers by which the worst of them is approached.
-WEIGHT, POWER = 1e-3, 200.0
+# Step of weights in differences, and the power of the mean over fingers that stands for the worst of them (softmax).
+DIFFERENCE_STEP, POWER = 1e-3, 200.0
 # Groups of photons for the error of the bound, and sites that are traced further while one of them bounds all others.
 BLOCKS, TRACED = 16, 8
 # A grid of more places than this has no bound, which would take minutes.
@@ -58,21 +58,21 @@ def _tangents(objective: Objective, total: Array, information: Array) -> list[tu
 
     total : (fingers, n) float. information : (fingers, m, n) float. Of a photodiode at each place.
     """
-    steps = np.array([0.0, 1.0, 2.0])[:, None, None] * WEIGHT
+    steps = np.array([0.0, 1.0, 2.0])[:, None, None] * DIFFERENCE_STEP
     moved, tangents = total[:, None, None] + steps * information[:, None], []
     by_finger = [replace(objective, points=[point]) for point in objective.points]
     for name, weight in objective.rules.weights.items():
         values = [one.value(name, at[None]) for one, at in zip(by_finger, moved, strict=True)]
         here, once, twice = np.log(np.stack(values, 1))
-        slopes, here = (4 * once - 3 * here - twice) / (2 * WEIGHT), here[:, 0]
+        slopes, here = (4 * once - 3 * here - twice) / (2 * DIFFERENCE_STEP), here[:, 0]
         if name == "mean":
-            slopes, here = (_shares(here) @ slopes)[None], np.log(np.exp(here).mean(keepdims=True))
+            slopes, here = (_softmax(here) @ slopes)[None], np.log(np.exp(here).mean(keepdims=True))
         tangents.append((weight, here, slopes))
     return tangents
 
 
-def _shares(logs: Array, power: float = 1.0) -> Array:
-    """The part of each in the slope of a mean of powers, from the logarithms of its terms."""
+def _softmax(logs: Array, power: float = 1.0) -> Array:
+    """Weight of each in the slope of a mean of powers, from the logarithms of its terms."""
     terms = np.exp(power * (logs - logs.max()))
     return np.asarray(terms / terms.sum())
 
@@ -85,14 +85,14 @@ def lower_bound(
     *,
     given: Array,
     allowed: Array | None = None,
-    enough: float = np.inf,
+    stop_above: float = np.inf,
 ) -> tuple[float, Array]:
     """The bound of the score's logarithm over all as many photodiodes as are chosen on the free places, and weights
     (m,) of the relaxed design.
 
     information : (fingers, m, n) float. Of a photodiode at each place. given : (fingers, n) float. Of those that stay.
     chosen : a layout, from which it begins. allowed : (m,) bool. Places that may be taken; all if not given.
-    enough : a bound above this is returned as it is.
+    stop_above : a bound above this is returned as it is.
     """
     free = places.free
     most = np.ones(free) if allowed is None else allowed.astype(float)
@@ -100,16 +100,16 @@ def lower_bound(
     designs, mixture, best, windows = [weights], np.ones(1), (-np.inf, weights), places.windows
     for _ in range(PROGRAMMES):
         total = given + np.einsum("m,fmn->fn", weights, information)
-        log_bound, design = _least_tangent(_tangents(objective, total, information), weights, windows, most)
+        log_bound, design = _least_in_programme(_tangents(objective, total, information), weights, windows, most)
         if log_bound > best[0]:
             best = log_bound, weights
-        if np.log(objective.score(total)) - best[0] < GAP or best[0] > enough:
+        if np.log(objective.score(total)) - best[0] < GAP or best[0] > stop_above:
             break
         designs, mixture = [*designs, design], np.append(0.7 * mixture, 0.3)
         of_designs = np.einsum("dm,fmn->fdn", np.array(designs), information)
         for _ in range(STEPS):
             tangents = _tangents(objective, given + np.einsum("d,fdn->fn", mixture, of_designs), of_designs)
-            falls = -np.sum([weight * _shares(values, POWER) @ slopes for weight, values, slopes in tangents], axis=0)
+            falls = -np.sum([weight * _softmax(values, POWER) @ slopes for weight, values, slopes in tangents], axis=0)
             if falls.max() - mixture @ falls < GAP / 4:
                 break
             mixture = mixture * np.sqrt(np.maximum(falls, 0.0))
@@ -118,10 +118,10 @@ def lower_bound(
     return best
 
 
-def _least_tangent(
+def _least_in_programme(
     tangents: list[tuple[float, Array, Array]], weights: Array, windows: csr_array, most: Array
 ) -> tuple[float, Array]:
-    """The least of the tangents at a design over all weights of as many photodiodes, none above `most`, and where."""
+    """Linear programme: the least of tangents over all weights of as many photodiodes, none above `most`, and where."""
     free, figures, cuts, ends = len(weights), len(tangents), [], []
     for k, (_, values, slopes) in enumerate(tangents):
         cuts.append(np.hstack([slopes, np.tile(-np.eye(figures)[k], (len(values), 1))]))
@@ -139,31 +139,31 @@ def _least_tangent(
 
 
 def _site_bound(
-    design: RowDesign, site: SearchedSite, information: Array, enough: float = np.inf
+    design: RowDesign, site: SearchedSite, information: Array, stop_above: float = np.inf
 ) -> tuple[float, Array]:
     """The `lower_bound` for LEDs at a site that has photodiodes, (fingers, m + s, n) float."""
     places, allowed = design.places, design.allowed(site.places_mm)
     free, staying = information[:, : places.free], information[:, places.free :].sum(1)
     chosen = design.numbers(site)[: design.count]
-    return lower_bound(free, places, chosen, design.objective, given=staying, allowed=allowed, enough=enough)
+    return lower_bound(free, places, chosen, design.objective, given=staying, allowed=allowed, stop_above=stop_above)
 
 
 def certify(search: Search, report_progress: StageProgress) -> tuple[float, float] | None:
-    """What no layout on the search's grid falls below, and its standard error by the noise of the light; None where
-    time ends before, or the grid is too fine. The search has found a site.
+    """Lower bound on the score of any layout on the search's grid, and its standard error by the noise of the light;
+    None where time ends before, or the grid is too fine. The search has found a site.
 
     It is the least bound of all sites. That of few photons comes out low, as their noise adds to the information: it
     is traced further until no other is lower, or `TRACED` were.
     """
     sites, objective = search.ranked, replace(search.objective, waves_left=1.0)
-    logs, enough = dict[SearchedSite, float](), np.inf
+    logs, stop_above = dict[SearchedSite, float](), np.inf
     for site in sites:
         design = replace(search.designs[site.row], objective=objective)
         if report_progress.is_over(SEARCH_SHARE) or design.places.free > MOST_PLACES:
             return None
         information = design.information(site.places_mm)
-        enough = min(enough, float(np.log(objective.score(information[:, design.numbers(site)].sum(1)))))
-        logs[site], _ = _site_bound(design, site, information, enough)
+        stop_above = min(stop_above, float(np.log(objective.score(information[:, design.numbers(site)].sum(1)))))
+        logs[site], _ = _site_bound(design, site, information, stop_above)
     again, errors = copy(search), dict[SearchedSite, float]()
     again.objective, again.cache = objective, replace(search.cache, blocks=BLOCKS)
     for k in range(TRACED + 1):

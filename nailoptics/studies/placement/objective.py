@@ -17,7 +17,7 @@ from ...light.tracing import StageProgress, Trigger
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
 from ...sensor import information as sensor_information
 from ...sensor.front_end import AVERAGE_S, oximeter_leds
-from ...statistics import Array, fewer_groups, jackknife, quotient, t95
+from ...statistics import Array, coarsened_replicates, jackknife, quotient, t95
 from ..force.touch_error import TouchError
 from . import boards
 from .candidates import CandidateLayout
@@ -25,13 +25,13 @@ from .photon_maps import PhotonMapCache
 
 # Photons per LED and finger of the first round of the evaluation.
 JUDGE_PHOTONS = 1 << 18
-# Part of the time by whose end the evaluation ends; the rest is for the last check.
+# Fraction of the time by whose end the evaluation ends; the rest is for the last check.
 JUDGE_SHARE = 0.85
-# A layout is tied with the best unless it is worse by more than this part of the score and so many standard errors of
-# the difference; the simplest of those that are worse by less than twice this part is proposed.
+# A layout is tied with the best unless it is worse by more than this fraction of the score and so many standard errors
+# of the difference; the simplest of those that are worse by less than twice this fraction is proposed.
 ALIKE, TIED = 0.02, 2.0
-# Part of the waves that a filter leaves, rms, where a search is by one sample in place of touches. Of 88 layouts beside
-# LEDs at six places their orders had a rank correlation of 0.87 with all waves, 0.90 with none, 0.91 with this part.
+# Fraction of the waves that a filter leaves, rms, where a search is by one sample in place of touches. Of 88 layouts
+# beside LEDs at six places orders had a rank correlation of 0.87 with all waves, 0.90 with none, 0.91 with this one.
 WAVES_LEFT = 0.05
 UNRESOLVED = (
     "no layout resolves what rank_by asks for: readings are dark, without a pulse, or at the converter's limit; "
@@ -72,7 +72,7 @@ class Spo2Objective:
         It is infinite where the converter is at its limit.
         """
         if led not in self.leds:
-            return np.zeros(np.shape(read.volts))
+            return np.zeros(np.shape(read.amplified_v))
         # In volts over noise: the light itself cancels.
         pulsating = (read.zone_v @ self.pulse[finger, self.leds.index(led)]) ** 2 * read.unsaturated
         return quotient(read.noise_v2, pulsating)
@@ -112,7 +112,7 @@ class Objective:
     oxygen : what SpO2 is evaluated by, if it counts.
     filters : what the force over touches is evaluated by on each finger, if it counts.
     filter_groups : of photons, without each of which it is evaluated; of all blocks that takes as long as the trace.
-    waves_left : part of the waves that counts for "force" in one sample.
+    waves_left : fraction of the waves that counts for "force" in one sample.
     """
 
     rules: Placement
@@ -202,9 +202,9 @@ class Objective:
             )
             noise = np.nan_to_num(quotient(noise_v, light_v * np.sqrt(unsaturated)), nan=UNREADABLE)
             slopes = np.where(noise[..., None] < UNREADABLE, quotient(zone_v, light_v[..., None]), 0.0)
-            led = np.repeat(np.eye(len(by_led[0])), by_led[0][0].volts.shape[-1], axis=0)
+            led = np.repeat(np.eye(len(by_led[0])), by_led[0][0].amplified_v.shape[-1], axis=0)
             noise = np.minimum(noise, UNREADABLE)
-            slopes, noise = (fewer_groups(values, self.filter_groups) for values in (slopes, noise))
+            slopes, noise = (coarsened_replicates(values, self.filter_groups) for values in (slopes, noise))
             fingers_n.append(touches.rms_n(slopes, noise, led))
         floors_n = np.array([one.floor_n for one in self.filters])
         return [ForceResolution(layout_n, floors_n, self) for layout_n in np.stack(fingers_n, 2).swapaxes(0, 1)]
@@ -305,7 +305,7 @@ def _above(resolution_n: Array, noise_floor_n: float | Array) -> Array:
 
 def scores_of(layouts: Sequence[ByFinger], objective: Objective) -> list[LayoutScore]:
     """Scores of layouts from what they read: milliseconds for one, and half as long for each of many."""
-    groups = groupby(enumerate(layouts), lambda one: (one[0] // AT_ONCE, one[1][0][0].volts.shape[-1]))
+    groups = groupby(enumerate(layouts), lambda one: (one[0] // AT_ONCE, one[1][0][0].amplified_v.shape[-1]))
     alike = ([by_finger for _, by_finger in group] for _, group in groups)
     return [one for some in alike for one in map(partial(_score, objective), some, objective.force_over_touches(some))]
 
@@ -323,7 +323,7 @@ def _score(objective: Objective, responses: ByFinger, over_touches: ForceResolut
     floors_n = np.array([sensor_information.physiological_noise_force_n(point) for point in points])
     ranked_total = total
     if over_touches is not None:
-        ranked_total = np.stack([fewer_groups(of_finger, objective.filter_groups) for of_finger in total])
+        ranked_total = np.stack([coarsened_replicates(of_finger, objective.filter_groups) for of_finger in total])
     ranked = objective.score(ranked_total, None if over_touches is None else over_touches.all_n)
     return LayoutScore(
         force=ForceResolution(through, floors_n, objective),

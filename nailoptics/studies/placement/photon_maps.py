@@ -16,11 +16,11 @@ from ...scene.rectangles import Rectangle
 from ...sensor import electronics
 from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
-from ...statistics import left_out, seed_of
+from ...statistics import leave_one_out, seed_of
 from . import boards
 from .boards import Person
 
-PERSON_SHARE = 0.5  # part of the photons of a finger that a person has
+PERSON_SHARE = 0.5  # fraction of the photons of a finger that a person has
 LEAST_PHOTONS = 4096  # fewer say too little of a layout
 
 
@@ -107,7 +107,7 @@ class PhotonMapCache:
         return [condition.case for condition in self.conditions if isinstance(condition.case, Person)]
 
     def on_fingers(self, part: slice) -> "PhotonMapCache":
-        """The same light on the fingers alone, read by part of its blocks."""
+        """The light on the fingers alone, read by part of its blocks."""
         same = replace(self, conditions=self.conditions[: len(self.cases)], part=part, blocks=1)
         same._traced = self._traced
         return same
@@ -183,9 +183,9 @@ class PhotonMapCache:
 
         count : on the first so many fingers; on all, and of all people, if not given.
         """
-        resistors = self.with_resistors(layout, board)
+        fitted = self.with_resistors(layout, board)
         return [
-            scene_responses(resistors, map(left_out, self._light(layout, board, i)), condition.point, replicates=True)
+            scene_responses(fitted, map(leave_one_out, self._light(layout, board, i)), condition.point, replicates=True)
             for i, condition in enumerate(self.conditions[:count])
         ]
 

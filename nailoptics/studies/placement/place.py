@@ -34,7 +34,7 @@ DEFAULT_RELATIVE_ERROR = 0.02
 BLOCKS = 32
 # The best layout is verified by its own trace if so much time is left. [s]
 CHECK_S = 10.0
-# Part of the time left that this takes at most; the rest is for what is unknown of the finger.
+# Fraction of the time left that this takes at most; the rest is for what is unknown of the finger.
 VERIFY_SHARE = 0.7
 
 

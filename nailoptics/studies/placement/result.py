@@ -15,7 +15,7 @@ from ...scene.parts import ROOM
 from ...scene.rectangles import Rectangle
 from ...sensor import information
 from ...sensor.information import OperatingPoint, Response
-from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, left_out
+from ...statistics import MIN_EFFECTIVE_TERMS, jackknife, leave_one_out
 from ...variables import Estimate, Variables, described, jackknifed
 from .boards import UNFITTED, rules, straightened
 from .candidates import CandidateLayout
@@ -25,7 +25,7 @@ from .row_design import SearchedSite
 
 # Spacing of the places at which one more photodiode is tried.
 PLACES_MM = 0.2
-# An error that is less than this part of its value is none.
+# An error that is less than this fraction of its value is none.
 ROUNDING = 1e-9
 PRESSURES = ("proximal", "distal")
 # A reading that is below the converter's limit with less than this probability may be at it.
@@ -127,11 +127,11 @@ def _resolution(name: str, on_finger: str, resolutions: Sequence[ForceResolution
 
 
 def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore]) -> Variables:
-    """Volts, headroom, signal to noise and shunted light of the photodiode that is worst off on any finger."""
+    """Amplifier output, headroom, signal to noise and shunted light of the worst photodiode on any finger."""
     # The first of each is that by all photons.
-    volts, noise_v, shunted = (
+    volts, light_v, noise_v, shunted = (
         [np.array([getattr(read, name)[0] for by_led in score.responses for read in by_led]) for score in scores]
-        for name in ("volts", "noise_v", "shunted_fraction")
+        for name in ("amplified_v", "light_v", "noise_v", "shunted_fraction")
     )
     most = np.array([values.max() for values in volts])
     below = [min(np.min(read.unsaturated) for by_led in score.responses for read in by_led) for score in scores]
@@ -141,7 +141,7 @@ def _extremes(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore])
         least_volts=[values.min() for values in volts],
         most_volts=most,
         adc_headroom=np.array([layout.scene.electronics.adc_range_v for layout in layouts]) / most,
-        least_snr=[(v / n).min() for v, n in zip(volts, noise_v, strict=True)],
+        least_snr=[(v / n).min() for v, n in zip(light_v, noise_v, strict=True)],
         shunted_fraction=[values.max() for values in shunted],
     )
 
@@ -184,7 +184,7 @@ def _photodiode_anywhere(scene: Scene, maps: Sequence[PhotonMap], point: Operati
     areas = np.stack([u - half_u, u + half_u, v - half_v, v + half_v], -1).reshape(-1, 4)
     noise, resolution, error = [], [], []
     for led, light in enumerate(maps):
-        read = information.response(left_out(light.over(areas)), scene, led, photodiode, point, replicates=True)
+        read = information.response(leave_one_out(light.over(areas)), scene, led, photodiode, point, replicates=True)
         noise.append(read.noise_v[0].reshape(u.shape))
         with np.errstate(divide="ignore", invalid="ignore"):
             replicates = information.fixed_ratio_resolution_n(information.fisher_information(read), point)
@@ -241,8 +241,7 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
 
 def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
     """The force resolution of the best layout and of those that the search did not make, on the finger where each is
-    worst, or for the person by whom it is ranked: total, the floor of every layout, and the rest by cause, which add in
-    squares. [N]"""
+    worst, or for the person by whom it is ranked: total, every layout's floor, causes, which add in squares. [N]"""
     by_layout, above_n = [], result.finger_resolution_n - result.force_resolution_n
     fingers = abs(above_n).argmin("finger") if "people_off" in result else above_n.argmax("finger")
     for i in [0, *(np.flatnonzero(result.origin.values[1:] != "searched") + 1)]:

@@ -17,7 +17,7 @@ from ...scene import FingerCase, Placement, Prior, Scene
 from ...scene.priors import size_priors
 from ...scene.rectangles import turned
 from ...sensor import information as sensor_information
-from ...statistics import Z95, jackknife, left_out
+from ...statistics import Z95, jackknife, leave_one_out
 from ...variables import described, jackknifed
 from .. import prior_uncertainty as uncertainty
 from . import boards, candidates
@@ -153,7 +153,7 @@ class _Resolution:
         point, areas, leds = self.points[finger], layout.scene.layout.photodiode_areas, range(len(scene.leds))
         batches = (self._arrivals(layout, scene, case, led) for led in leds)
         by_led = (recorded(light, scene, led, point, areas, BLOCKS) for led, light in enumerate(batches))
-        read = sensor_information.scene_responses(layout.scene, map(left_out, by_led), point, replicates=True)
+        read = sensor_information.scene_responses(layout.scene, map(leave_one_out, by_led), point, replicates=True)
         return sensor_information.force_resolution_n(sensor_information.total_information(read), point)
 
     def _arrivals(
@@ -204,7 +204,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
     cache : has evaluated the layout. Another place of the board, its wall and edges straight where it is turned, or of
         an LED is traced; all else is read by the same light.
 
-    Returns: Dataset over toleranced_part (board, photodiodes, LEDs) and deviation, NaN of what is no tolerance of a
+    Returns: Dataset over toleranced_part (board, photodiodes, LEDs) and deviation, NaN of what is not a tolerance of a
         part, has no room, or was not traced, and which of the two.
     """
     objective = replace(objective, filter_groups=GROUPS)

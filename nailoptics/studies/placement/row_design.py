@@ -16,7 +16,7 @@ from ...scene.rectangles import Rectangle
 from .objective import Objective
 from .sites import LedRow, PhotodiodePlaces, Sites
 
-# Part of the score in which regular photodiodes are as good as the best, where waves count whole.
+# Fraction of the score in which regular photodiodes are as good as the best, where waves count whole.
 AS_GOOD = 0.01
 # Rounds of exchange at most.
 ROUNDS = 6

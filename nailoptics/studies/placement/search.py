@@ -17,7 +17,7 @@ from ...scene.layout import SIDES
 from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.electronics import stage_ohm
 from ...sensor.information import brightest_current_a, response
-from ...statistics import left_out
+from ...statistics import leave_one_out
 from . import candidates
 from .candidates import CandidateLayout
 from .objective import Objective
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 FIRST_PHOTONS, SEARCH_PHOTONS = 1 << 15, 1 << 17
 # First photodiodes from which those of the best sites are chosen once more.
 LAST_STARTS = 8
-# Part of the time for the search.
+# Fraction of the time for the search.
 SEARCH_SHARE = 0.55
 # Searched layouts that are evaluated with photons of their own beside given ones, and sites for regular ones.
 SHORTLIST, REGULAR, FAR_WORSE = 2, 3, 4.0
@@ -170,7 +170,7 @@ class Search:
         columns, kinds, one = [], places.photodiodes, self.base.leds[led]
         conditions, replicates = self.cache.conditions, self.cache.blocks > 1
         lit = [of_leds[lit_led].over(places.areas)[self.cache.part] for of_leds in self.cache.of(board).maps]
-        by_finger = [left_out(values) if replicates else values.mean(0) for values in lit]
+        by_finger = [leave_one_out(values) if replicates else values.mean(0) for values in lit]
         # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
             brightest_current_a(values[0] if replicates else values, one, kinds, condition.point)

@@ -15,7 +15,7 @@ from ...scene.layout import SIDES, WALL_ROOM_MM, lay_elements, room_of, span_mm
 from ...scene.rectangles import Rectangle
 from . import boards
 
-# A wall that leaves less than this part of the board to the photodiodes is not tried.
+# A wall that leaves less than this fraction of the board to the photodiodes is not tried.
 LEAST_ROOM = 0.4
 ROUNDING_MM = 1e-9
 # Places of an LED whose light is traced on one board, and how far its dies lie apart there. [mm]
@@ -146,7 +146,7 @@ class Sites:
         return room_of(self.base.leds[led], place_mm, self.rules.clearance_mm / 2)
 
     def _room_beside(self, led: int, place_mm: Point) -> Rectangle:
-        """The same with what photodiodes leave to a bare die for its bond wire, less half of their clearance."""
+        """`room` with what photodiodes leave to a bare die for its bond wire, less half of their clearance."""
         one, half_mm = self.base.leds[led], self.rules.clearance_mm / 2
         return room_of(one, place_mm, half_mm if one.body_mm or one.courtyard_mm else self.rules.bond_wire_mm - half_mm)
 
@@ -257,8 +257,7 @@ class Sites:
         return (along_mm, across) if axis else (across, along_mm)
 
     def leaves_room(self, row: LedRow) -> bool:
-        """Whether a row's wall leaves photodiodes enough of the board, and lies between all LEDs and photodiodes that
-        stay."""
+        """Whether a row's wall leaves enough of the board, and lies between all LEDs and photodiodes that stay."""
         if row.side is None:
             return True
         axis, way = SIDES[row.side]

@@ -15,7 +15,7 @@ from ...options import TraceOptions
 from ...scene import Scene
 from ...sensor.ambient import PHOTONS, sources_of, trace_ambient
 from ...sensor.information import OperatingPoint, force_resolution_n, scene_responses, total_information
-from ...statistics import Z95, left_out, seed_of
+from ...statistics import Z95, leave_one_out, seed_of
 from ...variables import Estimate, Variables, described, jackknifed
 from . import boards
 from .candidates import CandidateLayout
@@ -23,7 +23,7 @@ from .objective import resolution_stderr_n
 from .photon_maps import FingerCondition, PhotonMapCache, Stopped
 
 LEAST_BATCHES = 8
-# The fresh trace has this part of a full batch's photons in each of its batches at least.
+# The fresh trace has this fraction of a full batch's photons in each of its batches at least.
 LEAST_PART = 1 / 8
 # A batch takes up to so long on two cores. [s]
 SHORT_S = 10.0
@@ -38,8 +38,7 @@ FORWARD = 2
 
 
 def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: PhotonMapCache) -> Variables:
-    """What light from outside adds to each photodiode, with the cover and without, and what it leaves of the force
-    resolution."""
+    """Light from outside on each photodiode, with the cover and without, and what it leaves of the force resolution."""
     sources, traced = sources_of(scene), []
     options = TraceOptions(backend=cache.backend, store=bool(cache.stores))
     for cover_um, photons in ((scene.board.cover_um, PHOTONS), (0.0, OPEN_PHOTONS)):
@@ -52,7 +51,7 @@ def _ambient(scene: Scene, values: np.ndarray, point: OperatingPoint, cache: Pho
     read = scene_responses(scene, values, point, ambient_a=high)
     return described(
         __package__,
-        ambient_volts=np.max([r.volts for r in read], axis=0),
+        ambient_volts=np.max([r.amplified_v for r in read], axis=0),
         ambient_a=Estimate(current, error),
         ambient_high_a=high,
         ambient_noise_v=np.max([r.noise_v for r in read], axis=0),
@@ -85,7 +84,7 @@ def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds
                 seed = seed_of(cache.seed, FORWARD, i, len(means))
                 detections.append(tracer.detected(i, at, photons=per_batch, seed=seed))
             means.append(np.stack(detections))
-        values = left_out(np.stack(means))
+        values = leave_one_out(np.stack(means))
         data = described(__package__, checked_fraction=jackknifed(values[..., 0]))
         data |= _ambient(scene, values[0], point, cache)
     except Stopped:

@@ -88,7 +88,7 @@ def interval(value: float, stderr: float) -> Array:
 
 
 def part_between(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> float:
-    """The part of values that lie between two ends."""
+    """The fraction of values that lie between two ends."""
     return float(((np.asarray(values) >= low) & (np.asarray(values) <= high)).mean())
 
 

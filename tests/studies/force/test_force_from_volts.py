@@ -16,7 +16,7 @@ from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recor
 from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
 from nailoptics.studies.force.fit import FARTHEST_SPREADS, Fit
-from nailoptics.studies.force.kalman import DIVERGED, WIDTHS, KalmanFilter
+from nailoptics.studies.force.kalman import DIAMETERS, DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES, SPREAD_LN
 from nailoptics.studies.force.predict import _event_variables, csv_rows, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
@@ -289,8 +289,8 @@ def test_a_filter_that_ran_away_starts_anew_and_its_readings_are_flagged(subject
     # Past closure a soft vein is hardly known: the filter goes on nonetheless.
     kalman.covariance[2, 2] = 2.0**2
     kalman.predict(STEP_S)
-    assert (kalman.state[WIDTHS] != 1.0).all()
-    kalman.covariance[WIDTHS, WIDTHS] = (100 * DIVERGED) ** 2
+    assert (kalman.state[DIAMETERS] != 1.0).all()
+    kalman.covariance[DIAMETERS, DIAMETERS] = (100 * DIVERGED) ** 2
     kalman.predict(STEP_S)
     np.testing.assert_array_equal(kalman.state, fresh.state)
     np.testing.assert_array_equal(kalman.covariance, fresh.covariance)

@@ -16,7 +16,7 @@ def test_a_beat_moves_the_blood_as_a_slow_change_of_the_pressure_does(touch: tup
     pulsed, held = PulsatileGain(who, highest), np.array(touch)
 
     def blood(touch: np.ndarray, higher_pa: float) -> np.ndarray:
-        return who.blood(who.steady_widths(touch[:, None], higher_pa))[:, 0]
+        return who.blood(who.steady_diameters(touch[:, None], higher_pa))[:, 0]
 
     part, by_touch = pulsed.at(held)
     # Straight between pressures an eighth of the highest apart.

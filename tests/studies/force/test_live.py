@@ -73,7 +73,7 @@ RIGHT = dict.fromkeys(NAMES, 0.5)
     ("samples", "message"),
     [
         ([(0.0, {"other": 0.5})], "sample at time_s = 0: has no column 'proximal.6'"),
-        ([(0.0, RIGHT | {"other": 0.5})], "column 'other' is no reading of this board"),
+        ([(0.0, RIGHT | {"other": 0.5})], "column 'other' is not a reading of this board"),
         ([5], "sample 5: give a time in s and numbers in V"),
         ([("a", RIGHT)], "give a time in s"),
         ([(0.0, dict.fromkeys(NAMES, "0.5"))], "numbers in V"),
@@ -143,14 +143,14 @@ def test_what_a_converter_at_its_limit_reads_is_a_gap(subject: Subject, lines: l
     ("change", "message"),
     [
         (lambda lines: [], "stdin: is empty"),
-        (lambda lines: ["\ufffd\ufffd\x01"], "stdin: is no text"),
+        (lambda lines: ["\ufffd\ufffd\x01"], "stdin: is not text"),
         (lambda lines: [lines[0].replace(NAMES[0], "other"), *lines[1:]], f"has no column '{NAMES[0]}'"),
-        (lambda lines: [lines[0].replace("\n", ",room\n"), *lines[1:]], "column 'room' is no reading of this board"),
+        (lambda lines: [lines[0].replace("\n", ",room\n"), *lines[1:]], "column 'room' is not a reading of this board"),
         (lambda lines: [lines[0].replace("time_s", "t"), *lines[1:]], "no column time_s"),
-        (lambda lines: [*lines[:4], _cells(lines[4], "x")], "'x' is no finite number; an empty cell is a gap"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "x")], "'x' is not a finite number; an empty cell is a gap"),
         (lambda lines: [*lines[:4], lines[4].replace("0.", "nan", 1)], "stdin line 5"),
         (lambda lines: [*lines[:4], lines[2]], "time_s = 0.02 does not come after 0.04; times must rise"),
-        (lambda lines: [*lines[:4], _cells(lines[4], "inf")], "'inf' is no finite number"),
+        (lambda lines: [*lines[:4], _cells(lines[4], "inf")], "'inf' is not a finite number"),
         (lambda lines: [*lines[:4], _cells(lines[4], "nan")], "an empty cell is a gap"),
         (lambda lines: [*lines[:4], _cells(lines[4], "31000")], "looks like millivolts or a converter's counts"),
     ],
@@ -239,5 +239,5 @@ def test_a_closed_pipe_and_bytes_that_are_no_text_end_it_cleanly(folder: Path, l
     )
     assert done.returncode == 2 and done.stdout == b""
     assert done.stderr.decode().splitlines() == [
-        "nailoptics: stdin: is no text; give a CSV with time_s and the readings in volts."
+        "nailoptics: stdin: is not text; give a CSV with time_s and the readings in volts."
     ]

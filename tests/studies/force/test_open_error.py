@@ -25,8 +25,8 @@ def subject() -> Subject:
 
 def risen_v(one: Subject, pressure: np.ndarray) -> np.ndarray:
     """Volts of every reading over those at rest under held pressures (2,)."""
-    widths = one.person.steady_widths(np.stack([np.zeros(2), pressure], axis=1))
-    return np.asarray(one.readings.gain * np.diff(one.light.volts(one.person.blood(widths)))[:, 0])
+    diameters = one.person.steady_diameters(np.stack([np.zeros(2), pressure], axis=1))
+    return np.asarray(one.readings.gain * np.diff(one.light.volts(one.person.blood(diameters)))[:, 0])
 
 
 def other(one: Subject, off: np.ndarray) -> Subject:

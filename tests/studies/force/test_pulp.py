@@ -72,11 +72,11 @@ def test_pieces_of_time_walked_side_by_side_are_one_walk(monkeypatch: pytest.Mon
     # Held, quick and hard touches, one of them through a cut.
     force_n = 0.6 * (np.sin(time_s) > 0.3) + 3.0 * (np.sin(0.31 * time_s) > 0.9)
     pressure = who.pressures_n_per_cm2(force_n, np.where(time_s % 20.0 < 10.0, 1.0, 0.0))
-    pieces = who.widths_over(time_s, pressure)
+    pieces = who.diameters_over(time_s, pressure)
     monkeypatch.setattr(person, "PIECE_S", np.inf)
-    whole = who.widths_over(time_s, pressure)
+    whole = who.diameters_over(time_s, pressure)
     assert np.ptp(whole) > 0.3
-    np.testing.assert_allclose(pieces, whole, rtol=3 * person.MET)
+    np.testing.assert_allclose(pieces, whole, rtol=3 * person.CONVERGED)
 
 
 def test_the_filters_pulp_relaxes_to_the_pressure_within_its_time() -> None:

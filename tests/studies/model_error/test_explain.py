@@ -16,7 +16,7 @@ from nailoptics.light.transfer.records import LedTrace
 from nailoptics.options import TraceOptions
 from nailoptics.report.pages.explain import lines as explanation_lines
 from nailoptics.scene import Scene, parse_scene
-from nailoptics.statistics import Z95, farther_end
+from nailoptics.statistics import Z95, magnitude_bound_95
 from nailoptics.studies.model_error import explain as effects, paired
 from nailoptics.studies.model_error.explain import (
     ONE_WAVELENGTH,
@@ -168,7 +168,7 @@ def test_effects_that_are_read_from_one_trace_have_true_errors(chosen_jit):
     covered = (np.abs(z) < Z95).mean(axis=(0, 3, 4))
     assert (covered > 0.87).all(), covered
     # The value of sixty times the photons is an estimate, too, with an error of its own.
-    most = farther_end(each[:, :, 0], np.hypot(each[:, :, 1], truth[:, 1]), each[:, :, 2])
+    most = magnitude_bound_95(each[:, :, 0], np.hypot(each[:, :, 1], truth[:, 1]), each[:, :, 2])
     held = (most >= np.abs(truth[:, 0])).mean(axis=(0, 3, 4))
     assert (held > 0.9).all(), held
     # Errors that were far too large would say nothing: these are what the values scatter by.

@@ -11,9 +11,15 @@ from nailoptics import load_scene
 from nailoptics.assets import data_dir
 from nailoptics.light import Transfer
 from nailoptics.options import TraceOptions
-from nailoptics.statistics import Z95, farther_end
+from nailoptics.statistics import Z95, magnitude_bound_95
 from nailoptics.studies.model_error import explain
-from nailoptics.studies.model_error.paired import UNDETECTED, Difference, PairedReadings, _part_of_next, difference
+from nailoptics.studies.model_error.paired import (
+    UNDETECTED,
+    Difference,
+    PairedReadings,
+    _expected_next_fraction,
+    difference,
+)
 
 PHOTONS, DIODES = 20_000, 200
 
@@ -98,20 +104,22 @@ def test_the_bound_of_a_count_is_the_exact_one():
     one, from 1 on; of none, 3, which is the limit of one side (Garwood 1936, Biometrika 28, 437)."""
     counts = np.array([1, 2, 3, 5, 10, 30, 100, 1000, 10_000])
     exact = chi2.ppf(0.975, 2 * (counts + 1)) / 2
-    assert np.abs(farther_end(counts, np.hypot(np.sqrt(counts), UNDETECTED), 1.0) - exact).max() < 0.52
-    assert farther_end(0, UNDETECTED) == pytest.approx(-np.log(0.05), abs=0.01)
+    assert np.abs(magnitude_bound_95(counts, np.hypot(np.sqrt(counts), UNDETECTED), 1.0) - exact).max() < 0.52
+    assert magnitude_bound_95(0, UNDETECTED) == pytest.approx(-np.log(0.05), abs=0.01)
     # It is the same on either side of 0.
-    assert np.isnan(farther_end(np.inf, np.inf)) and np.isinf(farther_end(1.0, np.inf))
-    assert farther_end(-10.0, 3.0, -1.0) == farther_end(10.0, 3.0, 1.0) > farther_end(10.0, 3.0, -1.0)
+    assert np.isnan(magnitude_bound_95(np.inf, np.inf)) and np.isinf(magnitude_bound_95(1.0, np.inf))
+    assert (
+        magnitude_bound_95(-10.0, 3.0, -1.0) == magnitude_bound_95(10.0, 3.0, 1.0) > magnitude_bound_95(10.0, 3.0, -1.0)
+    )
 
 
 def test_the_next_photon_is_like_the_others_the_more_of_them_there_are():
     """Expected: lost whole where nothing is known, as the others in the mean where much is, and between these the mean
     of draws of a depth whose scale is known from so few only."""
-    assert _part_of_next(np.array([0.0]), np.array([0.0])) == 1
-    assert _part_of_next(np.array([1e4]), np.array([1e-3])) == pytest.approx(1e-3, rel=1e-3)
+    assert _expected_next_fraction(np.array([0.0]), np.array([0.0])) == 1
+    assert _expected_next_fraction(np.array([1e4]), np.array([1e-3])) == pytest.approx(1e-3, rel=1e-3)
     draw = np.random.default_rng(1)
     for carriers, taken in ((1.0, 0.5), (2.5, 0.5), (10.0, 0.1), (40.0, 1e-3)):
         scale = carriers * taken / draw.gamma(carriers, size=400_000)
         drawn = np.minimum(scale * draw.exponential(size=400_000), 1)
-        assert _part_of_next(np.array([carriers]), np.array([taken])) == pytest.approx(drawn.mean(), rel=0.02)
+        assert _expected_next_fraction(np.array([carriers]), np.array([taken])) == pytest.approx(drawn.mean(), rel=0.02)

@@ -11,7 +11,7 @@ from nailoptics.report.pages.placement import PLACEMENT as report
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
-from nailoptics.statistics import jackknife, left_out
+from nailoptics.statistics import jackknife, leave_one_out
 from nailoptics.studies.placement import place
 from nailoptics.studies.placement.certificate import _tangents, beside_the_bound, lower_bound
 from nailoptics.studies.placement.objective import Objective
@@ -100,7 +100,7 @@ def test_the_best_layout_is_set_beside_the_bound(chosen_jit, fewer_photons, untr
 
 
 def test_the_distance_from_the_bound_has_the_errors_of_both():
-    replicates = np.exp(left_out(np.log(0.06) + 0.2 * np.random.default_rng(4).standard_normal(32)))
+    replicates = np.exp(leave_one_out(np.log(0.06) + 0.2 * np.random.default_rng(4).standard_normal(32)))
     objective = SimpleNamespace(points=[None], total=lambda responses: None, score=lambda total: replicates)
     layout, score = SimpleNamespace(origin="searched"), SimpleNamespace(responses=[None])
     above = beside_the_bound((0.05, 0.002), [layout], [score], objective, sites=7)

@@ -18,7 +18,7 @@ from nailoptics.report.pages.placement import page
 from nailoptics.scene import Placement, parse_scene
 from nailoptics.sensor import electronics, information
 from nailoptics.sensor.information import PhysiologicalNoise, operating_point
-from nailoptics.statistics import covariance_root, left_out
+from nailoptics.statistics import covariance_root, leave_one_out
 from nailoptics.studies.force.touch_error import TouchError
 from nailoptics.studies.placement import place, result
 from nailoptics.studies.placement.objective import LayoutScore, Objective
@@ -303,7 +303,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     layout = SimpleNamespace(scene=scene, board=scene)
 
     def judged(blocks: np.ndarray) -> LayoutScore:
-        read = information.response(left_out(blocks), scene, 0, scene.photodiodes[0], point)
+        read = information.response(leave_one_out(blocks), scene, 0, scene.photodiodes[0], point)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return score_layout(layout, cache, Objective(Placement(), [point]))
 
@@ -330,7 +330,7 @@ def test_errors_over_touches_scatter_as_they_say():
     mean = np.column_stack([light, 0.3 * light, -light[:, None] * blood])
 
     def judged(blocks: np.ndarray) -> LayoutScore:
-        read = information.response(left_out(blocks), scene, 0, scene.photodiodes[0], point, replicates=True)
+        read = information.response(leave_one_out(blocks), scene, 0, scene.photodiodes[0], point, replicates=True)
         cache = SimpleNamespace(read=lambda *_: [[read]], conditions=[SimpleNamespace(point=point)])
         return score_layout(SimpleNamespace(scene=scene, board=scene), cache, objective)
 

@@ -26,7 +26,7 @@ from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import electronics, information
-from nailoptics.statistics import jackknife, left_out
+from nailoptics.statistics import jackknife, leave_one_out
 from nailoptics.studies.placement import (
     boards,
     candidates,
@@ -104,7 +104,7 @@ def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene)
         blocks[:, 0, 2:] = -limit
         how = scene, 0, photodiode, AT
         read, below = (
-            information.response(left_out(blocks), *how, replicates=True),
+            information.response(leave_one_out(blocks), *how, replicates=True),
             information.response(blocks[0] * 0.1, *how),
         )
         each = (read.slope_v_per_pa[:, 0, 0] / below.slope_v_per_pa[0, 0] / 10) ** 2
@@ -382,7 +382,7 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
 def test_intervals_allow_for_errors_that_few_blocks_tell():
     """Four Gaussian blocks, whose normal interval would hold 86 % of 95."""
     groups = np.random.default_rng(0).normal(0.0, 0.01, (2000, 4))
-    objective, replicates = Objective(Placement(), ()), np.exp(left_out(groups.T)).T
+    objective, replicates = Objective(Placement(), ()), np.exp(leave_one_out(groups.T)).T
     ends = (ForceResolution(one[:, None], np.zeros(1), objective).interval_n for one in replicates)
     held = [low <= 1.0 <= high for low, high in ends]
     assert 0.935 < np.mean(held) < 0.965
@@ -592,7 +592,7 @@ def test_what_few_photons_tell_of_a_photodiode_has_no_error():
     groups = np.zeros((100, 4))
     for photodiode, count in enumerate((100, 30, 5, 0)):
         groups[:count, photodiode] = np.linspace(0.9, 1.1, count)
-    replicates = left_out(groups)
+    replicates = leave_one_out(groups)
     read = SimpleNamespace(volts=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
     computed = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
     for name in ("volts", "shunted_fraction", "zone_v"):

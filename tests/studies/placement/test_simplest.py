@@ -17,7 +17,7 @@ from nailoptics.scene import Candidate, FingerCase, load_scene, parse_scene
 from nailoptics.scene.rectangles import Rectangle
 from nailoptics.sensor import information
 from nailoptics.sensor.information import PhysiologicalNoise
-from nailoptics.statistics import jackknife, left_out
+from nailoptics.statistics import jackknife, leave_one_out
 from nailoptics.studies.placement import boards, candidates, objective, result, search
 from nailoptics.studies.placement.photon_maps import FingerCondition
 from nailoptics.studies.placement.sites import PhotodiodePlaces
@@ -100,7 +100,7 @@ def test_the_simplest_has_fewest_parts_then_rows_then_a_mirror_image_then_a_grid
 def test_the_error_of_a_resolution_is_that_of_what_lies_above_the_bodys_own(floor_n):
     """Expected: of blocks that scatter by a percent about 0.04 N the jackknife of the whole, to first order."""
     blocks = 0.04 * np.exp(0.01 * np.random.default_rng(2).standard_normal((20, 3)))
-    whole_n = np.hypot(left_out(blocks), floor_n)
+    whole_n = np.hypot(leave_one_out(blocks), floor_n)
     assert objective.resolution_stderr_n(whole_n, floor_n) == pytest.approx(jackknife(whole_n), rel=0.01)
 
 

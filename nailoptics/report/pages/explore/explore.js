@@ -524,7 +524,7 @@ function fromScene(scene, before) {
   const leds = (scene.leds || []).map((led) => {
     let kind = tables.ledKinds.findIndex((one) => one.fields.part && one.fields.part === led.part && led.wavelength_nm === undefined);
     if (kind < 0) kind = tables.ledKinds.findIndex((one) => Math.abs(one.fields.wavelength_nm - led.wavelength_nm) < tables.sameNm);
-    if (kind < 0) throw new Error(`LED ${led.name}: ${led.wavelength_nm || led.part} is no wavelength of this page; make a page of that scene.`);
+    if (kind < 0) throw new Error(`LED ${led.name}: ${led.wavelength_nm || led.part} is not a wavelength of this page; make a page of that scene.`);
     return { name: led.name, reference: led.reference || null, kind, ...place(led) };
   });
   const photodiodes = (scene.photodiodes || []).map((pd) => {

@@ -37,7 +37,7 @@ function brokenInside(value, schema, place) {
   }
   for (const [key, one] of schema.type === "object" ? Object.entries(value) : []) {
     const known = schema.properties && Object.hasOwn(schema.properties, key), rule = known ? schema.properties[key] : schema.additionalProperties;
-    if (rule === false) return `${within(key)} is no field`;
+    if (rule === false) return `${within(key)} is not a field`;
     const why = typeof rule === "object" ? broken(one, rule, within(key)) : "";
     if (why) return why;
   }
