@@ -199,7 +199,7 @@ def pair(subject: Subject, recording: Recording) -> str:
 def thinned(recording: Recording, rate_hz: float) -> Recording:
     """Every so-manieth sample of a recording, so that no more than so many are left in a second."""
     stride = max(1, round(1.0 / (rate_hz * float(np.median(np.diff(recording.time_s))))))
-    return recording.at(slice(None, None, stride))
+    return recording.select(slice(None, None, stride))
 
 
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:
@@ -216,7 +216,7 @@ def seconds_per_sample(subject: Subject, recording: Recording) -> float:
     for k, volts in enumerate(recording.volts.T[:500]):
         begin = time.process_time()
         estimate = observer.update_sample(volts, 0.01 if k else None)
-        estimator.of(stacked([estimate]), volts[:, None], np.array([0.01]))
+        estimator.estimate(stacked([estimate]), volts[:, None], np.array([0.01]))
         spent.append(time.process_time() - begin)
     return float(np.median(spent))
 

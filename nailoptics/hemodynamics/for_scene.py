@@ -31,8 +31,7 @@ KNOTS_PER_PERIOD = 128
 SAMPLES_PER_BEAT = 64
 # Step of a touch pressure over which blood's change with it is taken. [Pa]
 STEP_PA = 100.0
-# Largest touch pressures to which blood's change with them is extrapolated: about the mean arterial one, which closes
-# vessels. [Pa]
+# Highest pressures to which blood's change is extrapolated, about the mean arterial one, where vessels close. [Pa]
 FAR_PA = 1e4
 # Fields of the body that move the blood once and for all, as they are where nothing does.
 POSTURE: dict[str, Any] = {"hand_height_m": 0.0, "venous_pressure_pa": None}

@@ -21,8 +21,8 @@ OF_BEDS = ("capillary_", "venul")
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
 # With less damping a wall's own force is lost beside the blood's, in floats: results are wrong, not slow.
 LEAST_DAMPING_N_S_PER_M = 1e-12
-# Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2. [Pa/m]
-PA_PER_M_OF_BLOOD = 1.04e4
+# Of blood, rho g: 1060 kg/m^3 times 9.81 m/s^2; and of the paper's unit of pressure. [Pa/m, Pa]
+PA_PER_M_OF_BLOOD, PA_PER_N_PER_CM2 = 1.04e4, 1e4
 # The paper's constants are orders of magnitude: a hundredfold beyond them a value is probably mistyped.
 FAR_FROM_LIST = 100.0
 # Of those so many are named.

@@ -15,8 +15,9 @@ import numpy as np
 
 from ..assets import read_toml
 from ..hemodynamics.blood import white_band_mm
+from ..hemodynamics.parameters import PA_PER_N_PER_CM2
 from ..statistics import jackknife, t95
-from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, PA_PER_N_PER_CM2, PHASE_S, SHEARED, PeopleReadings, Responses
+from .responses import CURVE_PA, EVEN_N, FINGER_ZONES, PHASE_S, SHEARED, PeopleReadings, Responses
 
 # What divides is kept from 0 by this, far below any change that a figure shows. [m, 1]
 _TINY = 1e-30

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..hemodynamics.blood import relative_blood
-from ..hemodynamics.parameters import Parameters, PerBed, each_bed
+from ..hemodynamics.parameters import PA_PER_N_PER_CM2, Parameters, PerBed, each_bed
 from ..hemodynamics.respond import respond
 from ..hemodynamics.steady import steady_state
 from ..hemodynamics.touch import Contact, relaxing_pressure
@@ -20,8 +20,6 @@ from ..hemodynamics.zones import PAPER_ZONES, Zones, zones_between
 from ..scene.base import USUAL_BONE_EDGE_MM
 from ..scene.finger import Finger
 
-# 1 N/cm^2, the paper's unit of pressure. [Pa]
-PA_PER_N_PER_CM2 = 1e4
 # Pressures of the static curves: 0 to 2 N/cm^2. (41,) [Pa]
 CURVE_PA = np.linspace(0.0, 2e4, 41)
 # The paper's steps: 0.1 to 1 N/cm^2. (10,) [Pa]

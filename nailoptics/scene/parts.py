@@ -74,8 +74,7 @@ class Mounted(Packaged):
     rotation_deg: Rotation = 0.0
     """Rotation on the board around its centre, of an array as a whole, counterclockwise. [deg]"""
     body_mm: Box | None = None
-    """Box around its body and pads, (u_min, v_min, u_max, v_max) from its position, before its rotation; filled from
-    kicad. [mm]"""
+    """Box around its body and pads, (u_min, v_min, u_max, v_max) about its position, unrotated; from kicad. [mm]"""
     courtyard_mm: Box | None = None
     """Box around its courtyard, on which no other part may lie, likewise; filled from kicad. [mm]"""
 
@@ -255,8 +254,7 @@ class Board(BoardFile):
     adhesive_um: Annotated[float, Field(ge=0, le=1000)] = 50.0
     """Thickness of the clear adhesive on the nail; it has the epoxy's index. [um]"""
     air_gap_um: Annotated[float, Field(ge=1, le=1000)] | None = None
-    """Thickness of a layer of air between the nail and the adhesive, of a board that is lifted off or not bonded; none
-    if not given. [um]"""
+    """Thickness of an air gap between nail and adhesive of a board that is not bonded; none if not given. [um]"""
     barrier: bool = True
     """A wall of opaque epoxy between LEDs and photodiodes, from the board to the nail."""
     barrier_um: Annotated[float, Field(ge=20, le=2000)] = 150.0

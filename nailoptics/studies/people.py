@@ -8,11 +8,12 @@ import numpy as np
 from ..assets import data_dir, read_toml
 from ..checks import Array
 from ..hemodynamics.for_scene import blood_over_touch
+from ..hemodynamics.parameters import PA_PER_N_PER_CM2
 from ..light import Transfer, trace
 from ..light.detect import light_of
 from ..light.transfer.series import read_by_groups
 from ..paper.reduced_optics import fit_taylor
-from ..paper.responses import CYCLE_HZ, PA_PER_N_PER_CM2, PHASE_S, PeopleReadings, Protocol, branches, cycle, press
+from ..paper.responses import CYCLE_HZ, PHASE_S, PeopleReadings, Protocol, branches, cycle, press
 from ..scene import Scene, load_scene
 from .prior_uncertainty import at_value, value_of
 

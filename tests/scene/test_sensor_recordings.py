@@ -16,7 +16,7 @@ def _read(tmp_path: Path, text: str) -> object:
     file = tmp_path / "recording.csv"
     file.write_text(text)
     result = read_sensor_recording(file)
-    return result.of(result.names)
+    return result.with_readings(result.names)
 
 
 def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path: Path) -> None:
@@ -99,11 +99,11 @@ def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
     file = tmp_path / "recording.csv"
     file.write_text(GOOD)
     result = read_sensor_recording(file)
-    assert result.of(("b", "a")).names == ("b", "a")
+    assert result.with_readings(("b", "a")).names == ("b", "a")
     with pytest.raises(InputError, match="has no column 'c'"):
-        result.of(("a", "b", "c"))
+        result.with_readings(("a", "b", "c"))
     with pytest.raises(InputError, match="column 'b' is not a reading of this board"):
-        result.of(("a",))
+        result.with_readings(("a",))
 
 
 def test_what_spreadsheets_add_is_no_fault(tmp_path: Path) -> None:

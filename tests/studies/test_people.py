@@ -5,9 +5,9 @@ import pytest
 from benchmarks.parameter_search import largest_loop_gain
 
 from nailoptics.assets import read_toml
-from nailoptics.hemodynamics.parameters import vessels
+from nailoptics.hemodynamics.parameters import PA_PER_N_PER_CM2, vessels
 from nailoptics.paper.claims import PEOPLE_RULES, Claim, evaluate_people
-from nailoptics.paper.responses import CURVE_PA, PA_PER_N_PER_CM2, PHASE_S, PeopleReadings
+from nailoptics.paper.responses import CURVE_PA, PHASE_S, PeopleReadings
 from nailoptics.scene.priors import shipped_priors
 from nailoptics.studies import people
 from nailoptics.studies.prior_uncertainty import at_value

@@ -292,7 +292,7 @@ class FingerWalk:
             photon.p = mi.Point3f(off_surface(photon.p, dr.select(reflected, normal, -normal)))
             photon.region = dr.select(reflected, photon.region, there)
             if self.acceptance is not None:
-                accepted = self.acceptance.of(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
+                accepted = self.acceptance.at_angle(photon.outcome - DETECTED, cos_in, photon.outcome >= DETECTED)
         return accepted
 
     def tallied(self, region: Any) -> tuple[Any, Any]:

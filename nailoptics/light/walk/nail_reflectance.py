@@ -79,7 +79,7 @@ class ReflectedLight:
         joined = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in RECORDED}
         return replace(self, rays=self.rays + other.rays, **joined)
 
-    def to(self, patches: list[int]) -> "ReflectedLight":
+    def select(self, patches: list[int]) -> "ReflectedLight":
         """The rays to some patches alone, which are numbered as they are given."""
         there, number = np.nonzero(self.patch[:, None] == np.array(patches))
         chosen: dict[str, Any] = {name: getattr(self, name)[there] for name in RECORDED} | {"patch": number}

@@ -336,8 +336,8 @@ class Acceptance:
         self.tables = mi.Float(tables.ravel().astype(np.float32))
         dr.make_opaque(self.tables)
 
-    def of(self, photodiode: Any, cos: Any, active: Any) -> Any:
-        """What a photodiode makes of light at an angle."""
+    def at_angle(self, photodiode: Any, cos: Any, active: Any) -> Any:
+        """Relative response of a photodiode to light at an angle of that cosine."""
         place = clip(cos * cos, 0, 1) * STEPS
         cell = minimum(mi.UInt32(place), STEPS - 1)
         at = photodiode * (STEPS + 1) + cell

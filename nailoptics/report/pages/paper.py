@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import hemodynamics, tissue
 from ...display import Displayed
+from ...hemodynamics.parameters import PA_PER_N_PER_CM2
 from ...light import backend as backends
 from ...paper import responses as paper
 from ...paper.claims import Claim, as_rows, evaluate, evaluate_people, is_shown_by
@@ -149,7 +150,7 @@ def _steps_over_time(panels: list[tuple[str, str, np.ndarray]]) -> "style.Figure
         axis.margins(y=0.1)
         here = axis.get_xaxis_transform()
         axis.text(0.5 * paper.ON_S, 0.985, "touch on", transform=here, ha="center", va="top", color=style.MUTED)
-    steps = paper.STEPS_PA / paper.PA_PER_N_PER_CM2
+    steps = paper.STEPS_PA / PA_PER_N_PER_CM2
     half = 0.5 * (steps[1] - steps[0])
     norm = BoundaryNorm(np.append(steps - half, steps[-1] + half), paper.STEPS_PA.size)
     bar = figure.colorbar(ScalarMappable(norm, ListedColormap(colours)), ax=axes, ticks=steps[::3], pad=0.02)
@@ -175,7 +176,7 @@ def _figure_12(r: paper.Responses) -> "style.Figure":
     figure, axes = style.panels(_WIDTH_IN, 3.5, 1, 2)
     for i, (axis, blood, side) in enumerate(zip(axes, r.alone, _SIDES, strict=True)):
         axis.axvline(1.0, **_VEINS_SHUT)
-        axis.plot(paper.CURVE_PA / paper.PA_PER_N_PER_CM2, 1.0 - blood, color=style.ZONES[i], lw=1.8)
+        axis.plot(paper.CURVE_PA / PA_PER_N_PER_CM2, 1.0 - blood, color=style.ZONES[i], lw=1.8)
         label = f"$P_{{F{i + 1}}}$ alone [N/cm²]"
         axis.set(title=f"$V_{{P{i + 1}}}$, {side}", xlabel=label, ylabel=_READING, xlim=(0.0, 1.6))
     return figure
@@ -190,8 +191,8 @@ def _touches(r: paper.Responses) -> "style.Figure":
             axis.plot(_TIME_S, np.concatenate([r.press_on[side], r.press_off[side]], axis=-1), color=colour)
         else:
             loading, unloading = r.cycle[side]
-            axis.plot(paper.CURVE_PA / paper.PA_PER_N_PER_CM2, loading, color=colour, label="loading")
-            axis.plot(paper.CURVE_PA / paper.PA_PER_N_PER_CM2, unloading, color=colour, ls="--", label="unloading")
+            axis.plot(paper.CURVE_PA / PA_PER_N_PER_CM2, loading, color=colour, label="loading")
+            axis.plot(paper.CURVE_PA / PA_PER_N_PER_CM2, unloading, color=colour, ls="--", label="unloading")
             gap = np.abs(unloading - loading).max() / np.ptp(r.cycle[side])
             axis.legend(title=f"hysteresis {gap:.1%} of the range")
         axis.set_ylabel(_READING)
@@ -219,7 +220,7 @@ def draw_people(directory: Path, readings: paper.PeopleReadings, scenes: Sequenc
     figure, axes = _touch_panels()
     melanin = [scene.finger.melanin_fraction for scene in scenes if scene.finger]
     norm, skins = LogNorm(min(melanin), max(melanin)), colormaps["copper_r"]
-    static = paper.CURVE_PA / paper.PA_PER_N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
+    static = paper.CURVE_PA / PA_PER_N_PER_CM2, readings.cycle.mean(axis=-2), readings.cycle_fit.mean(axis=-2)
     press = np.append(readings.press_on, readings.press_off[..., 1:], axis=-1)
     dynamic = paper.press().time_s, press, readings.press_fit
     for (side, column), axis in np.ndenumerate(axes):

@@ -127,14 +127,14 @@ class Recording:
         samples = f"{len(self.time_s)} samples in {np.ptp(self.time_s):.4g} s"
         return f"<Recording {self.name}: {len(self.names)} readings, {samples}>"
 
-    def of(self, names: Sequence[str]) -> "Recording":
+    def with_readings(self, names: Sequence[str]) -> "Recording":
         """The recording with its readings in this order; raises InputError unless it has just these, in volts."""
         check_known(self.names, names, self.name)
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
         return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
 
-    def at(self, samples: slice | NDArray[Any]) -> "Recording":
+    def select(self, samples: slice | NDArray[Any]) -> "Recording":
         """The recording of some of the samples."""
         force_n, site = (None if one is None else one[samples] for one in (self.force_n, self.site))
         return Recording(self.name, self.names, self.time_s[samples], self.volts[:, samples], force_n, site)

@@ -278,7 +278,9 @@ def spread_of_colours(
     the rays; what scatters or is shaped otherwise is walked anew, with the same random numbers at each of its values.
     """
     scene, sites = nail.scene, [ALONG // 2, 0]
-    rays = replace(rays, patches=tuple(rays.patches[k] for k in sites), light=tuple(c.to(sites) for c in rays.light))
+    rays = replace(
+        rays, patches=tuple(rays.patches[k] for k in sites), light=tuple(c.select(sites) for c in rays.light)
+    )
     priors = sorted(scene.finger_priors, key=lambda prior: not only_absorbs(scene, prior))
 
     def lab(light: ColourRays, changed: Scene) -> Array:

@@ -119,8 +119,7 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     weighted = design / noise_v2[:, None]
     normal = np.einsum("trp,trq->tpq", weighted, design)
     strength = normal[:, 0, 0]
-    # Where a touch has all but shut the vessels readings depend far less than usual on the arterial pressure: it is
-    # taken for none.
+    # Where a touch all but shuts the vessels, readings hardly depend on the arterial pressure, which is taken as 0.
     normal[:, 0, 0] += np.where(strength > 0.01 * np.median(strength), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2

@@ -172,7 +172,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     ensemble, touches = train(subject, series) or (None, None)
     if touches is None:
         # Errors are of the touches that the filter was fitted to, as far as it tells them apart.
-        below = series.at(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
+        below = series.select(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
         force_n, low_n, high_n = below.by_filter[:3]
         touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.is_proximal, below.is_still)
     outliers = float(series.is_outlier[series.is_still].mean())
@@ -215,7 +215,8 @@ QUICK_N, QUICK_S, QUICK_TOUCHES = 0.15, 0.3, 2
 def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
     """The recordings with the scene's readings and their sites; raises InputError unless they can calibrate."""
     names = reading_names(scene)
-    given = [with_site(part, scene) for recording in recordings for part in worn_at_once(recording.of(names))]
+    in_order = [recording.with_readings(names) for recording in recordings]
+    given = [with_site(part, scene) for recording in in_order for part in worn_at_once(recording)]
     if not given:
         raise InputError("calibrate needs at least one recording of a known force.")
     if fault := next(_faults_together(given), None):
@@ -234,7 +235,7 @@ def worn_at_once(recording: Recording) -> list[Recording]:
     if len(parts) == 1 or not all(recording.force_n[part].max() >= TOUCHED_N for part in parts):
         return [recording]
     names = [f"{recording.name} from time_s = {time_s[part[0]]:g} on" for part in parts]
-    return [replace(recording.at(part), name=names[k], donning=k) for k, part in enumerate(parts)]
+    return [replace(recording.select(part), name=names[k], donning=k) for k, part in enumerate(parts)]
 
 
 def with_site(recording: Recording, scene: Scene) -> Recording:

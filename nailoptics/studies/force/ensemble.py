@@ -94,7 +94,7 @@ class Terms(NamedTuple):
     indices: NDArray[np.int64]
     members: dict[str, NDArray[np.bool_]]
 
-    def of(self, features: Array) -> Array:
+    def monomials(self, features: Array) -> Array:
         """Monomials (n, *S) of features (D, *S)."""
         with_one = np.concatenate([features, np.ones_like(features[:1])])
         return np.asarray(with_one[self.indices].prod(1))
@@ -167,7 +167,7 @@ class Ensemble:
         """Force, its bounds, the upper one infinite where vessels may be closed, [N] and proximal share, (T,) each, of
         features (D, T), the filter's force and its share."""
         inside = np.clip(features, self.least[:, None], self.most[:, None])
-        terms = self.terms.of(inside)
+        terms = self.terms.monomials(inside)
         by_gate = self.gate[0] + self.gate[1] * filter_share + self.gate[2:] @ terms[self.terms.members["quadratic"]]
         share = np.clip(by_gate, 0.0, 1.0)
         by_side_n = self.intercept_n[:, None] + np.outer(self.weights["filter"], filter_n) + self.polynomial_n @ terms

@@ -91,7 +91,7 @@ class ForceInterval:
         self.closed_above_n = self.person.side_areas_cm2 * closure_n_per_cm2
         self._least_closing_n = self.closed_above_n * np.exp(-2 * part)
 
-    def of(self, estimates: PressureEstimate) -> ForceEstimate:
+    def estimate(self, estimates: PressureEstimate) -> ForceEstimate:
         """The forces of some samples."""
         touch, by_filter = estimates.touch_n_per_cm2, estimates.covariance * INTERVAL_SCALE**2
         pressure_n_per_cm2 = touch_pressure(touch.T)
@@ -198,12 +198,12 @@ class ForceEstimator:
         self._features = Features(self._ensemble.components if self._ensemble else np.empty((0, len(subject.rest_v))))
         self._areas_cm2 = subject.person.side_areas_cm2[:, None]
 
-    def of(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> tuple[ForceEstimate, Array, Array]:
+    def estimate(self, estimates: PressureEstimate, volts: Array, since_s: Array) -> tuple[ForceEstimate, Array, Array]:
         """Force of the next samples (T,), that of the filter alone [N], and ln volts less those at rest, (R, T).
 
         volts : (R, T) float. since_s : (T,) float. Time from sample to sample. [s]
         """
-        by_filter = self._interval.of(estimates)
+        by_filter = self._interval.estimate(estimates)
         over_rest = self._features.over_rest(volts, by_filter.force_n < REST_FORCE_N, since_s)
         force = by_filter
         if (ensemble := self._ensemble) is not None:

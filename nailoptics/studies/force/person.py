@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from ...checks import Array, finite
 from ...errors import InputError
 from ...hemodynamics import Contact, relaxing_pressure, spreading_pressure
-from ...hemodynamics.parameters import Parameters, beds, each_bed, parameters, vessels
+from ...hemodynamics.parameters import PA_PER_N_PER_CM2, Parameters, beds, each_bed, parameters, vessels
 from ...hemodynamics.rosenbrock import step
 from ...hemodynamics.steady import solve_walls
 from ...hemodynamics.walls import Walls, build_walls
@@ -42,8 +42,7 @@ MOST_GAIN = 1e4
 # Cubes of a subject file's numbers, times others, are far from what numbers can hold.
 MOST = 1e30
 SIDES = ("proximal", "distal")
-# 1 N/cm^2, the paper's unit of pressure. [Pa]
-PA_PER_N_PER_CM2, MM2_PER_CM2 = 1e4, 100.0
+MM2_PER_CM2 = 100.0
 
 # Tables of a subject file; it also holds what is for its reader alone.
 TABLE = ConfigDict(extra="ignore", allow_inf_nan=False, arbitrary_types_allowed=True)

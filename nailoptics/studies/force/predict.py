@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...hemodynamics.parameters import PA_PER_N_PER_CM2
 from ...scene.importers import sensor_recordings
 from ...scene.importers.sensor_recordings import STDIN, Recording, check_known
 from ...sensor.electronics import recorded_at_limit
@@ -17,7 +18,7 @@ from ...variables import Estimate, Variables, described
 from ...version import code_attributes
 from .interval import ForceEstimate, ForceEstimator
 from .kalman import KalmanFilter, PressureEstimate, estimate_pressures, stacked
-from .person import PA_PER_N_PER_CM2, SIDES, Array
+from .person import SIDES, Array
 from .scores import TOUCH_N, TOUCH_SCORES, is_still, rms, touches_by_kind
 from .subject import Subject, load_subject, parse_subject
 
@@ -54,10 +55,10 @@ def predict(
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
     subject = _subject(subject)
     recording = readings if isinstance(readings, Recording) else sensor_recordings.read_sensor_recording(readings)
-    recording, warnings = _without_saturated(subject, recording.of(subject.light.names))
+    recording, warnings = _without_saturated(subject, recording.with_readings(subject.light.names))
     estimates = estimate_pressures(subject, recording.time_s, recording.volts)
     since_s, estimator = np.diff(recording.time_s, prepend=recording.time_s[0]), ForceEstimator(subject)
-    force, filter_n, over_rest = estimator.of(estimates, recording.volts, since_s)
+    force, filter_n, over_rest = estimator.estimate(estimates, recording.volts, since_s)
     force, filter_n = force.where(estimates.informed), np.where(estimates.informed, filter_n, np.nan)
     known_n = np.where(estimates.informed, np.nan if recording.force_n is None else recording.force_n, np.nan)
     result = _dataset(subject, recording, estimates, (force, filter_n, over_rest), known_n).assign(
@@ -134,7 +135,7 @@ def predict_live(
         volts = np.where(recorded_at_limit(volts, subject.light.range_v), np.nan, volts)
         since_s: float | None = None if last_s is None else time_s - last_s
         estimate = kalman.update_sample(volts, since_s)
-        last_s, force = time_s, estimator.of(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
+        last_s, force = time_s, estimator.estimate(stacked([estimate]), volts[:, None], np.array([since_s or 0.0]))[0]
         columns = (float(column[0]) for column in force.where(estimate.informed)[: len(FORCE_COLUMNS)])
         yield LiveForce._make((time_s, *columns, bool(estimate.outlier)))
 

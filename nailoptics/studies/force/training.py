@@ -79,7 +79,7 @@ class CalibrationSeries:
     is_outlier: NDArray[np.bool_]
     is_varied: NDArray[np.bool_]
 
-    def at(self, samples: NDArray[np.int64]) -> "CalibrationSeries":
+    def select(self, samples: NDArray[np.int64]) -> "CalibrationSeries":
         """Some of the samples."""
         columns = {name: column[..., samples] for name, column in vars(self).items() if name != "by_filter"}
         return CalibrationSeries(ForceEstimate(*(column[..., samples] for column in self.by_filter)), **columns)
@@ -97,7 +97,7 @@ def calibration_series(subject: Subject, recordings: Sequence[Recording]) -> Cal
     time_s = np.concatenate([start + part.time_s - part.time_s[0] for start, part in zip(first_s, parts, strict=False)])
     since_s, force_n = np.diff(time_s, prepend=0.0), np.asarray(every.force_n)
     estimates = estimate_pressures(subject, time_s, every.volts)
-    by_filter, no_touches = ForceInterval(subject).of(estimates), Features(np.empty((0, len(every.volts))))
+    by_filter, no_touches = ForceInterval(subject).estimate(estimates), Features(np.empty((0, len(every.volts))))
     over_rest = no_touches.over_rest(every.volts, force_n < REST_FORCE_N, since_s)
     touches, is_varied = runs(force_n >= REST_FORCE_N), force_n <= TOP_N
     hard = [span for span in touches if force_n[slice(*span)].max() > TOP_N]
@@ -134,7 +134,7 @@ def train(subject: Subject, series: CalibrationSeries) -> tuple[Ensemble, dict[s
     components = (vectors[:, :count] / sizes[:count] * np.sqrt(touched.sum())).T
     features = _features_with_drift(subject, series, components)
     chosen = [np.flatnonzero(series.is_varied)[copy::COPIES] for copy in range(COPIES)]
-    samples = series.at(np.concatenate(chosen))
+    samples = series.select(np.concatenate(chosen))
     trained_on = np.concatenate([features[:, copy, of_copy] for copy, of_copy in enumerate(chosen)], axis=1)
     ensemble, held_out_n = _trained(*_with_both_sides(subject, trained_on, samples), components)
     held_out_n = held_out_n[: len(samples.force_n)]
@@ -181,7 +181,7 @@ def _with_both_sides(subject: Subject, features: Array, samples: CalibrationSeri
             _, alike = KDTree(samples.before_n[:, distal].T).query(samples.before_n[:, proximal].T)
             pairs.append(np.stack([proximal, distal[alike]]))
     pair, count = np.concatenate(pairs, axis=1), len(samples.force_n)
-    both = samples.at(np.append(np.arange(count), pair[0]))  # a copy
+    both = samples.select(np.append(np.arange(count), pair[0]))  # a copy
     both.force_n[count:], both.site[count:] = samples.force_n[pair].mean(0), np.nan
     pressure_n_per_cm2 = samples.by_filter.pressure_n_per_cm2[:, pair].sum(1)
     both.by_filter.force_n[count:], both.by_filter.proximal_share[count:] = subject.person.force(pressure_n_per_cm2)
@@ -194,7 +194,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     middle, scale = features.mean(1), features.std(1) + 1e-9
     standardised = (features - middle[:, None]) / scale[:, None]
     chosen = np.linspace(0, features.shape[1] - 1, CENTRES).astype(int)
-    centres, monomials = np.round(standardised[:, chosen].T, 3), terms.of(features)
+    centres, monomials = np.round(standardised[:, chosen].T, 3), terms.monomials(features)
     designs = {name: monomials[members] for name, members in terms.members.items()}
     designs["kernel"] = np.concatenate([designs["kernel"], gaussians(standardised, centres)])
     # Members are trained beside a gate that, too, has not seen the touch.
@@ -211,7 +211,7 @@ def _trained(features: Array, samples: CalibrationSeries, components: Array) -> 
     # Those of either side, which few touches of it leave at those of both together, and these at the filter alone.
     of_both = _weights(by_member, samples, np.eye(len(by_member))[0])
     sides = (np.flatnonzero(side) for side in (samples.is_proximal, ~samples.is_proximal))
-    weights = [_weights(by_member[:, at], samples.at(at), of_both) if at.size else of_both for at in sides]
+    weights = [_weights(by_member[:, at], samples.select(at), of_both) if at.size else of_both for at in sides]
     shares = dict(zip(held_out, np.transpose(weights), strict=True))
     polynomial_n = np.zeros((2, len(terms.indices)))
     for name, members in terms.members.items():

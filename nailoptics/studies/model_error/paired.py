@@ -22,8 +22,7 @@ from ...statistics import MIN_EFFECTIVE_TERMS, covariance_of_sums, jackknife, ma
 
 # All traces together take about so long where nothing is requested. [s]
 USUAL_SECONDS = 90.0
-# Photons that show what one costs, and the fraction of the time that goes to the traces; the rest is for what the plan
-# does not know.
+# Photons of a pilot, which shows what one costs, and the fraction of the time for traces; the rest is a margin.
 PILOT_PHOTONS, PLANNED_SHARE = 1 << 15, 0.8
 # Standard error of a count of photons that is 0, 3 / Z95: of n photons none detected is, at 95 %, a part below 3 / n.
 UNDETECTED = 1.53

@@ -223,7 +223,8 @@ def pareto_front(layout: CandidateLayout, cache: PhotonMapCache, objective: Obje
     search = Search(base, replace(objective, waves_left=WAVES_LEFT), choosing)
     leds_mm, walls = [die.center_mm for die in laid_out.leds], laid_out.barriers
     places = search.sites.photodiode_places(walls, dict(enumerate(leds_mm)))
-    information = search.objective.together([search.columns(i, layout.board, places, i) for i in range(len(leds_mm))])
+    by_led = [search.columns(i, layout.board, places, i) for i in range(len(leds_mm))]
+    information = search.objective.sum_over_leds(by_led)
     staying, count = information[:, places.free :].sum(1), len(laid_out.photodiodes)
     score = replace(objective, filter_groups=GROUPS)
     bears = [led.max_current_ma / led.current_ma for led in full.leds if led.max_current_ma and led.current_ma]

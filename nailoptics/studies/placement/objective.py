@@ -122,7 +122,7 @@ class Objective:
     filter_groups: int = 8
     waves_left: float = 1.0
 
-    def columns(self, finger: int, led: int, read: sensor_information.Response) -> Array:
+    def information_columns(self, finger: int, led: int, read: sensor_information.Response) -> Array:
         """Columns of photodiodes for one LED, (..., c) float: the `fisher_information` [Pa^-2] and, with an oxygen
         objective, the relative variance of the LED's pulse [1].
         """
@@ -132,9 +132,9 @@ class Objective:
         variance = self.oxygen.relative_variance(finger, led, read)
         return np.concatenate([information, variance[..., None]], -1)
 
-    def together(self, by_led: Sequence[Array]) -> Array:
-        """Sum over LEDs of `columns`, (fingers, ..., c) float each; it adds up over photodiodes. The last column, if of
-        oxygen, becomes the information on SpO2. [percent^-2]
+    def sum_over_leds(self, by_led: Sequence[Array]) -> Array:
+        """Sum over LEDs of `information_columns`, (fingers, ..., c) float each; it adds up over photodiodes. The last
+        column, if of oxygen, becomes the information on SpO2. [percent^-2]
         """
         total = np.sum(by_led, axis=0)
         if (oxygen := self.oxygen) is not None:
@@ -146,10 +146,10 @@ class Objective:
     def total(self, responses: ByFinger) -> Array:
         """Information of all photodiodes and LEDs, (fingers, ..., n) float, by finger and LED (..., photodiodes)."""
         by_led = [
-            np.stack([self.columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
+            np.stack([self.information_columns(finger, led, of_leds[led]) for finger, of_leds in enumerate(responses)])
             for led in range(len(responses[0]))
         ]
-        return np.asarray(self.together(by_led).sum(-2))
+        return np.asarray(self.sum_over_leds(by_led).sum(-2))
 
     def value(self, name: str, total: Array) -> Array:
         """One of what layouts are ranked by over all fingers, of sums over photodiodes (fingers, ..., n) -> (...).
@@ -158,7 +158,7 @@ class Objective:
             force, on the worst finger; oxygen : standard error of SpO2 on the worst finger [percent].
         """
         if name == "oxygen":
-            return self.over(quotient(1.0, np.sqrt(total[..., -1])), name)
+            return self.over_fingers(quotient(1.0, np.sqrt(total[..., -1])), name)
         resolution = sensor_information.share_resolution if name == "share" else sensor_information.force_resolution_n
         information = total if self.oxygen is None else total[..., :-1]
         if name == "force" and self.waves_left < 1 and self.points[0].body is not None:
@@ -166,9 +166,9 @@ class Objective:
             part[2:4] = self.waves_left  # the waves' two shapes come after the pressures
             information = information * np.outer(part, part)[np.triu_indices(len(part))]
         resolutions = [resolution(*both) for both in zip(information, self.points, strict=True)]
-        return self.over(np.stack(resolutions), name)
+        return self.over_fingers(np.stack(resolutions), name)
 
-    def over(self, resolution: Array, name: str | None = None) -> Array:
+    def over_fingers(self, resolution: Array, name: str | None = None) -> Array:
         """One resolution, as of `value`, for all fingers or people, (fingers, ...) -> (...); name : the force's."""
         rules = self.rules
         people, quantile, over = rules.people, rules.quantile, name or rules.over_fingers
@@ -227,12 +227,12 @@ class ForceResolution:
     @property
     def all_n(self) -> Array:
         """Over the fingers, (1 + blocks,) float. [N]"""
-        return self.objective.over(self.fingers_n.T)
+        return self.objective.over_fingers(self.fingers_n.T)
 
     @property
     def floor_n(self) -> float:
         """The noise floor over the fingers: no layout resolves less; 0 of people, of whom each has another. [N]"""
-        return 0.0 if self.objective.rules.people else float(self.objective.over(self.floors_n))
+        return 0.0 if self.objective.rules.people else float(self.objective.over_fingers(self.floors_n))
 
     @property
     def interval_n(self) -> tuple[float, float]:
@@ -359,16 +359,16 @@ def score_layouts(
     """
     count, first = len(layouts), JUDGE_PHOTONS if report_progress.interrupted else photons or JUDGE_PHOTONS
     for layout in layouts:
-        cache.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+        cache.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     complete = _extend(layouts, cache, first, report_progress)
-    layouts = [layout for layout in layouts if cache.of(layout.board).photons]
+    layouts = [layout for layout in layouts if cache.traced_board(layout.board).photons]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
     trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
     scored: dict[tuple[int, int], LayoutScore] = {}
     while True:
         # Those whose board was not traced further have the scores that they had.
-        known = [(i, cache.of(layout.board).photons) for i, layout in enumerate(layouts)]
+        known = [(i, cache.traced_board(layout.board).photons) for i, layout in enumerate(layouts)]
         unknown = [key for key in known if key not in scored]
         read = [cache.read(layouts[i].scene, layouts[i].board, len(objective.points)) for i, _ in unknown]
         scored |= zip(unknown, scores_of(read, objective), strict=True)
@@ -379,7 +379,7 @@ def score_layouts(
         if photons or len(tied) == 1 or worst <= relative_error or not complete or report_progress.interrupted:
             break
         undecided = [layouts[i] for i in tied if scores[i].relative_error > relative_error]
-        more = trigger.needed(max(cache.of(layout.board).photons for layout in undecided), worst)
+        more = trigger.needed(max(cache.traced_board(layout.board).photons for layout in undecided), worst)
         complete = _extend(undecided, cache, more, report_progress)
     close = [i for i in tied if scores[i].ranked[0] <= (1 + 2 * ALIKE) * min(score.ranked[0] for score in scores)]
     simplest = min(close, key=lambda i: (layouts[i].complexity, scores[i].ranked[0]))

@@ -116,7 +116,7 @@ class PhotonMapCache:
         """What traces a scene's light onto its board."""
         return BoardTracer(scene, backend=self.backend, stores=self.stores, seed=self.seed, one_by_one=self.one_by_one)
 
-    def of(self, board: Scene) -> TracedBoard:
+    def traced_board(self, board: Scene) -> TracedBoard:
         """What is traced of a board; of a new one nothing."""
         if (key := digest(board)) not in self._traced:
             new = partial(PhotonMap, board.layout.outline, values=4, blocks=self.blocks)
@@ -134,7 +134,7 @@ class PhotonMapCache:
         Conditions of one digit differ in what only dims the light: they share a trace. On a person's board no part lies
         off the nail; tracers of many people would fill the memory.
         """
-        held = self.of(board)
+        held = self.traced_board(board)
         cases: list[FingerCase | Person] = [*self.people, *self.cases]
         for key, case in {case.digit: case for case in cases}.items():
             is_person, worn = isinstance(case, Person), boards.worn_on(board, case, light_only=True)
@@ -148,7 +148,7 @@ class PhotonMapCache:
 
     def _extend_led(self, board: Scene, tracer: BoardTracer, key: str | None, led: int, photons: float) -> None:
         """Trace one LED on one digit or person, and add its light to the maps of all conditions of that digit."""
-        held, members = self.of(board), []
+        held, members = self.traced_board(board), []
         for by_led, condition in zip(held.maps, self.conditions, strict=False):
             if condition.case.digit == key:
                 worn, blood = boards.worn_on(board, condition.case), condition.point.blood_fraction
@@ -192,7 +192,7 @@ class PhotonMapCache:
     def _light(self, layout: Scene, board: Scene, i: int) -> list[np.ndarray]:
         """Means per emitted photon on one of the fingers by LED, each (blocks, photodiodes, values); dark where some
         part lies off a person's nail."""
-        areas, condition, held = layout.layout.photodiode_areas, self.conditions[i], self.of(board)
+        areas, condition, held = layout.layout.photodiode_areas, self.conditions[i], self.traced_board(board)
         if not isinstance(person := condition.case, Person):
             return [light.over(areas)[self.part] for light in held.maps[i]]
         if not boards.fits(boards.worn_on(layout, person)):

@@ -49,7 +49,7 @@ def as_dataset(
     cache : light by which the layouts were evaluated.
     checked : what else is known of the best layout, of which `verify_layout` has the attributes.
     """
-    best, conditions, maps = layouts[0].scene, cache.conditions, cache.of(layouts[0].board).maps[0]
+    best, conditions, maps = layouts[0].scene, cache.conditions, cache.traced_board(layouts[0].board).maps[0]
     budgets = [
         [information.force_budget_n(of_leds, c.point) for of_leds, c in zip(by_finger, conditions, strict=True)]
         for by_finger in (score.responses for score in scores)

@@ -109,7 +109,7 @@ def _reason(resolution: "_Resolution", layout: CandidateLayout, person: boards.P
     changed["size of the finger"] = worn.model_copy(update={"finger": worn.fingertip.model_copy(update=update)})
     resolution.light.clear()
     try:
-        own_mn, *others_mn = [1e3 * resolution.of(layout, person, one)[0] for one in (worn, *changed.values())]
+        own_mn, *others_mn = [1e3 * resolution.on_finger(layout, person, one)[0] for one in (worn, *changed.values())]
     except Stopped:
         return ""
     least_mn, name = min(zip(others_mn, changed, strict=True))
@@ -137,14 +137,14 @@ class _Resolution:
         (1 + blocks,) float."""
         self.light.clear()
         by_case = [
-            uncertainty.over_priors(boards.worn_on(layout.board, case), priors, partial(self.of, layout, case))
+            uncertainty.over_priors(boards.worn_on(layout.board, case), priors, partial(self.on_finger, layout, case))
             for case in self.cache.cases
         ]
         over = self.rules.over_fingers
         nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
         return np.log(sensor_information.over_fingers(nodes, over)), np.log(sensor_information.over_fingers(base, over))
 
-    def of(self, layout: CandidateLayout, case: FingerCase | boards.Person, scene: Scene) -> np.ndarray:
+    def on_finger(self, layout: CandidateLayout, case: FingerCase | boards.Person, scene: Scene) -> np.ndarray:
         """Force resolution on one finger changed to a scene, (1 + blocks,) float. [N]"""
         finger = scene.finger, scene.blood, scene.body, scene.touch
         if finger not in self.points:
@@ -164,7 +164,7 @@ class _Resolution:
         key, cache = (light_digest(scene), led), self.cache
         if key not in self.light:
             most = OWN_BATCHES if layout.board.priors.own_traces else None
-            batches = cache.of(layout.board).arrivals.get((case.digit, led), [])[:most]
+            batches = cache.traced_board(layout.board).arrivals.get((case.digit, led), [])[:most]
             shaped, usual = light_scene(scene), light_scene(boards.worn_on(layout.board, case, light_only=True))
             if shaped != usual:
                 tracer = cache.tracer(shaped)
@@ -226,7 +226,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
             else:
                 moved, light = replace(layout, scene=vary()), cache
                 candidates.check(moved.scene, layout.name)
-            if light.of(moved.board).photons:
+            if light.traced_board(moved.board).photons:
                 read[at] = light.read(moved.scene, moved.board, count)
             else:
                 missing[at] = "no time"

@@ -141,7 +141,7 @@ class RowDesign:
 
     def information(self, leds: LedPlaces) -> np.ndarray:
         """Of photodiodes under LEDs at these places, (fingers, m + s, n) float."""
-        return self.objective.together([by_place[at] for by_place, at in zip(self.columns, leds, strict=True)])
+        return self.objective.sum_over_leds([by_place[at] for by_place, at in zip(self.columns, leds, strict=True)])
 
     def best(self, leds: LedPlaces) -> SearchedSite | None:
         """The best photodiodes for LEDs at given places; None where they have no room."""

@@ -149,7 +149,7 @@ class Search:
             if report_progress.is_over(SEARCH_SHARE):
                 break
             board, k = self.boards[design.row, led, place]
-            maps = [by_led[k] for by_led in self.cache.of(board).maps]
+            maps = [by_led[k] for by_led in self.cache.traced_board(board).maps]
             # The first photons may be stored.
             for photons in (min(FIRST_PHOTONS, design.photons), design.photons):
                 # LEDs that shine alike share their light.
@@ -169,7 +169,7 @@ class Search:
         """
         columns, kinds, one = [], places.photodiodes, self.base.leds[led]
         conditions, replicates = self.cache.conditions, self.cache.blocks > 1
-        lit = [of_leds[lit_led].over(places.areas)[self.cache.part] for of_leds in self.cache.of(board).maps]
+        lit = [of_leds[lit_led].over(places.areas)[self.cache.part] for of_leds in self.cache.traced_board(board).maps]
         by_finger = [leave_one_out(values) if replicates else values.mean(0) for values in lit]
         # A resistor is the same on all fingers; that other LEDs may be brighter is left to the evaluation.
         brightest_a = [
@@ -181,7 +181,7 @@ class Search:
         for finger, (values, condition) in enumerate(zip(by_finger, conditions, strict=True)):
             how: dict[str, Any] = {"replicates": replicates, "feedback_ohm": ohm}
             read = response(values, self.base, led, kinds, condition.point, **how)
-            columns.append(self.objective.columns(finger, led, read))
+            columns.append(self.objective.information_columns(finger, led, read))
         return np.stack(columns)
 
     def _around_the_best(self, step_mm: float) -> dict[LedRow, list[list[Point]]]:

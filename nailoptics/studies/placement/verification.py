@@ -66,7 +66,7 @@ def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds
     cache : has evaluated the layout; the fresh trace has as many photons, unless time runs out, and some in any case.
     max_seconds : the fresh trace takes half of it at most, the rest is left to light from outside. [s]
     """
-    begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.of(layout.board).photons
+    begin, condition, photons = time.perf_counter(), cache.conditions[0], cache.traced_board(layout.board).photons
     scene, point = boards.worn_on(layout.scene, condition.case), condition.point
     tracer = cache.tracer(scene)
     blood = tuple(blood_point(scene, led, blood_fraction=point.blood_fraction) for led in range(len(scene.leds)))

@@ -43,7 +43,7 @@ def calibrated(recording: Recording) -> Subject:
 
 def every_other(recording: Recording) -> Recording:
     """The recording at 25 Hz."""
-    return recording.at(np.arange(0, len(recording.time_s), 2))
+    return recording.select(np.arange(0, len(recording.time_s), 2))
 
 
 def slowly_recorded(seed: int) -> Recording:
@@ -76,7 +76,7 @@ def test_a_pause_in_which_the_sensor_may_be_off_parts_a_recording() -> None:
     split, touched = len(parts[0].time_s), replace(recording, force_n=np.asarray(recording.force_n).copy())
     touched.force_n[split - 3 : split + 3] = 0.5  # type: ignore[index]
     assert len(checked([touched], own)) == 1
-    late = recording.at(np.flatnonzero((recording.time_s < 40) | (recording.time_s > 71.98 + 1.5)))
+    late = recording.select(np.flatnonzero((recording.time_s < 40) | (recording.time_s > 71.98 + 1.5)))
     with pytest.raises(
         InputError, match=r"made from time_s = 73.5 on: .* for 0.5 s before the first touch; begin with"
     ):

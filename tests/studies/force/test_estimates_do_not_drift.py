@@ -26,7 +26,7 @@ def at_rest_n(touches: int) -> Iterator[float]:
         estimates: list[PressureEstimate] = []
         for k, sample_v in enumerate(volts.T):
             estimates.append(observer.update_sample(sample_v, made_sensor.STEP_S if touch or k else None))
-        yield float(interval.of(stacked(estimates[BEFORE_TOUCH])).force_n.mean())
+        yield float(interval.estimate(stacked(estimates[BEFORE_TOUCH])).force_n.mean())
 
 
 @pytest.mark.long

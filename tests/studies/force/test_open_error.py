@@ -66,7 +66,7 @@ def test_an_interval_is_as_wide_as_what_the_calibration_leaves_open(subject: Sub
     known_n = force_n(subject)
     stderr_n = float(np.sqrt(sum((force_n(other(subject, off)) - known_n) ** 2 for off in each)))
     estimate = PressureEstimate(held, 1e-14 * np.eye(2), 0.0, 0.0, len(read), False, True)
-    estimated = ForceInterval(subject).of(stacked([estimate]))
+    estimated = ForceInterval(subject).estimate(stacked([estimate]))
     # The interval's slopes are of finite steps: where errors all but cancel, a hundredth of the area's is left.
     area = NAMES.index("contact_area")
     rounding_n = 0.02 * known_n * float(np.sqrt(subject.covariance[area, area]))

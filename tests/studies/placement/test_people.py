@@ -83,7 +83,7 @@ def judged(chosen_jit):
     cache = cache_of(conditions)
     layouts = place.given(base, rules)
     for layout in layouts:
-        cache.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+        cache.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     # Both have one board.
     cache.extend(layouts[0].board, 1 << 18)
     objective = objective_of(rules, conditions, people=3)

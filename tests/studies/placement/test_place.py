@@ -348,8 +348,8 @@ def test_as_many_photons_are_traced_as_were_asked_for(jit_backend, scene, monkey
     cache = photon_map_cache(conditions, seed=0, stream=1, blocks=4)
     cache.most_photons = required
     cache.extend(layout.board, required)
-    assert cache.photons == cache.of(layout.board).photons == required
-    assert [*cache.of(layout.board).batches.values()] == [2]
+    assert cache.photons == cache.traced_board(layout.board).photons == required
+    assert [*cache.traced_board(layout.board).batches.values()] == [2]
     traced = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(BoardTracer, "detected", lambda *_, photons, **__: traced.append(photons) or np.ones((4, 4)))
@@ -524,7 +524,7 @@ def test_stored_light_is_placed_again_without_a_photon(computed, fewer_photons, 
             place.place(scene.model_copy(update={"electronics": one}), photons=1 << 18, seed=1)
             for one in (scene.electronics, coarse)
         )
-    fresh, stored = (cache.of(board).maps[0][0] for cache in caches)
+    fresh, stored = (cache.traced_board(board).maps[0][0] for cache in caches)
     assert fresh.photons == stored.photons and np.array_equal(fresh.sums, stored.sums)
     assert again.equals(computed)
     assert bool((coarser.force_resolution_n > 2 * computed.force_resolution_n).all())

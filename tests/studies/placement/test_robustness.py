@@ -44,7 +44,7 @@ def ranked(chosen_jit):
     conditions = [finger_condition(base, case, rules) for case in boards.fingers(scene)]
     judged = PhotonMapCache(conditions, seed=1, stream=1, backend="auto", blocks=16)
     for layout in layouts:
-        judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+        judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     # One board, whose light is traced once for both.
     judged.extend(layouts[0].board, 1 << 19)
     result = resolution_over_priors(layouts, rules, judged)
@@ -117,7 +117,7 @@ def test_light_that_goes_otherwise_is_traced_by_itself(ranked):
     own = PriorRange(field=scatters.field, low=0.98 * middle, high=1.02 * middle)
     priors = layouts[0].board.priors.model_copy(update={"own_traces": True, "ranges": (own,)})
     layout = replace(layouts[0], board=layouts[0].board.model_copy(update={"priors": priors}))
-    judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+    judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 19)
     result = resolution_over_priors([layout], rules, judged)
     retraced = result.isel(prior=result.prior_field.values.tolist().index(FIELDS[2]), layout=0)
@@ -135,7 +135,7 @@ def test_unknown_waves_of_the_body_spread_the_resolution(ranked):
     waves = board.priors.of_body(board.body)
     known = tuple(one.field for one in Priors().of_finger())
     layout = replace(layouts[0], board=board.model_copy(update={"priors": Priors(known=known)}))
-    judged.of(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
+    judged.traced_board(layout.board).areas.extend(layout.scene.layout.photodiode_areas)
     judged.extend(layout.board, 1 << 18)
     result = resolution_over_priors([layout], rules, judged)
     assert result.prior_field.values.tolist() == [one.field for one in waves] == ["body.breathing.amplitude_pa"]

@@ -47,13 +47,13 @@ class MadeLight:
     def __init__(self, conditions: list[FingerCondition]) -> None:
         self.conditions, self.traced, self.blocks = conditions, {}, 1
 
-    def of(self, board: Scene) -> TracedBoard:
+    def traced_board(self, board: Scene) -> TracedBoard:
         new = partial(PhotonMap, board.layout.outline, values=4, spacing_mm=0.25, blocks=1)
         return self.traced.setdefault(digest(board), TracedBoard([[new() for _ in board.leds]]))
 
     def extend(self, board: Scene, photons: int, led: int = 0) -> None:
         layout = board.layout
-        one = self.of(board).maps[0][led]
+        one = self.traced_board(board).maps[0][led]
         u, v = ((edges[1:] + edges[:-1]) / 2 for edges in (one.u_mm, one.v_mm))
         where = np.stack(np.meshgrid(u, v, indexing="ij"), -1)
         place = np.array(layout.leds[led].center_mm)

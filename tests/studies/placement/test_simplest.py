@@ -37,7 +37,7 @@ class NoisyLight(MadeLight):
 
     def extend(self, board, photons, led=0):
         super().extend(board, photons, led)
-        sums = self.of(board).maps[0][led].sums
+        sums = self.traced_board(board).maps[0][led].sums
         sums *= 1 + self.noise * self.rng.standard_normal(sums.shape)
 
 
