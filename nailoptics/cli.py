@@ -82,7 +82,13 @@ class ByPhotons(NoTolerance):
     max_seconds: Annotated[float | None, Parameter(show=False)] = None
 
 
-TRACED, STUDY, NO_TOLERANCE, BY_PHOTONS = Traced(), Study(), NoTolerance(), ByPhotons()
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ColourStudy(NoTolerance, Study):
+    """Options of `colour`, whose tolerances are differences of colour."""
+
+
+TRACED, STUDY, NO_TOLERANCE, BY_PHOTONS, OF_COLOUR = Traced(), Study(), NoTolerance(), ByPhotons(), ColourStudy()
 
 
 def main() -> None:
@@ -190,7 +196,9 @@ VIEW = View()
 
 
 @app.command
-def colour(scene: ScenePath, *, view: View = VIEW, photograph: bool | None = None, options: Study = STUDY) -> None:
+def colour(
+    scene: ScenePath, *, view: View = VIEW, photograph: bool | None = None, options: ColourStudy = OF_COLOUR
+) -> None:
     """Trace the colour of the bare nail and the skin around it under force, as in the paper's Fig. 2.
 
     Defaults are those of the scene's [colour]. Writes colour.nc, colour.html, the strip of nails, and photographs at

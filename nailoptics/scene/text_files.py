@@ -149,8 +149,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def frozen(data: Any, depth: int = 0) -> Any:
-    """Tables of a file with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError for
-    what no scene needs."""
+    """Tables of a file with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError."""
     if depth > MOST_DEPTH:
         raise RecursionError
     if isinstance(data, dict):

@@ -188,8 +188,7 @@ def flicker_gain(flicker_hz: float, amplifier: Electronics) -> float:
 
 
 def converted(amplified_v: Array, amplifier: Electronics) -> tuple[Array, NDArray[np.bool_]]:
-    """Saturation: what the converter reads of the stage's output [V], within 0 and its range, and where it is at its
-    limit; of any shape."""
+    """Saturation: the converter's reading of a stage's output [V], within 0 and its range; where it is at its limit."""
     within = np.clip(amplified_v, 0.0, amplifier.adc_range_v)
     return np.asarray(within), np.asarray(amplified_v >= limit_v(amplifier))
 

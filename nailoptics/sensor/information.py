@@ -134,8 +134,7 @@ class Response:
 def brightest_current_a(
     values: Array, led: Led, photodiode: Photodiode | Sequence[Photodiode], point: OperatingPoint
 ) -> Array:
-    """The photocurrent of an LED's light through a bed without blood, to first order, (...) float; values : as of
-    `response`. [A]"""
+    """Photocurrent of an LED's light through a bed without blood, to first order, (...); values : of `response`. [A]"""
     bloodless = values[..., 0] - np.minimum(values[..., 2:] @ point.blood_fraction, 0.0)
     return electronics.photocurrent_a(np.maximum(bloodless, 0.0), led, photodiode)
 
@@ -315,8 +314,7 @@ def pressure_resolution_pa(information: Array) -> Array:
 
 
 def condition_number(read: Response) -> float:
-    """Condition number of the matrix of readings by zones, by all photons, each reading in units of its noise; read :
-    with replicates."""
+    """Condition number of the matrix of readings, in units of their noise, by zones; read : with replicates."""
     matrix = read.zone_v[0] / read.noise_v[0][..., None]
     return float(np.linalg.cond(matrix)) if len(matrix) > 1 else float("inf")
 

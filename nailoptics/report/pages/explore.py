@@ -143,8 +143,7 @@ def _stage(scene: Scene) -> dict[str, Any]:
 
 
 def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
-    """What makes volts and noise of a photodiode's light: the variance is linear in the current, and quadratic in the
-    feedback resistance."""
+    """Volts and noise by a photodiode's light: the variance is linear in current, quadratic in feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
     wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
     # By 1 A from outside, of which rejection subtracts as much again with noise of its own.

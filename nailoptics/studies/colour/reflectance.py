@@ -22,8 +22,7 @@ from ...scene.tracing import Illuminant, Observer
 from ...statistics import Array, leave_one_out
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}
-# The wavelengths at which reflectance is taken. At 5 nm haemoglobin's bands are resolved; the eye sees little beyond
-# 400 and 780 nm. [nm]
+# Wavelengths of reflectances: 5 nm resolve haemoglobin's bands, and the eye sees little beyond 400 and 780. [nm]
 WAVELENGTHS_NM = np.arange(400.0, 781.0, 5.0)
 
 

@@ -190,8 +190,7 @@ class Objective:
         return np.asarray(np.exp(np.sum(logs, axis=0)))
 
     def force_over_touches(self, layouts: Sequence[ByFinger]) -> "Sequence[ForceResolution | None]":
-        """Error of the force that a filter estimates over touches, of layouts of as many photodiodes; None where it
-        does not count."""
+        """Error of the force that a filter estimates over touches, of layouts of equal size; None where unused."""
         if not self.filters:
             return [None] * len(layouts)
         fingers_n = []

@@ -184,5 +184,5 @@ def test_rays_are_read_part_by_part_and_patch_by_patch_as_all_at_once():
     assert at_once[0] == pytest.approx(expected, rel=1e-5, abs=1e-9)
     by_part = parts[0].read(states, look).with_more(parts[1].read(states, look)).reflectance
     assert by_part == pytest.approx(at_once, rel=1e-5, abs=1e-9)
-    two = replace(together, patches=(patches[2], patches[0]), light=tuple(c.to([2, 0]) for c in together.light))
+    two = replace(together, patches=(patches[2], patches[0]), light=tuple(c.select([2, 0]) for c in together.light))
     assert two.read(states, look).reflectance == pytest.approx(at_once[:, [2, 0]], rel=1e-5, abs=1e-9)
