@@ -689,7 +689,7 @@ def show_store(*, clear: Flag = False, json_: Json = False) -> None:
     try:
         stored = list(store.folders())
     except OSError as error:
-        raise InputError(f"{store.root}: is not a store of light ({error.strerror}); change {VARIABLE}.") from None
+        raise InputError(f"{store.root}: is not a light store ({error.strerror}); set {VARIABLE} to another.") from None
     size = sum(map(size_of, stored))
     for folder in stored if clear else ():
         remove(folder)

@@ -179,7 +179,7 @@ def test_nothing_outside_the_store_is_removed_through_a_link(tmp_path, store, ca
     (outside / "mine.dat").write_bytes(b"x" * 5000)
     store.mkdir()
     (store / ("0" * 32)).symlink_to(outside)
-    kept = LightStore(store).light({"light": 1})
+    kept = LightStore(store).entry({"light": 1})
     kept.write("0-1", {}, {"x": np.zeros(500)})
     (kept.folder / "1-1.dat").symlink_to(outside / "mine.dat")
     LightStore(store, most_bytes=100, optional=True).trim()
@@ -338,7 +338,7 @@ def test_a_store_that_is_a_file_is_refused_in_one_line(tmp_path, monkeypatch, ca
         assert run(command) == 2
         shown = capsys.readouterr()
         assert shown.out == "" and len(shown.err.splitlines()) == 1 and "set NAILOPTICS_STORE to another" in shown.err
-    assert LightStore.of_user().light({"light": 1}).read("0-1", dict) is None
+    assert LightStore.of_user().entry({"light": 1}).read("0-1", dict) is None
     assert (tmp_path / "file").read_text() == "mine"
 
 

@@ -67,7 +67,7 @@ def test_what_a_result_does_not_hold_is_said(make):
     with pytest.raises(nail.InputError, match=r'"section" needs .* simulate\(scene, picture=True\)'):
         result.nail.plot("section")
     for other in (xr.Dataset(), xr.Dataset(attrs={"title": "mine"})):
-        with pytest.raises(nail.InputError, match="no result that nailoptics can show"):
+        with pytest.raises(nail.InputError, match="not a result that nailoptics can show"):
             _ = Nail(other)
 
 

@@ -266,7 +266,7 @@ def test_the_force_that_readings_resolve_is_that_of_place(unchanged: Any, explor
         noise_v2, limit = rng.uniform(1e-10, 1e-8, 6), rng.random(6) < 0.2
         tells = ~limit[:, None]
         read = Response(
-            volts=light,
+            amplified_v=light,
             noise_v2=noise_v2,
             slope_v_per_pa=(zone @ point.blood_per_pa) * tells,
             zone_v=zone,
@@ -308,7 +308,7 @@ def test_people_read_the_shown_layout_with_blood_touch_and_waves_of_their_own(sh
         point, rows_ = operating_point(worn, force_n, since_rest_s=60.0), displayed["rows"]
         light, zone = np.array([row["light"] for row in rows_]), np.array([row["zone"] for row in rows_])
         read = Response(
-            volts=light,
+            amplified_v=light,
             noise_v2=np.array([row["noiseV2"] for row in rows_]),
             slope_v_per_pa=zone @ point.blood_per_pa,
             zone_v=zone,
@@ -739,7 +739,7 @@ def test_an_exported_scene_opens_again_and_a_strange_one_says_why_not(shown: Any
         '[[leds]]\nname = "uv"\nwavelength_nm = 365.0\n[[photodiodes]]\nname = "p"\nposition_mm = [0, 0]\n'
     )
     shown.set_input_files("#open", strange)
-    shown.locator("#message", has_text="no wavelength of this page").wait_for()
+    shown.locator("#message", has_text="not a wavelength of this page").wait_for()
     assert shown.evaluate("workbench.layout") == layout
 
 

@@ -227,8 +227,8 @@ def test_a_cell_over_128_kb_is_refused(tmp_path):
 @pytest.mark.parametrize("name", ["outline.kicad_pcb", "outline.dxf", "outline.csv"])
 def test_a_pipe_is_no_file_and_nobody_waits_for_it(tmp_path, name):
     os.mkfifo(tmp_path / name)
-    assert "no ordinary file" in few_lines_or_nothing(read_outline, tmp_path / name)
-    assert "no ordinary file" in few_lines_or_nothing(load_scene, tmp_path / name)
+    assert "not an ordinary file" in few_lines_or_nothing(read_outline, tmp_path / name)
+    assert "not an ordinary file" in few_lines_or_nothing(load_scene, tmp_path / name)
 
 
 def test_a_file_beyond_all_bounds_is_not_read(tmp_path):

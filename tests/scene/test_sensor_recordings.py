@@ -130,4 +130,4 @@ def _written(tmp_path: Path, text: str) -> Path:
 def test_an_unknown_column_is_named_before_what_it_holds(tmp_path: Path) -> None:
     text = "time_s,a,room\n0,1.0,21\n0.1,1.1,21\n0.2,1.0,21\n"
     with pytest.raises(InputError, match="column 'room' is not a reading of this board"):
-        read_sensor_recording(_written(tmp_path, text)).of(("a",))
+        read_sensor_recording(_written(tmp_path, text)).with_readings(("a",))

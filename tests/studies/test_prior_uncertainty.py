@@ -63,7 +63,7 @@ def reread(chosen_jit) -> Transfer:
 
 
 def relative(transfer: Transfer, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Reading at rest, its error, its change by 1 N as a part of it and the error of that, (photodiode,) each."""
+    """Reading at rest, its error, its change by 1 N as a fraction of it and the error of that, (photodiode,) each."""
     result = readings_over_states(replace(transfer, scene=scene), ends(scene))
     level, change = result.fraction[0, :, 0], result.change[0, :, 1]
     return level, result.stderr[0, :, 0], change / level, result.change_stderr[0, :, 1] / level

@@ -304,7 +304,7 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
     for led, (i, name) in product(result.led.values, enumerate(chosen(result).layout.photodiode_names)):
         reading = result.sel(led=led).isel(best_photodiode=i)
         volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
-        line = {"Photodiode": name, "Reading [V]": estimated(reading, "predicted_volts")}
+        line = {"Photodiode": name, "Output [V]": estimated(reading, "predicted_volts")}
         line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
         line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
         line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
@@ -314,7 +314,7 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
         if "mitsuba_ratio" in reading:
             line["Mitsuba / trace (z)"] = _by_mitsuba(reading, "mitsuba")
         if np.isnan(reading.predicted_volts_stderr):
-            line = dict.fromkeys(line, "–") | {"Photodiode": name, "Reading [V]": "too few photons"}
+            line = dict.fromkeys(line, "–") | {"Photodiode": name, "Output [V]": "too few photons"}
         lines.append(line)
     return lines
 

@@ -164,8 +164,8 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
     Of fewer than 25 effective photons no standard error is known.
     """
     data: Variables = {}
-    for name in ("volts", "shunted_fraction", "zone_v"):
-        values, errors = jackknifed(np.stack([getattr(read, name) for read in by_led], 1))
+    for name, field in {"volts": "amplified_v", "shunted_fraction": "shunted_fraction", "zone_v": "zone_v"}.items():
+        values, errors = jackknifed(np.stack([getattr(read, field) for read in by_led], 1))
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (MIN_EFFECTIVE_TERMS * errors**2 <= values**2)
         estimate = Estimate(values, np.where(known, errors, np.nan))

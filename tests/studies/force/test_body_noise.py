@@ -5,7 +5,7 @@ import pytest
 
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.beat_detection import beats_per_second
-from nailoptics.studies.force.body_noise import _cardiac_oscillator, _decompose, _random_walk_variance
+from nailoptics.studies.force.body_noise import _decompose, _heartbeat, _random_walk_variance
 
 STEP_S = 0.02
 
@@ -71,7 +71,7 @@ def test_the_heartbeats_rate_and_height_are_found_beside_slow_waves(rate_per_min
     assert rate_hz == pytest.approx(rate_per_min / 60.0, rel=0.06)
     frequency = np.fft.rfftfreq(time_s.size, STEP_S)
     power = 2 * STEP_S / time_s.size * np.abs(np.fft.rfft(pressure - pressure.mean())) ** 2
-    beat = _cardiac_oscillator(rate_hz, frequency, power)
+    beat = _heartbeat(rate_hz, frequency, power)
     # A pulse of 2 kPa from top to bottom.
     assert beat is not None and 400.0 < np.hypot.reduce(beat.rms_pa) < 1000.0
-    assert _cardiac_oscillator(rate_hz, frequency, 1e-6 * power) is None
+    assert _heartbeat(rate_hz, frequency, 1e-6 * power) is None

@@ -325,7 +325,7 @@ def test_lines_that_come_one_by_one_are_answered_as_a_file_is(subject: Subject, 
 
 @pytest.mark.parametrize(
     ("line", "message"),
-    [("0.02,x,1,1,1\n", "line 3"), ("0,1,1,1,1\n", "does not come after"), ("0.02,inf,1,1,1\n", "no finite number")],
+    [("0.02,x,1,1,1\n", "line 3"), ("0,1,1,1,1\n", "does not come after"), ("0.02,inf,1,1,1\n", "not a finite number")],
 )
 def test_a_line_that_is_none_ends_live_reading_with_one_line(subject: Subject, line: str, message: str) -> None:
     answers = live(subject, ["time_s,a,b,c,d\n", "0,0.2,1,1,0.2\n", line])

@@ -61,7 +61,7 @@ def test_at_rest_the_share_does_not_follow_the_noise() -> None:
     """Expected: pressures that are small beside their errors leave the share near the middle, whichever is larger."""
     least = np.array([[0.01, -0.02], [-0.02, 0.01]])
     rest = PressureEstimate(least, np.full((2, 1, 1), 0.01) * np.eye(2), *np.zeros((3, 2)), *np.ones((2, 2), bool))
-    share = ForceInterval(subject()).of(rest).proximal_share
+    share = ForceInterval(subject()).estimate(rest).proximal_share
     assert ((share > 0.2) & (share < 0.8)).all() and abs(share[0] - share[1]) < 0.3
 
 

@@ -267,7 +267,7 @@ def made_up(scene: Scene, paths_mm: tuple[float, float], weight: float, photons:
 def test_scattering_of_blood_is_judged_by_the_signal(paths_mm):
     """Rationale: at rest it is part of the bed's measured scattering, so that it moves the touch's change alone; blood
     scatters less than the dermis whose place it takes. Expected: the slope of ln reading by ln mu_s', here 2, times the
-    relative change of mu_s' along the path, as a part of the signal; beyond a tolerance of 2 % it matters."""
+    relative change of mu_s' along the path, as a fraction of the signal; beyond a tolerance of 2 % it matters."""
     scene = revised(prototype(), ONE_WAVELENGTH)
     base, denser = made_up(scene, paths_mm, 1.0), made_up(scene, paths_mm, SCATTERING_FACTOR**2)
     computed = effects.blood_scattering(0.02, base, denser)

@@ -79,7 +79,7 @@ def test_the_tolerance_is_named_as_one_standard_error():
     computed = made(FORMULA)
     lines = "\n".join(tradeoff_lines(computed))
     assert "2 % as one standard error of the worst photodiode" in lines and "of every photodiode" not in lines
-    assert "as a part of the largest change of any photodiode" in lines
+    assert "as a fraction of the largest change of any photodiode" in lines
 
 
 def test_json_and_dataset_hold_the_same(tmp_path):

@@ -46,7 +46,7 @@ def _read(point: information.OperatingPoint, *, count: int = 6, noise_v: float =
     zone_v = -np.column_stack([np.linspace(1.5, 0.3, count), np.linspace(0.2, 1.4, count)])
     light_v = 0.1 + 0.2 * np.linspace(-1.0, 1.0, count) ** 2
     return information.Response(
-        volts=light_v,
+        amplified_v=light_v,
         noise_v2=np.full(count, noise_v**2),
         slope_v_per_pa=zone_v @ point.blood_per_pa,
         zone_v=zone_v,
@@ -196,7 +196,7 @@ def test_a_gain_that_all_readings_share_leaves_their_ratios():
     point = _point(np.zeros((2, 2)), gain=1e3)
     read = _read(point)
     noise_v = np.sqrt(read.noise_v2[0])
-    light, slopes = read.volts / noise_v, read.slope_v_per_pa / noise_v
+    light, slopes = read.amplified_v / noise_v, read.slope_v_per_pa / noise_v
     ratios = slopes - np.outer(light, light @ slopes) / (light @ light)
     spread_pa = np.linalg.inv(ratios.T @ ratios)
     resolution_n = information.force_resolution_n(information.total_information([read]), point)

@@ -375,8 +375,10 @@ def test_each_photodiode_reads_as_what_it_is(scene, body):
         single = information.response(values[:, [i]], scene, 0, kind, point, **alone)
         of_all = information.fisher_information(together)[:, [i]]
         assert of_all == pytest.approx(information.fisher_information(single), rel=1e-9)
-        assert together.volts[:, [i]] == pytest.approx(single.volts, rel=1e-12)
-    assert together.volts[0, 1] != information.response(values, scene, 0, [one] * 5, point, **how).volts[0, 1]
+        assert together.amplified_v[:, [i]] == pytest.approx(single.amplified_v, rel=1e-12)
+    assert (
+        together.amplified_v[0, 1] != information.response(values, scene, 0, [one] * 5, point, **how).amplified_v[0, 1]
+    )
 
 
 def test_intervals_allow_for_errors_that_few_blocks_tell():
@@ -593,7 +595,7 @@ def test_what_few_photons_tell_of_a_photodiode_has_no_error():
     for photodiode, count in enumerate((100, 30, 5, 0)):
         groups[:count, photodiode] = np.linspace(0.9, 1.1, count)
     replicates = leave_one_out(groups)
-    read = SimpleNamespace(volts=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
+    read = SimpleNamespace(amplified_v=replicates, shunted_fraction=replicates, zone_v=replicates[..., None])
     computed = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
     for name in ("volts", "shunted_fraction", "zone_v"):
         assert np.isfinite(np.ravel(computed[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]

@@ -165,7 +165,7 @@ def test_a_layout_of_which_a_reading_may_be_saturated_is_named():
 
     def score(*unsaturated):
         one, none = np.ones((9, 2)), np.zeros((9, 2))
-        read = information.Response(one, one, none, none, none, unsaturated=np.array(unsaturated))
+        read = information.Response(one, one, none, none, none, unsaturated=np.array(unsaturated), light_v=one)
         return objective.LayoutScore(*[None] * 4, [[read]], None, None, None)
 
     layouts = [SimpleNamespace(scene=parse_scene(TWO_LAYOUTS))] * 3

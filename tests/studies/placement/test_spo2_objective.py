@@ -22,7 +22,7 @@ def shipped() -> Scene:
 def response(volts, noise_v2, zone_v) -> Response:
     volts = np.asarray(volts, float)
     return Response(
-        volts=volts,
+        amplified_v=volts,
         noise_v2=np.full(volts.shape, noise_v2),
         slope_v_per_pa=np.ones((*volts.shape, 2)),
         zone_v=np.asarray(zone_v, float),
