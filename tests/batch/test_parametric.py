@@ -43,8 +43,9 @@ def test_in_a_folder_a_sweep_goes_on(jit_backend, here, tmp_path):
     assert both.isel(thickness_mm=[0, 1]).equals(first)
 
 
+@pytest.mark.long
 @pytest.mark.jit
-@pytest.mark.parametrize("is_file", [True, pytest.param(False, marks=pytest.mark.long)])
+@pytest.mark.parametrize("is_file", [True, False])
 def test_a_script_without_a_main_guard_is_run_once(jit_backend, tmp_path, is_file):
     """Expected: from a file or the standard input, its worker processes do not run it again."""
     (tmp_path / "slab.toml").write_text(to_toml(phantoms(tmp_path, 1).scenes[0]))

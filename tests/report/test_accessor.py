@@ -25,6 +25,7 @@ PACKAGE = Path(nail.__file__).parent
 TITLE = {"title": "nailoptics: touch to volts"}
 
 
+@pytest.mark.long
 def test_a_simulation_shows_itself_as_its_page_does(make, tmp_path):
     result = make(leds=2).assign_attrs(TITLE)
     figures = all_shown(result, page=False)

@@ -39,6 +39,7 @@ def test_what_nobody_sees_is_written_out_on_a_page():
     assert not any(c in text for c in "\x1b\u202e\udcff")
 
 
+@pytest.mark.long
 def test_a_browser_runs_and_loads_nothing_of_a_name(browser, make, monkeypatch, tmp_path):
     """In every slot, table and figure, and on pages of a touch, a prediction and a sweep: no dialog, no request."""
     name, drawing = "".join(HOSTILE), Figure()

@@ -151,6 +151,7 @@ def test_a_touch_that_changes_nothing_has_no_constants_of_rounding(undrawn, make
         assert texts[-2:] == ["0", "0"] and "±" not in texts[-3]
 
 
+@pytest.mark.long
 def test_one_moment_and_readings_that_do_not_change(make):
     for result in (make(times=1), make(swing=0.0, section=False)):
         text = page(result)

@@ -298,6 +298,7 @@ def test_the_worst_reading_is_named_where_all_are_within_the_tolerance():
     assert one.worst_low <= one.worst_error <= one.worst_high
 
 
+@pytest.mark.long
 def test_neighbouring_seeds_share_no_streams(monkeypatch):
     """Rationale: the scattering is traced with seeds of its own. Expected: no two studies have one in common."""
     used = []
@@ -364,6 +365,7 @@ def test_a_sweeps_settings_have_a_unit_that_all_of_them_share_or_none():
             assert (computed[name].attrs.get("ancillary_variables") == "setting_units") == (units is None)
 
 
+@pytest.mark.long
 def test_the_page_shows_names_that_attack_a_browser_as_text(tmp_path):
     rng = np.random.default_rng(1)
     result = judged(made_up(rng.uniform(1, 6, 400), rng.uniform(0, 3, 400)), "force", "blood")

@@ -48,6 +48,7 @@ def test_a_body_that_the_filter_does_not_know_is_estimated_better(site, width_n)
     assert np.median((estimated.force_high_n - estimated.force_low_n).values[touched]) < width_n
 
 
+@pytest.mark.long
 def test_a_calibrations_zero_is_that_of_known_rest():
     recording = unlike(made_sensor.record_touches(seed=1))
     series, read = calibration_series(subject(), [recording]), averaged(recording, RATE_HZ)
@@ -178,6 +179,7 @@ def test_intervals_hold_rest_where_the_filter_may_be_at_rest():
     assert estimated.force_n.median() > 0.2 and (estimated.force_low_n == 0.0).all()
 
 
+@pytest.mark.long
 def test_one_touch_of_a_side_calibrates():
     """While it is held out, the interval of its side is that of all touches."""
     force_n = np.tile(made_sensor.touches(), 2)

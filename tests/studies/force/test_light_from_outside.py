@@ -101,6 +101,7 @@ def test_light_that_saturates_a_converter_at_rest_is_refused() -> None:
         table_of(lit(20_000.0, "dark_slot"))
 
 
+@pytest.mark.long
 def test_a_calibration_under_a_lamp_estimates_under_it_and_says_when_it_is_off() -> None:
     subject = calibrated(lit(1000.0))
     same, other = estimated(subject, lit(1000.0)), estimated(subject, lit(None))
@@ -109,6 +110,7 @@ def test_a_calibration_under_a_lamp_estimates_under_it_and_says_when_it_is_off()
     assert other["touch_rms_n"] > 2 * same["touch_rms_n"]
 
 
+@pytest.mark.long
 def test_behind_a_dark_slot_the_lamp_does_not_matter() -> None:
     subject = calibrated(lit(1000.0, "dark_slot"))
     for lux in (1000.0, None):

@@ -36,6 +36,7 @@ def subject() -> Subject:
     return parse_subject(str(calibrate_with(made_sensor.scene(), made_sensor.table(), [recording]).attrs["subject"]))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("site", ["proximal", "distal", "even"])
 def test_the_side_of_a_touch_is_the_likeliest(site: str) -> None:
     estimated = predict(subject(), made_sensor.record(0.9 * made_sensor.touches(), site, seed=7))

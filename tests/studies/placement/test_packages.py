@@ -122,6 +122,7 @@ def test_a_package_lies_around_its_die_as_drawn(tmp_path, side, turn):
     assert parse_scene(to_toml(scene)).photodiodes == scene.photodiodes
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("barrier", ["true", "false"])
 def test_what_a_search_finds_is_clear_on_the_written_board(tmp_path, barrier):
     """Expected of each layout, read again from its board: no courtyard on another, on the resistor or the connector's
@@ -164,6 +165,7 @@ def load_scene_of(tmp_path, text, refs):
     return load_scene(tmp_path / "best.toml")
 
 
+@pytest.mark.long
 def test_without_packages_dies_come_nearer(tmp_path):
     """Expected: of the same board without body and courtyard places that packages do not have."""
     scene = written(tmp_path)
@@ -202,6 +204,7 @@ def test_a_box_may_be_given_from_any_corner(tmp_path):
     assert len(str(caught.value).splitlines()) == 1
 
 
+@pytest.mark.long
 def test_a_package_higher_than_the_epoxy_and_a_lens_within_it_are_said(coarse_light, few_photons_beside, tmp_path):
     """Expected: of shipped parts with their own figures; none once epoxy is deep enough and the pattern the die's."""
     scene = written(tmp_path, barrier="false")

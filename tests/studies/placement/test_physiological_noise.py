@@ -319,6 +319,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
     assert error == pytest.approx(scatter, rel=0.2)
 
 
+@pytest.mark.long
 def test_errors_over_touches_scatter_as_they_say():
     """Rationale: 16 noisy photon maps, each in 32 blocks, of which the filter's error is taken without one eighth at a
     time. Expected: standard errors are the scatter, within the 50 % that so few maps tell; a dark layout says nothing.

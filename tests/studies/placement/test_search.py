@@ -71,6 +71,7 @@ class MadeLight:
         self.traced.pop(digest(board), None)
 
 
+@pytest.mark.long
 def test_leds_that_are_traced_on_one_board_shine_as_each_alone(chosen_jit):
     """Rationale: dies of 1.5 mm swallow light that a bright cover would send back. Expected: traced one by one on a
     board of all places, an LED's light is that on a board of its own, whose photons have the same random numbers, to a
@@ -161,6 +162,7 @@ def test_exchange_of_leds_and_photodiodes_finds_the_best_of_all_layouts(seed):
     assert result.score == pytest.approx(score(result.places_mm, result.photodiodes))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("barrier", [True, False])
 def test_the_search_of_two_leds_is_no_worse_than_every_layout_on_its_grid(barrier):
     """Expected: no pair of LED places on the grid with any two photodiodes on theirs, all tried, is better than what

@@ -177,6 +177,7 @@ def test_a_layout_of_which_a_reading_may_be_saturated_is_named():
     assert not _warnings(data.assign_coords(layout=["a", "b", "c"]).isel(layout=[0]))
 
 
+@pytest.mark.long
 def test_seeds_agree_on_the_simplest_of_what_ties():
     """Expected: with noise by which freely searched layouts differ, the same row beside the same LED is proposed."""
     scene, simplest, best = parse_scene(SEARCHED), [], []
