@@ -75,7 +75,7 @@ MOST_FAULTS = 10
 KIND = re.compile(r"(constrained-)?(float|int|str|bool)|[\w-]*\[.*\]")
 
 
-def explain(error: Exception, model: "type[BaseModel]", name: str = "") -> InputError:
+def as_input_error(error: Exception, model: "type[BaseModel]", name: str = "") -> InputError:
     """The faults of a validation, a line each: field, rule, value, what to do; of many the first `MOST_FAULTS`.
 
     name : what each line begins with, such as that of the file. Other errors keep their own lines.

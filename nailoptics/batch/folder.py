@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from pydantic import ConfigDict, Field
 
-from ..checks import explain
+from ..checks import as_input_error
 from ..errors import InputError
 from ..io import CorruptError, check_writable, make_folder, plain_cell, unpack, write_bytes, write_text
 from ..light.transfer import current_versions
@@ -123,7 +123,7 @@ class Folder:
             line = f"{path}: cannot be read: {error.strerror}; have it made readable, or use another folder."
             raise InputError(line) from None
         except (OSError, ValueError, RecursionError) as error:
-            why = explain(error, Plan).args[0].rstrip(".")
+            why = as_input_error(error, Plan).args[0].rstrip(".")
             raise PlanError(f"{path}: cannot be read ({why}); run the batch again to write it anew.") from None
 
     def write_plan(self, plan: Plan) -> None:

@@ -51,7 +51,7 @@ _RELEASE_S = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
-class Protocol:
+class TouchProtocol:
     """Pressures over time, each from rest: one that is there at the first instant is a step at that instant.
 
     time_s : (T,) float. Instants between which the pressures are linear. [s]
@@ -62,23 +62,23 @@ class Protocol:
     touch_pa: np.ndarray
 
 
-def steps(*, distal_part: float) -> Protocol:
+def steps(*, distal_part: float) -> TouchProtocol:
     """The paper's steps of pressure, on at 0 and off at 2 s: Fig. 10 (distal_part 0) and Fig. 11 (1); their phases are
     samples 0 to 80 and, from just after the release, 81 to 161."""
     time = np.concatenate([PHASE_S, [ON_S + _RELEASE_S], ON_S + PHASE_S[1:]])
     touch = STEPS_PA[:, None] * (time <= ON_S)
-    return Protocol(time, np.stack([touch, distal_part * touch]))
+    return TouchProtocol(time, np.stack([touch, distal_part * touch]))
 
 
-def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> Protocol:
+def one_sided(time_s: ArrayLike, force_n: ArrayLike) -> TouchProtocol:
     """A force over time on the proximal pulp, and the same on the distal pulp: two touches (Figs. 15-18)."""
     time = np.asarray(time_s, dtype=float)
     proximal, none = Contact(proximal_share=1.0).pressures(force_n)
     distal = relaxing_pressure(time, Contact(proximal_share=0.0).pressures(force_n)[1], relaxation_s=RELAXATION_S)
-    return Protocol(time, np.array([[proximal, none], [none, distal]]))
+    return TouchProtocol(time, np.array([[proximal, none], [none, distal]]))
 
 
-def cycle() -> Protocol:
+def cycle() -> TouchProtocol:
     """The static experiments: 0 to 2 N and back at 0.05 Hz, thrice (Figs. 15 and 17), where it passes CURVE_PA."""
     force = np.concatenate([CURVE_PA, CURVE_PA[-2::-1]]) / PA_PER_N_PER_CM2
     rising = np.arccos(1.0 - 2.0 * CURVE_PA / CURVE_PA[-1]) / (2.0 * np.pi)
@@ -87,7 +87,7 @@ def cycle() -> Protocol:
     return one_sided(time, np.append(0.0, np.tile(force[1:], CYCLES)))
 
 
-def press() -> Protocol:
+def press() -> TouchProtocol:
     """A force of 1 N like the subjects', on at 0 and off at 2 s (Figs. 16 and 18): phases 0 to 80 and 80 to 160."""
     time = np.concatenate([PHASE_S, ON_S + PHASE_S[1:]])
     return one_sided(time, subject_force(time))
@@ -112,7 +112,7 @@ def subject_force(time_s: ArrayLike) -> np.ndarray:
 # Steady widths [m] and blood pressures over P_H from (2, S) proximal and distal pressures, with k_C and k_V times two
 # factors, and widths over time from a touch: (N+1, *B, S) or (N+1, *B, S, T) float, capillary units and then the vein.
 Steady = Callable[[np.ndarray, Zones, tuple[float, float]], tuple[np.ndarray, np.ndarray]]
-Follow = Callable[[Protocol, Zones], np.ndarray]
+Follow = Callable[[TouchProtocol, Zones], np.ndarray]
 # People differ in their walls: k_C and k_V of a set times these. The paper tunes both for each subject.
 PEOPLE = ((0.7, 0.7), (0.7, 1.4), (1.4, 0.7), (1.4, 1.4))
 
@@ -189,7 +189,7 @@ def simulate_responses(parameters: Parameters) -> Responses:
         pressure = np.vstack([state.capillary_pressure_pa, state.vein_pressure_pa[None]])
         return np.vstack([state.capillary_diameter_m, state.vein_diameter_m[None]]), pressure / p.arterial_pressure_pa
 
-    def follow(touch: Protocol, zones: Zones) -> np.ndarray:
+    def follow(touch: TouchProtocol, zones: Zones) -> np.ndarray:
         widths = []
         for pressure_pa in np.moveaxis(touch.touch_pa, 1, 0):
             # A part in ten thousand of a diameter: no rule is that fine, and long cycles take a tenth of the time.
@@ -210,7 +210,7 @@ def _blood(width: np.ndarray, touch: np.ndarray, zones: Zones, venules: tuple[Pe
     return relative_blood(width[:-1] / width[:-1, ..., :1], share, touch_pa=outside, closing_pa=closing_pa)
 
 
-def _own_readings(width: np.ndarray, touch: Protocol, venules: tuple[PerBed, PerBed]) -> np.ndarray:
+def _own_readings(width: np.ndarray, touch: TouchProtocol, venules: tuple[PerBed, PerBed]) -> np.ndarray:
     """The proximal reading of the first touch and the distal one of the second, (2, *B, T), from (N+1, *B, 2, T). [1]
 
     Those of Taylor (9) with unit gain, counted from rest: minus the change of blood, relative to rest. Each photodiode

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationInfo, model_validator
 
-from ..checks import explain
+from ..checks import as_input_error
 from .text_files import frozen
 
 # What a scene has where its author says nothing, and what later packages take where nobody says more.
@@ -46,7 +46,7 @@ class Table(BaseModel):
         try:
             self.__pydantic_validator__.validate_python(frozen(fields), self_instance=self, context={"folder": Path()})
         except ValueError as error:
-            raise explain(error, type(self)) from None
+            raise as_input_error(error, type(self)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"{name} cannot be assigned: scenes are frozen; scene.with_(...) returns a changed copy.")

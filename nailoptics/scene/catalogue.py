@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
-from ..checks import explain
+from ..checks import as_input_error
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Packaged, Point, Positive, Size, Table
 from .text_files import is_there, parse_toml, read_text, short
@@ -177,7 +177,7 @@ def load_part(name: str, beside: Path | str | None = None, *, expect: type[Part]
     try:
         part = model.model_validate(tables)
     except ValidationError as error:
-        raise explain(error, model, shown) from None
+        raise as_input_error(error, model, shown) from None
     if expect is not None and not isinstance(part, expect):
         needed = next(kind for kind, model in KINDS.items() if model is expect)
         raise InputError(f'part "{name}" has kind "{part.kind}", and "{needed}" is needed here; name another part')

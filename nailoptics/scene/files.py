@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..assets import data_dir
-from ..checks import explain
+from ..checks import as_input_error
 from ..errors import InputError
 from .base import Table
 from .scene import Scene
@@ -61,7 +61,7 @@ def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: 
     try:
         return Scene.model_validate(tables, context={"folder": folder})
     except (ValidationError, InputError) as error:
-        raise explain(error, Scene, name) from None
+        raise as_input_error(error, Scene, name) from None
 
 
 def digest(scene: Scene) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from ..checks import explain
+from ..checks import as_input_error
 from ..errors import InputError
 from .base import Table
 from .files import load_scene, scene_of, schema_of, shipped_scene
@@ -162,7 +162,7 @@ def load_sweep(path: str | Path) -> Sweep:
     try:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:
-        raise explain(error, SweepFile, "" if str(error).startswith(str(path)) else str(path)) from None
+        raise as_input_error(error, SweepFile, "" if str(error).startswith(str(path)) else str(path)) from None
 
 
 def sweep_over(
@@ -190,7 +190,7 @@ def sweep_over(
     try:
         return _build(SweepFile.model_validate(file), Path("sweep"))
     except (ValidationError, InputError) as error:
-        raise explain(error, SweepFile) from None
+        raise as_input_error(error, SweepFile) from None
 
 
 def sweep_json_schema() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from ..light import Transfer, trace
 from ..light.detect import light_of
 from ..light.transfer.series import read_by_groups
 from ..paper.reduced_optics import fit_taylor
-from ..paper.responses import CYCLE_HZ, PHASE_S, PeopleReadings, Protocol, branches, cycle, press
+from ..paper.responses import CYCLE_HZ, PHASE_S, PeopleReadings, TouchProtocol, branches, cycle, press
 from ..scene import Scene, load_scene
 from .prior_uncertainty import at_value, value_of
 
@@ -45,7 +45,7 @@ def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dic
     scene, light = transfer.scene, light_of(transfer)
     here = [j for j, element in enumerate(scene.layout.photodiodes) if (element.area.center_mm[1] > 0) == side]
 
-    def course(protocol: Protocol, rate_hz: float) -> tuple[Array, Array, Array]:
+    def course(protocol: TouchProtocol, rate_hz: float) -> tuple[Array, Array, Array]:
         """Change of the reading, that of its fit by Taylor (9), (T,) each, and the blood at the samples, (t, zones)."""
         force_n = tuple(protocol.touch_pa[0][0] / PA_PER_N_PER_CM2)
         given: dict[str, Any] = {"recorded_time_s": tuple(protocol.time_s), "recorded_force_n": force_n}

@@ -321,8 +321,7 @@ def readings_over_priors(
 
 
 def _change(values: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """The change to the second reading, as a multiple of the scene's own: the noise that both share cancels. NaN where
-    the scene's own is 0."""
+    """Change to the second reading over the scene's own: the noise that both share cancels. NaN where that is 0."""
     change = np.exp(values[..., 0] - base[..., 0]) * np.expm1(values[..., 1])
     scene_change = np.abs(np.expm1(base[..., 1]))
     return np.asarray(change / np.where(scene_change > 0, scene_change, np.nan))

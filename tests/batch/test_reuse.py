@@ -8,8 +8,8 @@ import pytest
 import nailoptics as nail
 from nailoptics.batch import run_batch
 from nailoptics.light.identity import light_digest, light_scene, traced_absorption
+from nailoptics.light.tracing.stopping import check_schedule
 from nailoptics.light.tracing.store import LightStore
-from nailoptics.light.tracing.trigger import check_schedule
 from nailoptics.scene import load_scene, parse_scene
 from nailoptics.scene.placement import Placement
 

@@ -108,10 +108,10 @@ MUTATIONS = (
     ),
     Mutation(
         "sampling ends where the photodiode that is known best is within the tolerance",
-        "light/tracing/trigger.py",
+        "light/tracing/stopping.py",
         "self.error = float(error.max(initial=0.0))",
         "self.error = float(error.min(initial=math.inf))",
-        "light/test_trigger.py",
+        "light/test_stopping.py",
     ),
     Mutation(
         "traces that are merged have the energy of the first",

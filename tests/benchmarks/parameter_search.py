@@ -17,7 +17,7 @@ from nailoptics.hemodynamics.steady import solve_walls
 from nailoptics.hemodynamics.walls import Walls, build_walls
 from nailoptics.hemodynamics.zones import Zones
 from nailoptics.paper.claims import RULES, SIMULATION, SUBJECT, Rule
-from nailoptics.paper.responses import Protocol, Responses, responses_of
+from nailoptics.paper.responses import Responses, TouchProtocol, responses_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -303,7 +303,7 @@ def simulate_responses_of_many(values: dict[str, Any], rules: Sequence[Rule] = R
         )
         return width, pressure / high
 
-    def follow_all(touch: Protocol, zones: Zones) -> np.ndarray:
+    def follow_all(touch: TouchProtocol, zones: Zones) -> np.ndarray:
         if not any(rule.applies_to == (SIMULATION if zones.count == 2 else SUBJECT) for rule in rules):
             return np.ones((zones.count + 1, size, touch.touch_pa.shape[1], touch.time_s.size))
         rest = steady(np.zeros((2, 1)), zones, (1.0, 1.0))[0].repeat(touch.touch_pa.shape[1], axis=-1)

@@ -15,8 +15,8 @@ from nailoptics.light import Transfer, optics, read_rest
 from nailoptics.light.backend import ENGINES, Backend
 from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap, blood_point, readings
 from nailoptics.light.tracing import trace_scene
+from nailoptics.light.tracing.stopping import LedStoppingCriterion
 from nailoptics.light.tracing.trace_scene import LedSource, LightEngine, take_batches
-from nailoptics.light.tracing.trigger import LedStoppingCriterion
 from nailoptics.light.transfer.records import ENERGY, LedTrace, joined
 from nailoptics.light.transfer.series import read_replicates, readings_over_states
 from nailoptics.light.walk.finger import FingerTracer

@@ -10,7 +10,7 @@ import nailoptics as nail
 from nailoptics import io
 from nailoptics.errors import NotReachedError
 from nailoptics.light import Transfer, optics
-from nailoptics.light.tracing import trace_scene, trigger
+from nailoptics.light.tracing import stopping, trace_scene
 from nailoptics.light.transfer.records import COLUMNS, LedTrace
 from nailoptics.scene import Scene, parse_scene
 
@@ -66,7 +66,7 @@ def test_photons_sampled_by_0_2_0_read_as_the_light_they_stand_for(tmp_path):
 @pytest.mark.jit
 @pytest.mark.parametrize("required", [{"photons": 100_000}, {"relative_error": 1e-4}])
 def test_a_trace_that_fills_the_memory_ends_with_what_it_has(jit_backend, monkeypatch, required):
-    monkeypatch.setattr(trigger, "MAX_BYTES", 1e5)
+    monkeypatch.setattr(stopping, "MAX_BYTES", 1e5)
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 12)
     with pytest.raises(NotReachedError, match=r'LED "beam" fill .* of memory after \d+ photons') as caught:
         nail.trace(slab(), **required)

@@ -17,7 +17,7 @@ from small_scenes import SMALL_FINGER, phantom
 import nailoptics as nail
 from nailoptics import io
 from nailoptics.io import pack
-from nailoptics.light.tracing import store as store_module, trace_scene, trigger
+from nailoptics.light.tracing import stopping, store as store_module, trace_scene
 from nailoptics.light.tracing.store import LightStore, led_cache_key, user_folder
 from nailoptics.light.tracing.trace_scene import LedSource, LightEngine
 from nailoptics.light.walk.layered import LayeredTracer
@@ -95,7 +95,7 @@ def test_opening_the_engine_is_no_part_of_the_time_for_tracing(small_batches, mo
     monkeypatch.setattr(LayeredTracer, "batch", second)
     clock = SimpleNamespace(perf_counter=lambda: now[0], process_time=lambda: now[0])
     monkeypatch.setattr(trace_scene, "time", clock)
-    monkeypatch.setattr(trigger, "time", clock)
+    monkeypatch.setattr(stopping, "time", clock)
     transfer = nail.trace(slab(), max_seconds=10.0, store=False)
     assert [trace.photons for trace in transfer.traces] == [5 << 12, 5 << 12]
     assert (transfer.setup_seconds, transfer.cpu_seconds, transfer.wall_seconds) == (60.0, 10.0, 10.0)

@@ -13,7 +13,7 @@ from small_scenes import phantom
 import nailoptics as nail
 from nailoptics.errors import InputError, NotReachedError
 from nailoptics.light import TraceProgress
-from nailoptics.light.tracing import accuracy, trace_scene, trigger
+from nailoptics.light.tracing import accuracy, stopping, trace_scene
 from nailoptics.light.walk.layered import LayeredTracer
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Scene, parse_scene
@@ -79,7 +79,7 @@ def test_time_alone_ends_a_trace_without_complaint(jit_backend, monkeypatch):
     clock = itertools.count(0.0, 0.01)
     seconds = SimpleNamespace(perf_counter=lambda: next(clock), process_time=time.process_time)
     monkeypatch.setattr(trace_scene, "time", seconds)
-    monkeypatch.setattr(trigger, "time", seconds)
+    monkeypatch.setattr(stopping, "time", seconds)
     transfer = nail.trace(slab(leds=2), max_seconds=1.0)
     assert 1.0 <= next(clock) < 1.3
     shares = [trace.photons for trace in transfer.traces]
@@ -195,7 +195,7 @@ def test_seeds_of_leds_and_batches_are_all_different():
 
 @pytest.mark.jit
 def test_a_photodiode_that_no_light_reaches_ends_the_trace_with_a_word(chosen_jit, monkeypatch):
-    monkeypatch.setattr(trigger, "UNLIT_PHOTONS", 1_000_000)
+    monkeypatch.setattr(stopping, "UNLIT_PHOTONS", 1_000_000)
     layer = {"thickness_mm": 1.0, "mu_a_per_mm": 5.0, "mu_s_per_mm": 1.0}
     scene = parse_scene(phantom(layer, photodiodes=[{"name": "far", "position_mm": [500.0, 0.0]}]))
     with pytest.raises(NotReachedError, match='none reached photodiode "far"') as caught:

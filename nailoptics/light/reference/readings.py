@@ -27,9 +27,9 @@ from ...statistics import seed_of
 from .. import optics
 from ..backend import NAMES, Backend, Name, activate, choose
 from ..optics import Media
-from ..tracing import Ending, ProgressCallback, TraceProgress, Trigger, run_until, unlit
+from ..tracing import Ending, ProgressCallback, StoppingCriterion, TraceProgress, run_until, unlit
+from ..tracing.stopping import out_of_time, share_of_time
 from ..tracing.store import CacheEntry, LightStore, led_cache_key, load_or_compute
-from ..tracing.trigger import out_of_time, share_of_time
 from ..transfer.records import ENERGY
 from ..transfer.series import ReadingSeries
 from . import mitsuba_scene
@@ -247,10 +247,10 @@ def _sample(
     begin, photons, max_seconds = time.perf_counter(), options.photons, options.max_seconds or math.inf
     # Without a tolerance or a number the time alone ends it.
     target = options.relative_error or 0.0
-    trigger = Trigger(target=target, first=FIRST_ROUND, margin=1.05, growth=ROUND_GROWTH)
+    criterion = StoppingCriterion(target=target, first=FIRST_ROUND, margin=1.05, growth=ROUND_GROWTH)
     dark = []
     for group in groups:
-        group.plan(photons or trigger.first)
+        group.plan(photons or criterion.first)
 
     def seconds() -> float:
         return time.perf_counter() - begin
@@ -269,7 +269,7 @@ def _sample(
         unread = [name for name, lit in zip(group.photodiodes, np.any(group.rows, axis=0), strict=False) if not lit]
         if unread and group.paths >= UNLIT_PATHS:
             dark.append(unlit(led, unread[0], group.paths))
-        elif more := trigger.needed(group.paths, group.error):
+        elif more := criterion.needed(group.paths, group.error):
             group.plan(more)
 
     def is_late(_: _Group) -> bool:
@@ -278,7 +278,7 @@ def _sample(
     def report() -> None:
         if progress:
             paths, error = min(group.paths for group in groups), worst()
-            share = max(paths / photons if photons else trigger.share_done(error), seconds() / max_seconds)
+            share = max(paths / photons if photons else criterion.share_done(error), seconds() / max_seconds)
             # What comes from a store counts as long as it took: so the pace holds for what is left.
             spent = max(seconds(), sum(group.seconds for group in groups))
             progress(TraceProgress(led, paths, error, target or None, min(1.0, share), spent))

@@ -1,4 +1,4 @@
-"""Sampling of light until enough is known: triggers, the loop of all sampling, and the trace of a scene."""
+"""Sampling of light until enough is known: stopping criteria, the loop of all sampling, and the trace of a scene."""
 
+from .stopping import Ending, ProgressCallback, StageProgress, StoppingCriterion, TraceProgress, run_until, unlit
 from .trace_scene import accuracy, trace
-from .trigger import Ending, ProgressCallback, StageProgress, TraceProgress, Trigger, run_until, unlit

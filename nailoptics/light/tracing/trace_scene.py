@@ -1,4 +1,4 @@
-"""Traces a scene: batches of each LED until its trigger is met, from what is already stored."""
+"""Traces a scene: batches of each LED until its stopping criterion is met, from what is already stored."""
 
 import itertools
 import os
@@ -17,8 +17,8 @@ from .. import backend as backends, optics
 from ..identity import light_scene, usual_layer_name
 from ..transfer import Transfer, photodiode_names
 from ..transfer.records import COLUMNS, FINGER_BATCH_PHOTONS, PHANTOM_BATCH_PHOTONS, SUMS, LedTrace, read_escaping
+from .stopping import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 from .store import LightStore, led_cache_key, load_or_compute
-from .trigger import Ending, LedStoppingCriterion, ProgressCallback, run_until, share_of_time
 
 DEFAULT_PHOTONS = 1_000_000
 
@@ -57,14 +57,14 @@ def trace(
     for led in range(len(scene.leds)):
         source = LedSource(scene, led, engine, stores, seed=options.seed)
         seconds = share_of_time(required.max_seconds, start + engine.wall_seconds, len(scene.leds) - led)
-        trigger = LedStoppingCriterion(scene, led, required, full=engine.full, seconds=seconds)
-        ending = take_batches(source, trigger, progress)
-        complaint = complaint or trigger.unmet_reason(ending)
+        criterion = LedStoppingCriterion(scene, led, required, full=engine.full, seconds=seconds)
+        ending = take_batches(source, criterion, progress)
+        complaint = complaint or criterion.unmet_reason(ending)
         if ending is Ending.INTERRUPTED:
             # What is there is of use only with something from every LED: one batch each, then the end.
             interrupted, required = True, Accuracy(photons=engine.full)
         reused += source.reused
-        traces.append(trigger.trace())
+        traces.append(criterion.trace())
     for store in stores:
         store.close()
     result = Transfer(
@@ -176,8 +176,8 @@ def accuracy(scene: Scene, options: TraceOptions) -> Accuracy:
     return Accuracy(**(given or {"photons": DEFAULT_PHOTONS}))
 
 
-def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: ProgressCallback | None = None) -> Ending:
-    """Take the batches of one LED, those that are stored and new ones, until its trigger is met or out of time.
+def take_batches(source: LedSource, stop: LedStoppingCriterion, progress: ProgressCallback | None = None) -> Ending:
+    """Take batches of one LED, stored and new ones, until its stopping criterion is met or time is over.
 
     What is stored is taken even when time is over; opening the engine does not count.
     """
@@ -188,18 +188,18 @@ def take_batches(source: LedSource, trigger: LedStoppingCriterion, progress: Pro
 
     def needed() -> Iterator[tuple[int, int]]:
         for number in itertools.count():
-            if not (photons := trigger.next_batch()):
+            if not (photons := stop.next_batch()):
                 return
             yield number, photons
 
     def is_late(batch: tuple[int, int]) -> bool:
-        return not source.has(*batch) and batch[0] > 0 and seconds() >= trigger.seconds
+        return not source.has(*batch) and batch[0] > 0 and seconds() >= stop.seconds
 
     def sample(numbered: tuple[int, int]) -> None:
-        trigger.add(source.batch(*numbered))
+        stop.add(source.batch(*numbered))
 
     def report() -> None:
         if progress:
-            progress(trigger.progress(seconds()))
+            progress(stop.progress(seconds()))
 
     return run_until(needed(), sample, is_late=is_late, report=report)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ValidationError
 
-from ...checks import explain
+from ...checks import as_input_error
 from ...errors import InputError, NotReachedError, as_far_as_reached, unless_cut_off
 from ...light import ProgressCallback, backend, open_light
 from ...light.tracing import StageProgress
@@ -111,7 +111,7 @@ def calibrate_with(
         fitted = fit.solve(lambda done: report(FITTED * done))
         subject = _subject(scene, fit, fitted)
     except (ValidationError, InputError) as error:
-        why = f"cannot be calibrated with this scene ({explain(error, BaseModel).args[0]})"
+        why = f"cannot be calibrated with this scene ({as_input_error(error, BaseModel).args[0]})"
         raise InputError(f"{recordings[0].name}: {why} Check units, columns and scene.") from None
     subject = _judged(subject, recordings)
     report(1.0)

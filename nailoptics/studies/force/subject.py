@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, AliasChoices, BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from ...checks import explain
+from ...checks import as_input_error
 from ...display import Displayed
 from ...errors import InputError
 from ...hemodynamics.waves import CardiacOscillator, DampedOscillator
@@ -271,7 +271,7 @@ def parse_subject(text: str, *, name: str = "subject") -> Subject:
     try:
         subject = FILE.validate_python(tables)
     except (ValidationError, InputError, KeyError, TypeError, OverflowError) as error:
-        why = explain(error, BaseModel).args[0]
+        why = as_input_error(error, BaseModel).args[0]
         raise InputError(f"{name}: is not a valid subject file: {why} Calibrate again.") from None
     if written not in (None, _digest(tables)):
         raise InputError(f"{name}: was changed after calibrate wrote it; calibrate again.")

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from ...checks import explain
+from ...checks import as_input_error
 from ...errors import InputError
 from ...hemodynamics.waves import HEARTBEAT, pressure_lines, slow_waves
 from ...scene import Body, Scene
@@ -73,7 +73,8 @@ class TouchError:
             self.person = nominal_finger(scene).person()
             self.noise = scene_noise(scene.body, self.person)
         except ValidationError as error:
-            raise InputError(f"the filter of predict cannot follow this: {explain(error, BaseModel).args[0]}") from None
+            fault = as_input_error(error, BaseModel).args[0]
+            raise InputError(f"the filter of predict cannot follow this: {fault}") from None
         parts, height = np.array(TOUCHES).T
         corner_s = np.cumsum([0.0, FIRST_REST_S, *parts, *parts])
         time_s = np.arange(0.0, corner_s[-2], 1.0 / RATE_HZ)  # nothing counts after the last touch

@@ -12,7 +12,7 @@ from ... import tissue
 from ...errors import NotReachedError, as_far_as_reached
 from ...hemodynamics.for_scene import BloodBeat
 from ...light import ProgressCallback, Transfer, optics, trace
-from ...light.tracing import Trigger, accuracy
+from ...light.tracing import StoppingCriterion, accuracy
 from ...light.transfer.series import ChebyshevBox, read_replicates
 from ...options import TraceOptions
 from ...scene import Scene
@@ -49,9 +49,9 @@ def trace_for_ratio(
     if target is None:
         how = replace(options, relative_error=None, max_seconds=left_s, photons=required.photons)
         return replace(trace(plain, progress=progress, **how.fields), scene=scene)
-    trigger = Trigger(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
+    criterion = StoppingCriterion(target=target, first=FIRST_PHOTONS, least=FIRST_PHOTONS // 4, margin=1.15, growth=16)
     light: Transfer | None = None
-    photons, rounds = trigger.first, 0
+    photons, rounds = criterion.first, 0
     while True:
         seed = seed_of(options.seed, _ROUND, rounds) >> 1 if rounds else options.seed
         how = replace(options, seed=seed, relative_error=None, max_seconds=left_s, photons=photons)
@@ -59,7 +59,7 @@ def trace_for_ratio(
         more = replace(more, scene=scene)
         light, rounds = light.merge(more) if light else more, rounds + 1
         per_led, error = light.photons // len(scene.leds), error_of(light)
-        if not (photons := trigger.needed(per_led, error)):
+        if not (photons := criterion.needed(per_led, error)):
             return light
         left_s = None if limit_s is None else limit_s - (time.perf_counter() - begin)
         if unmet or (left_s is not None and left_s <= 0):

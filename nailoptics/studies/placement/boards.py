@@ -68,7 +68,7 @@ def fingers(scene: Scene) -> tuple[FingerCase, ...]:
 
 
 @dataclass(frozen=True)
-class Person:
+class PersonCase:
     """A person drawn from the priors: the first finger with values of its own, by field."""
 
     name: str
@@ -81,19 +81,19 @@ class Person:
         return self.name
 
 
-def people(scene: Scene) -> list[Person]:
+def people(scene: Scene) -> list[PersonCase]:
     """The people for whom layouts are ranked."""
     first, count = fingers(scene)[0], rules(scene).people
     drawn = draw_people(worn_on(scene, first), count) if count else []
-    return [Person(f"person_{i}", first, values) for i, values in enumerate(drawn, 1)]
+    return [PersonCase(f"person_{i}", first, values) for i, values in enumerate(drawn, 1)]
 
 
-def worn_on(scene: Scene, case: FingerCase | Person, *, light_only: bool = False) -> Scene:
+def worn_on(scene: Scene, case: FingerCase | PersonCase, *, light_only: bool = False) -> Scene:
     """The scene on one of the fingers; on a person's, what of a board with explicit edges lies on the nail.
 
     light_only : change what decides where light goes, sizes, and leave what only dims it.
     """
-    if isinstance(case, Person):
+    if isinstance(case, PersonCase):
         scene = worn_on(scene, case.first)
         for field, value in case.values.items():
             scene = at_value(scene, field, value)

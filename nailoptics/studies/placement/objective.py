@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ... import tissue
 from ...errors import InputError, NotReachedError
 from ...hemodynamics.for_scene import beat_at
-from ...light.tracing import StageProgress, Trigger
+from ...light.tracing import StageProgress, StoppingCriterion
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
 from ...sensor import information as sensor_information
 from ...sensor.front_end import AVERAGE_S, oximeter_leds
@@ -78,7 +78,7 @@ class Spo2Objective:
         return quotient(read.noise_v2, pulsating)
 
 
-def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.Person], force_n: float) -> Spo2Objective:
+def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.PersonCase], force_n: float) -> Spo2Objective:
     """The rule for a scene's fingers, under the force at which layouts are evaluated.
 
     Raises: InputError for a scene without a pulse or without two LEDs of different wavelengths.
@@ -363,7 +363,7 @@ def score_layouts(
     layouts = [layout for layout in layouts if cache.traced_board(layout.board).photons]
     if not layouts:
         raise NotReachedError(f"{report_progress.why} before one layout was traced on every finger; allow more time.")
-    trigger = Trigger(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
+    criterion = StoppingCriterion(target=relative_error, first=JUDGE_PHOTONS, least=JUDGE_PHOTONS, growth=0.5)
     scored: dict[tuple[int, int], LayoutScore] = {}
     while True:
         # Those whose board was not traced further have the scores that they had.
@@ -374,11 +374,11 @@ def score_layouts(
         scores = [scored[key] for key in known]
         tied = np.flatnonzero(ties(scores))
         worst = max(scores[i].relative_error for i in tied)
-        report_progress("evaluate", trigger.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
+        report_progress("evaluate", criterion.share_done(worst) if len(tied) > 1 else 1.0, worst, relative_error)
         if photons or len(tied) == 1 or worst <= relative_error or not complete or report_progress.interrupted:
             break
         undecided = [layouts[i] for i in tied if scores[i].relative_error > relative_error]
-        more = trigger.needed(max(cache.traced_board(layout.board).photons for layout in undecided), worst)
+        more = criterion.needed(max(cache.traced_board(layout.board).photons for layout in undecided), worst)
         complete = _extend(undecided, cache, more, report_progress)
     close = [i for i in tied if scores[i].ranked[0] <= (1 + 2 * ALIKE) * min(score.ranked[0] for score in scores)]
     simplest = min(close, key=lambda i: (layouts[i].complexity, scores[i].ranked[0]))

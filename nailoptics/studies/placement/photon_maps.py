@@ -18,7 +18,7 @@ from ...sensor.ambient import LAMP, ambient_bound_a
 from ...sensor.information import OperatingPoint, Response, brightest_current_a, scene_responses
 from ...statistics import leave_one_out, seed_of
 from . import boards
-from .boards import Person
+from .boards import PersonCase
 
 PERSON_SHARE = 0.5  # fraction of the photons of a finger that a person has
 LEAST_PHOTONS = 4096  # fewer say too little of a layout
@@ -45,7 +45,7 @@ class Stopped(Exception):
 class FingerCondition:
     """A finger on which layouts are evaluated, and the touch there."""
 
-    case: FingerCase | Person
+    case: FingerCase | PersonCase
     point: OperatingPoint
 
 
@@ -99,12 +99,12 @@ class PhotonMapCache:
     @property
     def cases(self) -> list[FingerCase]:
         """The fingers of the conditions, without people."""
-        return [condition.case for condition in self.conditions if not isinstance(condition.case, Person)]
+        return [condition.case for condition in self.conditions if not isinstance(condition.case, PersonCase)]
 
     @property
-    def people(self) -> list[Person]:
+    def people(self) -> list[PersonCase]:
         """The people of the conditions, who come last; their light is recorded on areas alone."""
-        return [condition.case for condition in self.conditions if isinstance(condition.case, Person)]
+        return [condition.case for condition in self.conditions if isinstance(condition.case, PersonCase)]
 
     def on_fingers(self, part: slice) -> "PhotonMapCache":
         """The light on the fingers alone, read by part of its blocks."""
@@ -135,9 +135,9 @@ class PhotonMapCache:
         off the nail; tracers of many people would fill the memory.
         """
         held = self.traced_board(board)
-        cases: list[FingerCase | Person] = [*self.people, *self.cases]
+        cases: list[FingerCase | PersonCase] = [*self.people, *self.cases]
         for key, case in {case.digit: case for case in cases}.items():
-            is_person, worn = isinstance(case, Person), boards.worn_on(board, case, light_only=True)
+            is_person, worn = isinstance(case, PersonCase), boards.worn_on(board, case, light_only=True)
             if (is_person and not boards.fits(worn)) or (key not in held.tracers and self.stop()):
                 continue
             tracer = held.tracers.get(key) or self.tracer(worn)
@@ -193,7 +193,7 @@ class PhotonMapCache:
         """Means per emitted photon on one of the fingers by LED, each (blocks, photodiodes, values); dark where some
         part lies off a person's nail."""
         areas, condition, held = layout.layout.photodiode_areas, self.conditions[i], self.traced_board(board)
-        if not isinstance(person := condition.case, Person):
+        if not isinstance(person := condition.case, PersonCase):
             return [light.over(areas)[self.part] for light in held.maps[i]]
         if not boards.fits(boards.worn_on(layout, person)):
             return [np.zeros((self.blocks, len(areas), 4)) for _ in board.leds]
@@ -202,8 +202,7 @@ class PhotonMapCache:
         return [recorded(light, worn, k, condition.point, areas, self.blocks) for k, light in enumerate(by_led)]
 
     def with_resistors(self, layout: Scene, board: Scene) -> Scene:
-        """The layout with resistors for the brightest light of any LED on any finger, beside [ambient] or a lamp, where
-        it has "auto"."""
+        """The layout with its "auto" resistors for the brightest light on any finger, beside [ambient] or a lamp."""
         if electronics.has_resistors(layout):
             return layout
         photodiodes = [element.photodiode for element in layout.layout.photodiodes]

@@ -132,7 +132,7 @@ def _checked(
 def _objective(base: Scene, conditions: Sequence[FingerCondition], rules: Placement) -> Objective:
     """The rule by which layouts are ranked on these fingers, and for the people among them if there are any."""
     cases = [condition.case for condition in conditions]
-    rules = rules.model_copy(update={"people": sum(isinstance(case, boards.Person) for case in cases)})
+    rules = rules.model_copy(update={"people": sum(isinstance(case, boards.PersonCase) for case in cases)})
     oxygen = spo2_objective(base, cases, rules.force_n) if "oxygen" in rules.weights else None
     filters = [TouchError(boards.worn_on(base, case), rules.force_n) for case in cases if "force" in rules.weights]
     return Objective(rules, [condition.point for condition in conditions], oxygen, filters)
@@ -142,7 +142,7 @@ def _candidates(
     base: Scene,
     objective: Objective,
     cache: PhotonMapCache,
-    people: Sequence[boards.Person],
+    people: Sequence[boards.PersonCase],
     report_progress: StageProgress,
 ) -> tuple[list[CandidateLayout], list[SearchedSite], tuple[float, float] | None]:
     """All layouts to evaluate, given, searched and the paper's, every site of the LEDs that the search tried, and what
@@ -191,7 +191,7 @@ def _evaluated_enough(cache: PhotonMapCache, layouts: Sequence[CandidateLayout],
     return progress.is_over(JUDGE_SHARE) and cache.boards_traced >= least
 
 
-def finger_condition(base: Scene, case: FingerCase | boards.Person, rules: Placement) -> FingerCondition:
+def finger_condition(base: Scene, case: FingerCase | boards.PersonCase, rules: Placement) -> FingerCondition:
     """A finger of the placement with the touch at which layouts are evaluated."""
     scene = boards.worn_on(base, case)
     return FingerCondition(case, operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s))

@@ -99,7 +99,7 @@ def over_people(layouts: Sequence[CandidateLayout], scores: Sequence[LayoutScore
     return xr.Dataset(data)
 
 
-def _reason(resolution: "_Resolution", layout: CandidateLayout, person: boards.Person) -> str:
+def _reason(resolution: "_Resolution", layout: CandidateLayout, person: boards.PersonCase) -> str:
     """By which property of a person a layout's resolution is coarsest, in words; empty where there was no time."""
     worn, usual = boards.worn_on(layout.board, person), boards.worn_on(layout.board, person.first)
     middle = {prior: uncertainty.nodes_of(prior)[1] for prior in uncertainty.known_priors(usual)}
@@ -144,7 +144,7 @@ class _Resolution:
         nodes, base = (np.stack([getattr(case, name) for case in by_case]) for name in ("nodes", "base"))
         return np.log(sensor_information.over_fingers(nodes, over)), np.log(sensor_information.over_fingers(base, over))
 
-    def on_finger(self, layout: CandidateLayout, case: FingerCase | boards.Person, scene: Scene) -> np.ndarray:
+    def on_finger(self, layout: CandidateLayout, case: FingerCase | boards.PersonCase, scene: Scene) -> np.ndarray:
         """Force resolution on one finger changed to a scene, (1 + blocks,) float. [N]"""
         finger = scene.finger, scene.blood, scene.body, scene.touch
         if finger not in self.points:
@@ -157,7 +157,7 @@ class _Resolution:
         return sensor_information.force_resolution_n(sensor_information.total_information(read), point)
 
     def _arrivals(
-        self, layout: CandidateLayout, scene: Scene, case: FingerCase | boards.Person, led: int
+        self, layout: CandidateLayout, scene: Scene, case: FingerCase | boards.PersonCase, led: int
     ) -> list[Arrivals]:
         """Light of an LED on the layout's photodiodes: that of the evaluation, or, where its paths differ, newly
         traced with the same random numbers."""

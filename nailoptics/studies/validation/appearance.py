@@ -209,8 +209,7 @@ def _w(spectrum: Array) -> Array:
 
 
 def _w_depth(name: str, table: pd.DataFrame, model: Sequence[Array]) -> dict[str, Comparison]:
-    """The W of groups' medians beside the model's of each, (3,) float; of one group alone nothing, as its standard
-    error is not known."""
+    """The W of groups' medians beside the model's of each, (3,) float; of one group nothing, as it has no error."""
     people = np.array([_w(percentile(group, 50)) for _, group in table.groupby("group", sort=False)])
     if len(people) < 2:
         return {}

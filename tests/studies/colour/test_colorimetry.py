@@ -104,7 +104,7 @@ def test_a_white_band_ends_where_half_of_the_redness_is_gone():
 def test_parts_of_rays_fit_into_what_is_left_of_the_time(monkeypatch, pace_s):
     """Expected: rays end within the time, which the first, of unknown pace, leave a tenth of at least."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
+    monkeypatch.setattr("nailoptics.light.tracing.stopping.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
     parts = []
 

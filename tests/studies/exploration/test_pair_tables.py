@@ -182,7 +182,7 @@ def test_the_command_refuses_in_one_line(arguments, what, capsys, tmp_path, monk
 def test_rounds_end_with_the_time_or_with_the_first(monkeypatch, pace_s, limit_s):
     """Expected: the time is kept and a third of it used; in no time one least batch of each group."""
     clock, sent = SimpleNamespace(now=0.0), np.zeros((2, BLOCKS))
-    monkeypatch.setattr("nailoptics.light.tracing.trigger.time", SimpleNamespace(perf_counter=lambda: clock.now))
+    monkeypatch.setattr("nailoptics.light.tracing.stopping.time", SimpleNamespace(perf_counter=lambda: clock.now))
 
     def colour(k):
         def add(block, photons):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_scenes import phantom
 
-from nailoptics.light.tracing import Ending, Trigger, run_until
-from nailoptics.light.tracing.trigger import LedStoppingCriterion
+from nailoptics.light.tracing import Ending, StoppingCriterion, run_until
+from nailoptics.light.tracing.stopping import LedStoppingCriterion
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import Accuracy, parse_scene
 from nailoptics.statistics import Z95, stderr_of_mean
@@ -22,20 +22,20 @@ def stopped(seed: int, *, spread: float, target: float) -> tuple[float, float]:
     spread : standard deviation of the logarithm of the photons' weights.
     """
     rng = np.random.default_rng(seed)
-    trigger = LedStoppingCriterion(SCENE, 0, Accuracy(relative_error=target), full=PHOTONS)
+    criterion = LedStoppingCriterion(SCENE, 0, Accuracy(relative_error=target), full=PHOTONS)
     number = 0
-    while trigger.next_batch():
+    while criterion.next_batch():
         detected = int(rng.binomial(PHOTONS, PROBABILITY))
         weight = np.exp(spread * rng.normal(size=detected) - spread**2 / 2)
         path_mm = np.zeros((detected, 1), np.float32)
         photon, where = np.arange(detected), np.zeros(detected, np.uint16)
         batch = LedTrace(PHOTONS, np.zeros(1), photon, where, weight, path_mm, {}, (number,))
-        trigger.add(batch)
+        criterion.add(batch)
         number += 1
-    trace = trigger.trace()
+    trace = criterion.trace()
     total = trace.weight.sum()
     error = float(stderr_of_mean(total, (trace.weight**2).sum(), trace.photons)) * trace.photons / total
-    assert error == pytest.approx(trigger.error) and error <= target and trigger.unmet_reason() is None
+    assert error == pytest.approx(criterion.error) and error <= target and criterion.unmet_reason() is None
     return total / trace.photons / PROBABILITY - 1, error
 
 
@@ -58,31 +58,31 @@ def test_the_photodiode_that_is_known_worst_decides():
     weight, path_mm = np.ones(7300), np.zeros((7300, 1), np.float32)
     batch = LedTrace(10_000, np.full(1, 0.05), np.arange(7300), where, weight, path_mm, {}, (0,))
     for target, met in ((0.03, False), (0.033, True)):
-        trigger = LedStoppingCriterion(scene, 0, Accuracy(relative_error=target), full=10_000)
-        trigger.add(batch)
-        assert trigger.error == pytest.approx(math.sqrt(0.91 / 900), rel=1e-3) and trigger.met == met
+        criterion = LedStoppingCriterion(scene, 0, Accuracy(relative_error=target), full=10_000)
+        criterion.add(batch)
+        assert criterion.error == pytest.approx(math.sqrt(0.91 / 900), rel=1e-3) and criterion.met == met
 
 
 def test_two_rounds_at_a_tolerance_bias_nothing():
     """Batches twice as skewed as those of a finger: the mean stays right to a tenth of the error that was requested."""
-    rng, trigger, means = np.random.default_rng(3), Trigger(target=0.1, first=30, margin=1.05, growth=3), []
+    rng, criterion, means = np.random.default_rng(3), StoppingCriterion(target=0.1, first=30, margin=1.05, growth=3), []
     for _ in range(2000):
-        draws, count = rng.exponential(1.0, 1000), trigger.first
-        while more := trigger.needed(count, draws[:count].std(ddof=1) / math.sqrt(count) / draws[:count].mean()):
+        draws, count = rng.exponential(1.0, 1000), criterion.first
+        while more := criterion.needed(count, draws[:count].std(ddof=1) / math.sqrt(count) / draws[:count].mean()):
             count += more
         means.append(draws[:count].mean())
-    assert abs(np.mean(means) - 1) < 0.1 * trigger.target
-    assert np.std(means) < 1.1 * trigger.target
+    assert abs(np.mean(means) - 1) < 0.1 * criterion.target
+    assert np.std(means) < 1.1 * criterion.target
 
 
-def test_a_trigger_asks_for_what_its_tolerance_takes():
-    trigger = Trigger(target=0.01, first=100, least=50, margin=1.1, growth=16)
-    assert trigger.needed(0, math.inf) == 100
-    assert trigger.needed(100, 0.02) == pytest.approx(100 * (1.1 * 4 - 1), abs=1)
-    assert trigger.needed(100, 1.0) == 1600 and trigger.needed(100, math.inf) == 100
-    assert trigger.needed(100, 0.0101) == 50 and trigger.needed(100, 0.01) == 0
-    assert (trigger.share_done(0.02), trigger.share_done(0.005), trigger.share_done(0.0)) == (0.25, 1.0, 1.0)
-    assert Trigger(target=0.0, first=8, growth=1.0).needed(8, 0.3) == 8
+def test_a_criterion_asks_for_what_its_tolerance_takes():
+    criterion = StoppingCriterion(target=0.01, first=100, least=50, margin=1.1, growth=16)
+    assert criterion.needed(0, math.inf) == 100
+    assert criterion.needed(100, 0.02) == pytest.approx(100 * (1.1 * 4 - 1), abs=1)
+    assert criterion.needed(100, 1.0) == 1600 and criterion.needed(100, math.inf) == 100
+    assert criterion.needed(100, 0.0101) == 50 and criterion.needed(100, 0.01) == 0
+    assert (criterion.share_done(0.02), criterion.share_done(0.005), criterion.share_done(0.0)) == (0.25, 1.0, 1.0)
+    assert StoppingCriterion(target=0.0, first=8, growth=1.0).needed(8, 0.3) == 8
 
 
 def test_the_driver_ends_when_met_late_or_interrupted():

@@ -1,4 +1,4 @@
-"""The loop of all sampling and its triggers, the stopping criteria: a tolerance on an error, a number, or the time.
+"""The loop of all sampling and its stopping criteria: a tolerance on an error, a number, or the time.
 
 A run that stops when its own error is small enough is biased: where rare heavy photons are missing, reading and error
 come out too small. Checks are seldom and begin at 400 effective photons, which leaves a few hundredths of a standard
@@ -50,7 +50,7 @@ def run_until(
 ) -> Ending:
     """Take sample after sample until no more is needed, one would begin too late, or the user interrupts.
 
-    needed : what to sample next, worked out one by one from what is there, such as by a `Trigger`.
+    needed : what to sample next, worked out one by one from what is there, such as by a `StoppingCriterion`.
     is_late : whether a sample is not to begin any more.
     report : called after every sample; may raise KeyboardInterrupt.
 
@@ -143,7 +143,7 @@ class StageProgress:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trigger:
+class StoppingCriterion:
     """A tolerance on an error that falls with the root of the number of samples.
 
     target : the error to reach; 0 is never reached, so that only the time ends it.
