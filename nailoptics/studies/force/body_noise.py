@@ -17,9 +17,9 @@ from .reading_table import ReadingTable
 from .scores import runs
 from .subject import Noise
 
-# Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none. [Pa]
+# Harmonics of the beat that carry a pulse's shape; a beat weaker than this is none: judgement. [Pa]
 HARMONICS, LEAST_BEAT_PA = 5, 40.0
-# By how much the heights of beats vary, of themselves.
+# By how much the heights of beats vary, of themselves: judgement.
 HEIGHT_SPREAD = 0.1
 # The highest part of a spectrum, where all is noise of the readings.
 NOISE_FROM = 0.75
@@ -28,7 +28,7 @@ STEP_PA = 100.0
 # How far the arterial pressure and an LED's light wander at most, rms: where readings do not separate them, a little of
 # both is likelier than much of both, one against the other. [Pa, 1]
 PRESSURE_SPREAD_PA, LIGHT_SPREAD = 3000.0, 0.03
-# Readings show too little of a wave with less gain than this to be scaled by it.
+# Readings show too little of a wave with less gain than this to be scaled by it: judgement.
 LEAST_GAIN = 0.05
 # A finger rests below this force. Drift is taken from one rest to a later one: touches leave the model's misfit. [N]
 REST_FORCE_N = 0.05

@@ -2,7 +2,8 @@
 
 The filter knows the vessels of its model; what another body does is learnt from its calibration (`training`). Every
 member is linear in its terms, so that their weighted sum is one polynomial and one sum of Gaussians, on either side.
-A gate says which side is touched.
+A gate says which side is touched. Constants were chosen on virtual people of two simulators that share nothing with
+this package, of which docs/force.md tells.
 
 Reference: Jacobs, Jordan, Nowlan, Hinton 1991, Neural Comput. 3:79 (mixture of experts with a gate).
 """

@@ -103,8 +103,8 @@ class Pulp:
     recovery_s: Annotated[float, Field(ge=0, le=MOST_GAIN)]
 
 
-# The pressure in the pulp falls off from the tip, by a factor e in a third to a half of the nail bed: of a distal
-# pressure on half of the bed this part acts on the other half.
+# The pressure in the pulp is assumed to fall off from the tip by a factor e in a third to a half of the nail bed: of
+# a distal pressure on half of the bed this fraction acts on the other half.
 USUAL_DISTAL_REACH = 0.25
 # A fingerpad that is held down pushes back less and less, by a tenth within some 2 s (Pawluk and Howe 1999, J. Biomech.
 # Eng. 121:605), and the distal reading returns more slowly than the touch is released (the paper's Fig. 12).
