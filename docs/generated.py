@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import nailoptics
+from nailoptics.light import optics
 from nailoptics.light.identity import light_digest
 from nailoptics.options import TraceOptions
 from nailoptics.report import html, style
@@ -430,6 +431,20 @@ def priors() -> str:
     return "\n".join(rows) + "\n"
 
 
+def tissue_optics() -> str:
+    """Optical properties of every region of the prototype at rest, at three wavelengths."""
+    scene, nm = load_scene(HERE.parent / "scenes/prototype.toml"), (660.0, 800.0, 940.0)
+    whole = scene.with_(**{"light.left_out": [], "light.index_steps": True, "light.similarity": False})
+    media = [optics.finger_media(whole, optics.TISSUES, one) for one in nm]
+    at = ", ".join(f"{one:g}" for one in nm)
+    rows = [f"| region | n | g | µs' [1/mm] at {at} nm | µa [1/mm] at {at} nm |", "|---|---|---|---|---|"]
+    for i, region in enumerate(optics.TISSUES):
+        scattered = ", ".join(f"{one.mu_s[i] * (1 - one.g[i]):.3g}" for one in media)
+        absorbed = ", ".join(f"{one.mu_a[i]:.3g}" for one in media)
+        rows.append(f"| {region} | {media[1].n[i]:.3g} | {media[1].g[i]:.2g} | {scattered} | {absorbed} |")
+    return "\n".join(rows) + "\n"
+
+
 def validation() -> str:
     """What was measured on people beside the model, what disagrees first: a table, and figures of curves."""
     made = json.loads((HERE / "validation.json").read_text(encoding="utf-8"))
@@ -530,6 +545,7 @@ MADE: dict[str, Callable[[], str]] = {
         outputs,
         parts,
         priors,
+        tissue_optics,
         validation,
         force,
         force_pictures,

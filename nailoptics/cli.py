@@ -29,7 +29,7 @@ app = App(
     help="Simulate an optical sensor on a fingernail: touch, blood, traced light, photodiode volts.",
     help_epilogue="Terms and symbols: docs/glossary.md in the repository.",
 )
-app.register_install_completion_command(help="Complete commands and options by tab in bash, zsh or fish from now on.")
+app.register_install_completion_command(help="Install tab completion for bash, zsh, fish or PowerShell.")
 
 ScenePath = Annotated[str, Parameter(help="A scene file (TOML), or the name of a shipped one such as prototype.")]
 _Output = Parameter(name=["--output", "-o"])
@@ -291,7 +291,7 @@ def place(
 def validate(*, data: Path | None = None, output: File = None, options: ByPhotons = BY_PHOTONS) -> None:
     """Compare the model with what was measured on people: nails, skin, pulse and slow waves.
 
-    Writes validation.html. Photons are those of each LED, and the rays of all colours.
+    Writes validation.html. --photons is the number per LED, and the total of rays for colours.
 
     Args:
         data: Folder of your own tables, with the names and columns of those in assets/real.
@@ -309,7 +309,7 @@ def validate(*, data: Path | None = None, output: File = None, options: ByPhoton
 def explore(scene: ScenePath, *, output: Output = Path("explore.html"), options: NoTolerance = NO_TOLERANCE) -> None:
     """Make an interactive page: drag LEDs and photodiodes, readings update, from light traced once.
 
-    It is one file, which any browser opens from disk. Photons are those of each of the scene's wavelengths.
+    It is one file, which any browser opens from disk. --photons is the number for each wavelength of the scene.
 
     Args:
         output: Page to write.
@@ -533,7 +533,7 @@ def protocol(
     The CSV has time_s, force_n and proximal_share at the scene's rate; as [touch] file it is that touch.
 
     Args:
-        force: With - a local page shows the line beside the force on stdin, in lines of time_s and force_n.
+        force: With - a local page shows the target beside the force measured on stdin, in lines of time_s and force_n.
         output: File to write, with its page beside it.
         seed: Seed of the touches; others for another person, or another day.
         donnings: How often the sensor is put on; with 2 it is taken off and put on again halfway.

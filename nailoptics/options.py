@@ -38,7 +38,7 @@ class TraceOptions:
     seed: int = 0
     """Same seed, same bits, on one backend."""
     backend: BackendName = "auto"
-    """What runs the light: auto takes the fastest that works here."""
+    """Backend of the light transport: auto selects the fastest that works here."""
     relative_error: float | None = None
     """Relative standard error that every reading must reach."""
     max_seconds: float | None = None
