@@ -132,9 +132,9 @@ class BoardTracer:
 
         name : of what is traced, with its seed and photons. more : what decides its bits beside these and the light.
         """
-        made = led_cache_key(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
-        made |= {"traced_per_mm": self.mu_a[led].tolist(), "one_by_one": self.one_by_one}
-        entries = [store.entry(made) for store in self.stores]
+        key = led_cache_key(self.scene, led, seed=self.seed, backend=self.backend.name, what="board") | more
+        key |= {"traced_per_mm": self.mu_a[led].tolist(), "one_by_one": self.one_by_one}
+        entries = [store.entry(key) for store in self.stores]
         return load_or_compute(entries, name, lambda: ({}, trace()), lambda _, arrays: arrays)[0]
 
     def _stored_arrivals(self, led: int, name: str, photons: int, seed: int, trace: Callable[[], Arrivals]) -> Arrivals:

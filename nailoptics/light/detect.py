@@ -215,10 +215,10 @@ def section(scene: Scene, light: DetectedLight | None = None, options: TraceOpti
     if light is None or light.transfer is None:
         return _section(scene, options, geometry.build(scene))
     options = replace(options, backend=backends.choose(options.backend).name)
-    made = led_cache_key(scene, 0, seed=options.seed, backend=options.backend, what="section")
-    made |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
+    key = led_cache_key(scene, 0, seed=options.seed, backend=options.backend, what="section")
+    key |= {"leds": [led_digest(scene, led) for led in range(len(scene.leds))]}
     stores = LightStore.of_command(options)
-    entries, traced = [store.entry(made) for store in stores], lambda: to_record(_section(light_scene(scene), options))
+    entries, traced = [store.entry(key) for store in stores], lambda: to_record(_section(light_scene(scene), options))
     result, _ = load_or_compute(entries, "section", traced, from_record)
     for store in stores:
         store.close()

@@ -192,7 +192,7 @@ def _made(folder) -> str:
     from nailoptics.io import unpack
 
     header, _ = unpack(next(folder.glob("*.dat")).read_bytes())
-    return json.dumps(header["made"])
+    return json.dumps(header["key"])
 
 
 def test_every_choice_that_decides_bits_has_a_light_of_its_own(tmp_path, monkeypatch):

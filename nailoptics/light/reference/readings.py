@@ -314,9 +314,9 @@ def finger_states(
     together = 1 if states > 1 else mitsuba_scene.channel_count(SPECTRAL[backend.name])
     parts = [tuple(range(k, min(k + together, len(names)))) for k in range(0, len(names), together)]
     columns = (np.ascontiguousarray(a).tobytes() for a in (*vars(media).values(), bed.v_mm, bed.mu_a_per_mm))
-    made = led_cache_key(scene, led, seed=options.seed, backend=backend.name, what="volpath")
-    made |= {"optics": hashlib.sha256(b"".join(columns)).hexdigest()}
-    entries = [store.entry(made) for store in LightStore.of_command(options)]
+    key = led_cache_key(scene, led, seed=options.seed, backend=backend.name, what="volpath")
+    key |= {"optics": hashlib.sha256(b"".join(columns)).hexdigest()}
+    entries = [store.entry(key) for store in LightStore.of_command(options)]
     # One change of Mitsuba's variant for all batches.
     with stock_mitsuba(backend, SPECTRAL):
         groups = [_Group(paths(photodiodes=part), [names[i] for i in part], entries) for part in parts]

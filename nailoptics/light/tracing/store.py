@@ -96,10 +96,10 @@ class LightStore:
         store = cls.of_user() if options.store else None
         return [store] if store else []
 
-    def entry(self, made: Mapping[str, Any]) -> "CacheEntry":
-        """The entry of one traced light; `made` is its key, all that decides it."""
-        text = json.dumps(made, sort_keys=True, separators=(",", ":"))
-        return CacheEntry(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(made))
+    def entry(self, key: Mapping[str, Any]) -> "CacheEntry":
+        """The entry of one traced light by its key, all that decides it."""
+        text = json.dumps(key, sort_keys=True, separators=(",", ":"))
+        return CacheEntry(self, self.root / hashlib.sha256(text.encode()).hexdigest()[:_KEY], dict(key))
 
     def write(self, path: Path, data: memoryview) -> None:
         """Write a file of the store; where it is optional, the first refusal ends storing with a word."""
@@ -153,7 +153,7 @@ class CacheEntry:
 
     store: LightStore
     folder: Path
-    made: dict[str, Any]
+    key: dict[str, Any]
 
     def path(self, name: str) -> Path:
         """The file of this name."""
@@ -165,7 +165,7 @@ class CacheEntry:
         path = self.path(name)
         try:
             header, arrays = io.unpack(path.read_bytes())
-            if (header.get("made"), header.get("name")) != (self.made, name):
+            if (header.get("key"), header.get("name")) != (self.key, name):
                 raise io.CorruptError("it is another light's")
             with suppress(OSError):  # another user's
                 os.utime(self.folder)
@@ -180,7 +180,7 @@ class CacheEntry:
 
     def write(self, name: str, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
         """Write header and arrays under a name."""
-        self.store.write(self.path(name), io.pack({"made": self.made, "name": name, "about": about}, arrays))
+        self.store.write(self.path(name), io.pack({"key": self.key, "name": name, "about": about}, arrays))
 
 
 def load_or_compute(

@@ -131,8 +131,8 @@ class LedSource:
     ) -> None:
         self.scene, self.led, self.engine, self.seed, self.reused = scene, led, engine, seed, 0
         self.mu_a = optics.absorption(engine.scene, scene.leds[led].wavelength_nm)[0]
-        made = led_cache_key(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more if stores else {}
-        self.stored = [store.entry(made) for store in stores]
+        key = led_cache_key(engine.scene, led, seed=seed, backend=engine.backend.name) | engine.more if stores else {}
+        self.stored = [store.entry(key) for store in stores]
 
     def has(self, number: int, photons: int) -> bool:
         """Whether a batch is stored."""

@@ -118,8 +118,8 @@ class NailReflectance:
         # Neither blood nor melanin, board nor lamp decides the ways of rays into a bare nail.
         bare = {"leds": (Led(name="eye", wavelength_nm=550.0),), "photodiodes": (), "board": Board()}
         light = digest(light_scene(self.scene).model_copy(update=bare))
-        made = cache_key("colour", light, wavelength_nm, seed=seed, backend=self.backend) | parameters
-        entries = [store.entry(made) for store in self.stores]
+        key = cache_key("colour", light, wavelength_nm, seed=seed, backend=self.backend) | parameters
+        entries = [store.entry(key) for store in self.stores]
 
         def make() -> tuple[dict[str, Any], dict[str, np.ndarray]]:
             table = np.repeat(np.arange(len(patches)), [patch.share for patch in patches])

@@ -291,20 +291,20 @@ def _stored_light(
             raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
         return {}, light
 
-    entries = [store.entry(_made(sums, options.seed)) for store in LightStore.of_command(options)]
+    entries = [store.entry(_tables_key(sums, options.seed)) for store in LightStore.of_command(options)]
     return load_or_compute(entries, "-".join(map(str, photons)), trace, lambda _, arrays: arrays)[0]
 
 
-def _made(sums: list[ColourSums], seed: int) -> dict[str, Any]:
-    """All that decides the tables' bits: beside the light's ways what absorbs it, what reads it, and this program."""
+def _tables_key(sums: list[ColourSums], seed: int) -> dict[str, Any]:
+    """Cache key of the tables: beside the light's paths what absorbs it, what reads it, and this program."""
     base, backend, fingers = sums[0].lit, sums[0].tracer.backend.name, sums[0].fingers
     read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
     light = digest(light_scene(base).model_copy(update=read_by))
     leds = [[led.wavelength_nm, led.fwhm_nm] for led in (band.lit.leds[0] for band in sums)]
-    made = cache_key("explore", light, leds[0][0], seed=seed, backend=backend) | {"leds": leds}
-    made |= {"states": [[*polynomial.blood_fraction, *polynomial.so2] for _, polynomial in fingers]}
-    made |= {"people": [[one.model_dump_json() for one in (worn.fingertip, worn.blood)] for worn, _ in fingers[1:]]}
-    return made | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
+    key = cache_key("explore", light, leds[0][0], seed=seed, backend=backend) | {"leds": leds}
+    key |= {"states": [[*polynomial.blood_fraction, *polynomial.so2] for _, polynomial in fingers]}
+    key |= {"people": [[one.model_dump_json() for one in (worn.fingertip, worn.blood)] for worn, _ in fingers[1:]]}
+    return key | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
 
 
 def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:

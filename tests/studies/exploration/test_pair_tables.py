@@ -73,7 +73,7 @@ def test_stored_tables_are_those_of_the_blood_and_photodiodes():
         bare = study.lit_by(boards.bare_board(explored_board(changed)), changed.leds[0])
         drawn = [(changed, polynomial), (at_value(changed, "finger.plate_absorption", plate), polynomial)]
         sums = study.ColourSums(bare, BoardTracer(bare, seed=seed), 0, pair_basis(BOARD, None), drawn)
-        return json.dumps(study._made([sums], seed), sort_keys=True)
+        return json.dumps(study._tables_key([sums], seed), sort_keys=True)
 
     led, blood = plain.leds[0], plain.blood
     brighter = plain.model_copy(update={"leds": (led.model_copy(update={"flux_mw": 2 * led.flux_mw}),)})
