@@ -6,7 +6,7 @@ from ..checks import Array
 from ..errors import InputError
 from ..scene import Finger
 
-PHALANX_MM = 15.8  # mean length of the distal phalanx of adult index fingers (Buryanov, Kotiuk 2010)
+PHALANX_MM = 15.8  # mean distal phalanx of adult index fingers (Buryanov, Kotiuk 2010, Int. J. Morphol. 28:755)
 # Set by eye, as anatomy gives no number.
 PULP_EXPONENT = 2.3  # of the superellipse that the section is on the pulp's side; on the nail's it is an ellipse
 BONE_ROUNDING_MM = 3.0  # of the bone's end

@@ -242,7 +242,7 @@ class DampedOscillator:
 
 
 def slow_waves(frequency_hz: Array, variance_pa2: Array) -> list[DampedOscillator]:
-    """Oscillators with the variance, (n,) float at frequencies, that the bands of breathing and vasomotion hold."""
+    """Oscillators for breathing and vasomotion, of the variance (n,) [Pa^2] at frequencies (n,) [Hz] in either band."""
     out = []
     for wave in WAVES:
         near = (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1])

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, gammaincinv
 
 from ...hemodynamics.rosenbrock import step
-from .person import LONGEST_GAP_S, LONGEST_STEP_S, NAMES, Array, PulsatileGain, touch_on_walls
+from .person import ARTERIAL_STEP_PA, LONGEST_GAP_S, LONGEST_STEP_S, NAMES, Array, PulsatileGain, touch_on_walls
 from .subject import READING_CORRELATION_S, Subject
 
 # Below this a pressure bends smoothly to 0, so that its derivative never vanishes. [N/cm^2]
@@ -31,9 +31,9 @@ PAST_CLOSURE = 1.2
 # The lowest coordinate: further below 0 a pressure would have no slope left to come back by. [N/cm^2]
 LOWEST_N_PER_CM2 = -0.01
 # Limits of the numerical Jacobian's steps, else the state's standard deviations: diameters over rest, pressures in
-# N/cm^2; and the step of P_H in Pa.
+# N/cm^2.
 LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
-SMALLEST_STEP, ARTERIAL_STEP_PA = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02]), 200.0
+SMALLEST_STEP = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02])
 # Process noise of the walls, of their diameters at rest per step. [1]
 WALL_NOISE = 1e-4
 # Process noise: relative error of the walls' velocity, and its correlation time. Chosen on the virtual people:
