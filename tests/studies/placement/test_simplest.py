@@ -177,6 +177,15 @@ def test_a_layout_of_which_a_reading_may_be_saturated_is_named():
     assert not _warnings(data.assign_coords(layout=["a", "b", "c"]).isel(layout=[0]))
 
 
+def test_the_signal_to_noise_is_that_of_the_leds_light():
+    """Expected: dark current and light from outside are in the amplifier's output, and in no signal."""
+    one, none = np.ones((9, 2)), np.zeros((9, 2))
+    read = information.Response(5 * one, 0.01 * one, none, none, none, light_v=2 * one)
+    score = objective.LayoutScore(*[None] * 4, [[read]], None, None, None)
+    known = result._extremes([SimpleNamespace(scene=parse_scene(TWO_LAYOUTS))], [score])
+    assert known["least_volts"][1] == known["most_volts"][1] == [5.0] and known["least_snr"][1] == pytest.approx([20.0])
+
+
 @pytest.mark.long
 def test_seeds_agree_on_the_simplest_of_what_ties():
     """Expected: with noise by which freely searched layouts differ, the same row beside the same LED is proposed."""
