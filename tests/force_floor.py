@@ -96,7 +96,7 @@ def one_sample_n(subject: Subject, site: Site, force_n: float) -> float:
     """Standard error of a held touch estimated from one sample (Cramer-Rao), the person known exactly. [N]
 
     Its noise is that of the readings, half a minute of drift, and the slow waves of the arterial pressure as the
-    calibration saw them: a heartbeat is averaged out. Only samples before and after can tell the touch better.
+    calibration saw them: a heartbeat is averaged out. Only samples before and after can determine the touch better.
     """
     who, rest_v, gain = subject.person, subject.rest_v, subject.readings.gain
     held = np.append(who.pressures_n_per_cm2(np.array([force_n]), np.array([SITES[site]]))[:, 0], 0.0)

@@ -76,7 +76,7 @@ class Score:
     covered : part of the touches' samples below closure that the interval covers.
     half_width_n : median of the interval over these. [N]
     open_above : part of samples above closure whose interval is open; NaN where there are none.
-    consistent : whether the readings were found to fit the person's own calibration.
+    consistent : whether the readings are consistent with the person's own calibration.
     """
 
     person: str
@@ -203,7 +203,7 @@ def thinned(recording: Recording, rate_hz: float) -> Recording:
 
 
 def presses_at_rest(subject: Subject, person: VirtualPerson, rest_s: float) -> int:
-    """Presses that the virtual switch tells while nobody touches."""
+    """Presses of the virtual switch while nobody touches."""
     corners = (np.array([0.0, rest_s]), np.zeros(2))
     untouched = record.touch_of(person.scene, corners, "proximal", rate_hz=person.rate_hz)
     still = record.record_touch(person.scene, person.light, untouched, seed=77)
@@ -222,14 +222,14 @@ def seconds_per_sample(subject: Subject, recording: Recording) -> float:
 
 
 def code_of_force() -> str:
-    """A few characters that change with the code that tells force: what other code found is found again."""
+    """A few characters that change with the code that estimates force, so that no result of other code is reused."""
     sources = sorted(Path(force.__file__).parent.glob("*.py"))
     made = b"".join(path.read_bytes() for path in [*sources, Path(__file__)])
     return hashlib.sha256(made).hexdigest()[:8]
 
 
 def kept(path: Path, find: Callable[[], Any]) -> Any:
-    """What a file holds in JSON, found and written unless it is there."""
+    """What a file holds in JSON, computed and written unless it is there."""
     if not path.exists():
         result = find()
         write_text(path, json.dumps(asdict(result) if isinstance(result, Score) else result))

@@ -1,4 +1,4 @@
-"""Shipped facts: each with its citation, found from both kinds of install."""
+"""Shipped facts: each with its citation, read from both kinds of install."""
 
 import shutil
 

@@ -521,7 +521,7 @@ def test_a_library_that_aborts_cannot_take_the_main_job_with_it(folder):
 @pytest.mark.long
 def test_volpath_falls_back_to_scalar_where_its_library_aborts(folder):
     """Rationale: libLLVM 15 and 16 compile the photons engine, and abort at volpath. Expected: volpath's answer comes
-    from the scalar backend, after one line that says so, and doctor tells the two engines apart."""
+    from the scalar backend, after one line that says so, and doctor distinguishes the two engines."""
     (folder / "stock.toml").write_text(PHANTOM + '\n[light]\nengine = "volpath"\n')
     (folder / "libLLVM-15.so").write_text("stands for one that aborts")
     (folder / "path").mkdir()

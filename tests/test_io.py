@@ -168,7 +168,7 @@ def test_links_planted_where_a_temporary_file_might_lie_are_not_followed(tmp_pat
         (tmp_path / name).symlink_to(victim)
     io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "result.nc")
     assert "a" in xr.load_dataset(tmp_path / "result.nc", engine="h5netcdf")
-    # Even who could tell the random name beforehand gains nothing.
+    # Even who could predict the random name gains nothing.
     monkeypatch.setattr(io.secrets, "token_hex", lambda size: "guessed")
     with pytest.raises(WriteError, match="File exists"):
         io.write_text(tmp_path / "other", "text")

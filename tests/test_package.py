@@ -150,7 +150,7 @@ def test_help_has_every_option_of_a_study():
 
 @pytest.mark.long
 def test_a_script_reaches_every_study_by_its_public_name(chosen_jit, tmp_path):
-    """Rationale: what `import nailoptics` offers is found only when it is used, in a process that has nothing else.
+    """Rationale: what `import nailoptics` offers is imported only when it is used, in a process that has nothing else.
     Expected: studies answer with a Dataset, and each refuses what cannot be computed with an InputError."""
     code = """if True:
         import sys
@@ -272,7 +272,7 @@ def test_the_command_exists():
 
 
 def test_what_was_built_names_its_commit(tmp_path, monkeypatch):
-    """Expected: an installed package tells the commit that its wheel was built from, a clone its own."""
+    """Expected: an installed package states the commit that its wheel was built from, a clone its own."""
     built = tmp_path / "_commit.txt"
     monkeypatch.setattr(version, "_BUILT_FROM", built)
     before = version.commit.__wrapped__()

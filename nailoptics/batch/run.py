@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 # A scene whose worker dies so often is recorded as failed.
 DEATHS = 2
-# How often the driver looks at the clock. [s]
+# Interval at which the driver reads the clock. [s]
 WAIT_S = 0.5
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
 _SINGLE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

@@ -11,7 +11,7 @@ from .grid import Array, Grid, Indices
 
 @dataclass(frozen=True)
 class Face:
-    """The face of an LED die or a photodiode element that looks at the nail.
+    """The face of an LED die or a photodiode element that faces the nail.
 
     name : as in the scene's layout.
     region : index of the part's own region; the epoxy lies on the face's other side.

@@ -1,4 +1,4 @@
-"""Which of Mitsuba's backends work on this machine: found out in subprocesses, then remembered.
+"""Which of Mitsuba's backends work on this machine: tested in subprocesses, then cached.
 
 A broken libLLVM does not fail, it aborts the process at its first kernel; so no library is loaded
 into this process before another one has run a kernel with it and lived.

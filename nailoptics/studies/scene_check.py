@@ -34,7 +34,7 @@ POSTURE_FORCES_N = (0.1, 0.5)
 
 
 class SceneCheck(Displayed, dict[str, Any]):
-    """What a check of a scene found, by name."""
+    """Results of a check of a scene, by name."""
 
     def __init__(self, scene: Scene, report: dict[str, Any]) -> None:
         super().__init__(report)

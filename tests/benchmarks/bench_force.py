@@ -13,7 +13,7 @@ under touches that no calibration has seen. Parts:
   estimate, of the filter alone and of the baselines, the part of their samples below closure that the 95 % interval
   covers, its median half width, and of a slow cycle to 2 N the part of samples above closure whose interval is open;
   the medians over the people, beside what must be reached;
-- sample: the least standard error (Cramer-Rao) with which one sample tells a held touch of a person who is known
+- sample: the least standard error (Cramer-Rao) of one sample's estimate of a held touch, of a person who is known
   exactly, through the noise of the readings, their drift and the slow waves of the arterial pressure;
 - floor: the rms of the same filter where nothing but the body's own noise is left: people who are what was calibrated,
   all of them known exactly, estimated from the samples before each and from all;
@@ -21,8 +21,8 @@ under touches that no calibration has seen. Parts:
 - rest: presses of the virtual switch in an hour of rest of every person, with pulse and drift;
 - processor time of a calibration and of a sample.
 With --without people are as the fitted model in one thing, to see how much of the error it makes.
-FOLDER keeps traced light, recordings and whatever was found: the same command goes on where it ended (Ctrl-C prints the
-table of what is done). What other code has found is found again, from the same recordings.
+FOLDER keeps traced light, recordings and results: the same command resumes where it ended (Ctrl-C prints the table of
+what is done). Results of other code are computed again, from the same recordings.
 """
 
 import argparse
@@ -69,7 +69,7 @@ from force_scores import (  # noqa: E402
 )
 
 PARTS = ("record", "touches", "sample", "floor", "pairs", "rest")
-# Held touches of which `sample` tells. [N]
+# Held touches of `sample`. [N]
 HELD_N = (0.15, 0.3, 0.5, 0.7, 0.85, 1.0)
 # What must be reached by the medians.
 GOALS = (
@@ -99,7 +99,7 @@ def line(who: str, site: str, kind: str, numbers: Iterable[float]) -> str:
 
 
 class Bench:
-    """What is found of some people, each thing once; a folder keeps it for the next run."""
+    """Results of some people, each computed once; a folder keeps them for the next run."""
 
     def __init__(self, given: argparse.Namespace, folder: Path) -> None:
         model = "massless" if given.massless else "inertial"
@@ -107,14 +107,14 @@ class Bench:
         options["photons"] = given.photons
         self.people = {name: virtual_person(name, folder, **options) for name in given.people}
         self.kinds = CALIBRATIONS[given.calibration]
-        self.found = folder / f"found_{code_of_force()}_{model}_{given.rate:g}hz_{given.calibration}"
-        self.found.mkdir(parents=True, exist_ok=True)
+        self.results = folder / f"results_{code_of_force()}_{model}_{given.rate:g}hz_{given.calibration}"
+        self.results.mkdir(parents=True, exist_ok=True)
         self.scores: dict[tuple[str, str, str], Score] = {}
         self.floors_n: dict[tuple[str, str, str], float] = {}
         self.begun = time.monotonic()
 
     def say(self, text: str) -> None:
-        """Tell on stderr how far it is."""
+        """Progress on stderr."""
         print(f"{time.monotonic() - self.begun:6.0f} s  {text}", file=sys.stderr, flush=True)
 
     @cached_property
@@ -131,7 +131,7 @@ class Bench:
             text = calibrated(person, *self.network, kinds=self.kinds)
             return {"subject": text, "cpu_s": time.process_time() - begin}
 
-        result = kept(self.found / f"{person.name}_subject.json", find)
+        result = kept(self.results / f"{person.name}_subject.json", find)
         return parse_subject(result["subject"]), result["cpu_s"]
 
     def record(self) -> None:
@@ -152,7 +152,7 @@ class Bench:
                     def find(kind: str = kind, site: record.Site = site, name: str = name) -> Score:
                         return score(self.subject(name)[0], self.people[name], kind, site)
 
-                    path = self.found / f"{person.name}_{site}_{kind}.json"
+                    path = self.results / f"{person.name}_{site}_{kind}.json"
                     one = Score(**kept(path, find))
                     self.scores[name, site, kind] = one
                     self.say(f"{name} {site:<9} {kind:<6} rms {one.rms_n:.3f} N")
@@ -171,7 +171,7 @@ class Bench:
         yield "required of medians: " + "; ".join(GOALS)
 
     def keep(self, path: Path | None) -> None:
-        """Keep what was scored for the documentation, with the floor where that was found."""
+        """Keep what was scored for the documentation, with the floor where that was computed."""
         names = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
         rows = []
         for (name, site, kind), one in self.scores.items():
@@ -189,7 +189,7 @@ class Bench:
             force_page.keep(path, "scenes/subjects", sorted(rows, key=lambda row: str(row["touches"])), series)
 
     def costs(self) -> Iterator[str]:
-        """What every calibration found and took."""
+        """Every calibration's quality and processor time."""
         for name, person in self.people.items():
             subject, cpu_s = self.subject(name)
             per_sample_s = seconds_per_sample(subject, person.recording("steps", "proximal", seed=1))
@@ -217,7 +217,7 @@ class Bench:
                 rows = []
                 for name, person in self.people.items():
                     subject, path = self.subject(name)[0], f"{person.name}_floor_{site}_{kind}.json"
-                    rows.append(kept(self.found / path, partial(floor_n, subject, person, kind, site)))
+                    rows.append(kept(self.results / path, partial(floor_n, subject, person, kind, site)))
                     self.floors_n[name, site, kind] = rows[-1]
                     yield f"{name:<10} {site:<9} {kind:<6} {rows[-1]:7.3f}"
                 yield f"{'median':<10} {site:<9} {kind:<6} {np.median(rows):7.3f}"
@@ -234,7 +234,7 @@ class Bench:
                 def find(owner: str = owner, other: VirtualPerson = other) -> str:
                     return pair(self.subject(owner)[0], other.recording("steps", "proximal", seed=1))
 
-                cells.append(kept(self.found / f"{own.name}_reads_{other.name}.json", find))
+                cells.append(kept(self.results / f"{own.name}_reads_{other.name}.json", find))
                 self.say(f"{name} read with the calibration of {owner}: {cells[-1]}")
                 good, count = good + (name != owner and cells[-1] != "WRONG"), count + (name != owner)
             yield f"{owner:<10} " + " ".join(f"{what:<8}" for what in cells)
@@ -248,15 +248,15 @@ class Bench:
             def find(name: str = name, person: VirtualPerson = person) -> int:
                 return presses_at_rest(self.subject(name)[0], person, rest_s)
 
-            count = kept(self.found / f"{person.name}_rest_{rest_s:g}s.json", find)
+            count = kept(self.results / f"{person.name}_rest_{rest_s:g}s.json", find)
             yield f"{name}: {count} presses in {rest_s:g} s of rest"
 
 
 def main() -> None:
     requested = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     requested.add_argument("--people", nargs="*", default=record.people(), choices=record.people())
-    requested.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to find; all if not given")
-    requested.add_argument("--keep", type=Path, help="folder for whatever is found; forgotten at the end if not given")
+    requested.add_argument("--part", nargs="*", default=PARTS, choices=PARTS, help="what to compute; all if not given")
+    requested.add_argument("--keep", type=Path, help="folder that keeps results; a temporary one if not given")
     requested.add_argument("--rate", type=float, default=record.SAMPLE_RATE_HZ, help="of all recordings [Hz]")
     requested.add_argument("--rest-s", type=float, default=3600.0, help="how long people rest [s]")
     requested.add_argument(
@@ -273,7 +273,7 @@ def main() -> None:
 
 
 def run(given: argparse.Namespace, bench: Bench) -> None:
-    """Print all parts that are asked for, as they are found."""
+    """Print all requested parts, as they are computed."""
     try:
         if "record" in given.part:
             bench.record()

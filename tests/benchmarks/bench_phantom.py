@@ -106,7 +106,7 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         program = compile_plain_walk(Path(folder))
-        # The first run compiles kernels; the second tells how many photons fill the time.
+        # The first run compiles kernels; the second measures how many photons fill the time.
         ours(photons=1 << 12, seed=1, backend=options.backend)
         trial, plain_trial = (
             ours(photons=1 << 19, seed=1, backend=options.backend),

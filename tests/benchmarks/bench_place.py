@@ -1,8 +1,8 @@
 """What a placement costs. Run: python bench_place.py [max_seconds]
 
 Prints, for the shipped scene (one LED and eight photodiodes over the whole nail of an index finger, two cases of it):
-how long the whole placement takes, what it tried and found, and whether it reached what the scene asks; and how long a
-further candidate takes on a board whose light is traced. The first must stay below 600 s on two cores, the other below
+the time of the whole placement, its search and result, and whether it reached what the scene requires; and the time of
+a further candidate on a board whose light is traced. The first must stay below 600 s on two cores, the other below
 50 ms.
 """
 

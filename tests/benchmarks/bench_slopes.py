@@ -267,7 +267,7 @@ CASES: dict[str, tuple[Callable[..., Callable[[], object]], list[int]]] = {
 
 
 def measure(name: str, size: int) -> dict[str, float]:
-    """Processor seconds, or the figure that a case tells instead, and largest memory, in this process."""
+    """Processor seconds, or the figure that a case measures instead, and largest memory, in this process."""
     prepared = CASES[name][0](size)
     begin = spent_s()
     result = prepared()

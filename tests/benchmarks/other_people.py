@@ -19,11 +19,11 @@ photodiode; gain, offset, drift, noise of electronics, 16 bits; a load cell with
 With --donnings the sensor is put on anew for every recording, and so often within the protocol: its gains and its place
 along the nail differ each time.
 
-Each person is drawn from `RANGES`. Where no measured range was found (compliance of the bed's venules, what reaches the
+Each person is drawn from `RANGES`. Where there is no measured range (compliance of the bed's venules, what reaches the
 bed of a pressure on the pulp) it is wide and chosen so that the nail reddens or refills in one to three seconds and
 saturates about 1 to 2 N. In half of the people (ann, eve, gus, hal) a light proximal touch whitens the nail a little
 before it reddens it, which no source reports: read their proximal rows as a hard case, the others' as the usual one.
-So this tells how the commands do with a body other than theirs, not with a real one.
+So this measures the commands on a body other than theirs, not on a real one.
 
 1 Dzidek et al. 2017, J. R. Soc. Interface 14, 20160935. 2 Pawluk, Howe 1999, J. Biomech. Eng. 121, 178: 70 ms, 1.4 s.
 3 Shapiro 1977, J. Biomech. Eng. 99, 126. 4 Permutt, Riley 1963, J. Appl. Physiol. 18, 924. 5 Mascaro, Asada 2001, IEEE
@@ -99,7 +99,7 @@ RANGES = {  # least and most of each person's
     "vasomotion": (0.02, 0.12),  # sd of the arterioles' logarithm of resistance
     "tissue_per_mm": (0.015, 0.04),  # absorption without blood
     "bed_part": (0.35, 0.7),  # of the light's path that lies in the bed
-    "depth_of_light": (0.9, 1.6),  # half width along the nail of where a photodiode looks [mm]
+    "depth_of_light": (0.9, 1.6),  # half width along the nail of where a photodiode's light comes from [mm]
     "decay_per_mm": (1.5, 2.1),  # of the volts with distance
     "bright_v": (1.4, 3.0),  # of the photodiode next to the LED
     "noise_v": (4e-5, 1.5e-4),

@@ -1,4 +1,4 @@
-"""Do 660 nm beside 850 nm tell a held proximal touch from a slow rise of the arterial pressure? Run:
+"""Do 660 nm beside 850 nm distinguish a held proximal touch from a slow rise of the arterial pressure? Run:
 
     python tests/benchmarks/two_wavelengths.py FOLDER [--people person_3 ...] [--photons 100000] [--touches]
 

@@ -76,7 +76,7 @@ def test_a_scene_stands_on_its_own(scene, folder):
 
 @pytest.mark.slow
 def test_plain_mitsuba_reads_what_the_walk_of_photons_reads(scene, folder, chosen_jit, tmp_path):
-    """Rationale: the page beside the scene tells users how to get readings. Expected: the sum of all eight agrees."""
+    """Rationale: the page beside the scene says how to get readings. Expected: the sum of all eight agrees."""
     every = {f"photodiode_{k + 1}": "1,1,1" for k in range(8)}
     pixels = render(folder, tmp_path, spp=512, **every)[..., 0].ravel() / np.pi
     value, stderr = pixels.mean(), pixels.std(ddof=1) / len(pixels) ** 0.5

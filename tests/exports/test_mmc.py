@@ -162,7 +162,7 @@ def pmmc() -> None:
 
 @pytest.mark.slow
 def test_pmmc_reads_an_exported_finger_as_we_do(pmmc, chosen_jit, tmp_path):
-    """Rationale: another program, with other arithmetic on other cells, must tell the same of the same finger.
+    """Rationale: another program, with other arithmetic on other cells, must agree on the same finger.
 
     Expected: eight readings and what less and more blood changes of them within 3 standard errors, chi^2 likely, and
     errors small enough to see a few percent.

@@ -1,4 +1,4 @@
-"""Backends are found without ever risking this process, and the answer is remembered."""
+"""Backends are detected without ever risking this process, and the result is cached."""
 
 import json
 import os

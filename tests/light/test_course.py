@@ -198,7 +198,7 @@ def test_a_trace_that_saw_nothing_reads_zero():
 def test_reading_another_state_is_tracing_it_afresh(jit_backend, traced, blood, so2):
     """Rationale: one trace reads every state. Expected: a fresh trace at another blood fraction and saturation, with
     other seeds, agrees within 4 combined standard errors of at most 8 %, and rest lies further off than the noise; the
-    paths tell the states apart better still."""
+    paths distinguish the states better still."""
     other = scene(wavelength_nm=605.0, blood=f"[blood]\nrest_blood_fraction = {blood}\nso2 = {so2}\n")
     fresh = nail.trace(other, photons=1 << 19, seed=7).at()
     again = traced.at(blood_fraction=[blood, blood], so2=so2)

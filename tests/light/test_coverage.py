@@ -270,7 +270,7 @@ def honest(rule: Callable[[int, float], tuple[float, float]], *, runs: int, targ
 
 @pytest.mark.long
 def test_stopping_at_a_tolerance_does_not_bias_the_result():
-    """Rationale: who stops as soon as the error looks small enough prefers runs that look good by luck.
+    """Rationale: who stops as soon as the estimated error is small enough prefers runs that err low by chance.
     Expected: the mean of many stopped runs is off by less than a tenth of one run's standard error; intervals cover;
     and the same test finds out a rule that trusts the spread of two batches."""
     assert honest(stopped, runs=600, target=0.05)

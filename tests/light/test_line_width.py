@@ -11,7 +11,7 @@ from nailoptics.light.transfer.transfer import rest_state
 from nailoptics.scene import load_scene
 
 PHOTONS = 150_000
-# The outermost wavelengths of a line carry a hundredth of its light: a fifth of the photons tells that well enough.
+# The outermost wavelengths of a line carry a hundredth of its light: a fifth of the photons is enough.
 FEW_PHOTONS, LITTLE = 30_000, 0.05
 
 

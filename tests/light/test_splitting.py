@@ -140,7 +140,7 @@ def test_split_photons_read_as_plain_ones_with_true_errors(jit_backend, prototyp
 @pytest.mark.long
 @pytest.mark.jit
 def test_split_photons_read_what_plain_ones_read(jit_backend, prototype):
-    """Light, and light times its path in plate and bed, on all photodiodes; and a split photon must tell more.
+    """Light, and light times its path in plate and bed, on all photodiodes; and a lower variance per photon.
 
     chi^2 of 24 dependent values: 60 is one in more than 1e4 even of 24 independent ones.
     """

@@ -46,7 +46,7 @@ def test_the_tolerance_is_met_and_not_far_overdone(jit_backend, monkeypatch, tar
 
 @pytest.mark.slow
 def test_stopping_at_a_tolerance_hardly_favours_luck(jit_backend, monkeypatch):
-    """Rationale: a rule that stops when the error looks small enough prefers runs that err low.
+    """Rationale: a rule that stops when the estimated error is small enough prefers runs that err low.
     Expected: 100 traces to a coarse tolerance agree on average with one of many photons."""
     monkeypatch.setattr(trace_scene, "PHANTOM_BATCH_PHOTONS", 1 << 11)
     scene = slab()

@@ -264,14 +264,14 @@ def test_the_force_that_readings_resolve_is_that_of_place(unchanged: Any, explor
     for _ in range(10):
         light, zone = rng.uniform(0.1, 2.0, 6), -rng.uniform(0.5, 3.0, (6, 2))
         noise_v2, limit = rng.uniform(1e-10, 1e-8, 6), rng.random(6) < 0.2
-        tells = ~limit[:, None]
+        carries_information = ~limit[:, None]
         read = Response(
             amplified_v=light,
             noise_v2=noise_v2,
-            slope_v_per_pa=(zone @ point.blood_per_pa) * tells,
+            slope_v_per_pa=(zone @ point.blood_per_pa) * carries_information,
             zone_v=zone,
             shunted_fraction=0 * light,
-            body_v=None if point.body is None else point.body.shapes_v(zone, light, 0) * tells,
+            body_v=None if point.body is None else point.body.shapes_v(zone, light, 0) * carries_information,
             independent_v2=0.0 if point.body is None else (point.body.reading_gain * light) ** 2,
         )
         expected = float(force_resolution_n(total_information([read]), point))

@@ -1,4 +1,4 @@
-"""The page: it tells what the result holds, needs nothing else, and bears whatever names and gaps a result has."""
+"""The page: it shows what the result holds, needs nothing else, and bears whatever names and gaps a result has."""
 
 import os
 import re

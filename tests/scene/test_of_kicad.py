@@ -51,7 +51,7 @@ def test_a_board_is_read_as_kicad_made_it(version):
 
 
 def test_a_pad_of_a_turned_bottom_footprint_lies_where_kicad_puts_it():
-    # Of the library's pad 0.4 mm to the right and 0.1 mm down, as KiCad's python tells its places on this board.
+    # Of the library's pad 0.4 mm to the right and 0.1 mm down, as KiCad's Python API gives its places on this board.
     pads = {"D1": (103.29641, -101.713397), "PD1": (106.411642, -102.023474)}
     one = '{ photodiode = "bpw34", offset_mm = [0.4, -0.1] }'
     text = f"""schema_version = 1

@@ -1,4 +1,4 @@
-"""Outlines: lines joined in any order, holes found, room computed exactly, and wrong ones refused in one line."""
+"""Outlines: lines joined in any order, holes detected, room computed exactly, and wrong ones refused in one line."""
 
 import math
 import random

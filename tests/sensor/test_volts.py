@@ -56,7 +56,7 @@ def test_drifts_spread_as_stated_after_a_minute_and_begin_at_none():
     for name, spread in (("led_drift", 0.01), ("reading_drift", 0.002)):
         walks = np.array([np.log(one[name].values).reshape(-1, 2)[0] for one in made])
         assert (walks[:, 0] == 0).all()
-        # 300 of them tell a standard deviation to 4 %.
+        # 300 of them estimate a standard deviation to 4 %.
         assert walks[:, 1].std() == pytest.approx(spread, rel=0.16) and abs(walks[:, 1].mean()) < 4 * spread / 300**0.5
 
 
@@ -64,7 +64,7 @@ def test_motion_has_the_stated_spread_and_correlation_time():
     motion = Motion(lift_um=2.0, slide_um=0.0, correlation_s=1.0)
     time_s = np.arange(0.0, 3000.0, 0.1)
     lift = drift_and_motion(worn(3, motion=motion), time_s).sensor_lift_um.values
-    # 3000 memories of 1 s tell a standard deviation to 2 %, a correlation of 0.37 to 2 %.
+    # 3000 correlation times of 1 s estimate a standard deviation to 2 %, a correlation of 0.37 to 2 %.
     assert lift.std() == pytest.approx(2.0, rel=0.08)
     assert np.corrcoef(lift[:-10], lift[10:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.08)
     assert np.allclose(drift_and_motion(worn(3, motion=motion), time_s[:50:7]).sensor_lift_um, lift[:50:7])

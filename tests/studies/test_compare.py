@@ -264,7 +264,7 @@ def test_the_verdict_needs_all_readings(tolerance, outcome):
 
 def test_a_verdict_on_many_readings_errs_as_seldom_as_it_says():
     """Rationale: of eight photodiodes one lies above a tolerance by chance more often than a single one does.
-    Expected: where all errors lie at the tolerance, a model is found to miss it in at most 5 % of the repeats, and to
+    Expected: where all errors lie at the tolerance, a model is rejected in at most 5 % of the repeats, and to
     meet it in fewer; where they lie two standard errors above it, it mostly misses; and the worst one is named."""
     rng, outcomes, held = np.random.default_rng(0), {0.05: [], 0.09: [], 0.01: []}, []
     dims, shape = ("sweep", "led", "photodiode", "way", "model", "point"), (1, 1, 8, 1, 1, 1)

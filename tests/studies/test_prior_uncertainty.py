@@ -115,7 +115,7 @@ def test_a_reread_prior_meets_a_fresh_trace_of_it(jit_backend, traced, field, va
     for k in (0, 2):
         apart, error = np.abs(reread[k] - fresh[k]), np.hypot(reread[k + 1], fresh[k + 1])
         assert (apart < 3 * error).all() and (apart**2 / error**2).mean() < 2
-    # Sharp enough to tell: the change is many times its error.
+    # Precise enough to test: the change is many times its error.
     moved = np.abs(reread[0] / relative(traced, traced.scene)[0] - 1)
     assert (moved > 5 * reread[1] / reread[0]).any()
 
@@ -205,7 +205,7 @@ def test_signs_that_hold_do_so_in_joint_draws(request, fresh, draws, seed):
 
 @pytest.mark.slow
 def test_the_standard_error_of_a_spread_is_true(traced):
-    """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold what they tell."""
+    """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold their estimates."""
     light, parts = traced.traces[0], 20
     whole = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
     of = np.random.default_rng(3).integers(parts, size=light.photons)[light.photon]

@@ -151,7 +151,7 @@ def test_transmission_falls_exponentially_with_the_plates_thickness():
         # Exponential: the loss per mm is the same at each thickness, within 12 %: red is absorbed the least.
         loss_per_mm = -np.diff(np.log(passed)) / np.diff(thicknesses_mm)
         assert np.ptp(loss_per_mm) < 0.12 * loss_per_mm.mean()
-        # A plate that only scatters would not do so: this is what tells that it absorbs.
+        # A plate that only scatters would not do so: this is what shows that it absorbs.
         clear = [plate_transmission(0.0, reduced, d) for d in thicknesses_mm]
         assert np.ptp(np.diff(np.log(clear))) > 0.2 * np.abs(np.diff(np.log(clear)).mean())
 

@@ -40,7 +40,7 @@ def page(checked: SceneCheck) -> str:
 
 
 def summary(checked: SceneCheck) -> dict[str, Any]:
-    """What a check found; of a finger also its touch, blood and body in words, and the geometry."""
+    """A check's results; of a finger also its touch, blood and body in words, and the geometry."""
     scene, made = checked.scene, {"valid": True, **checked}
     if scene.finger is None:
         return made

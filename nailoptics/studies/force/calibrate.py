@@ -171,7 +171,7 @@ def _judged(subject: Subject, recordings: Sequence[Recording]) -> Subject:
     baselines = train_baselines(series.over_rest[:, at], series.force_n[at], is_proximal)
     ensemble, touches = train(subject, series) or (None, None)
     if touches is None:
-        # Errors are of the touches that the filter was fitted to, as far as it tells them apart.
+        # Errors are of the touches that the filter was fitted to, as far as it distinguishes them.
         below = series.select(np.flatnonzero(np.isfinite(series.by_filter.force_high_n)))
         force_n, low_n, high_n = below.by_filter[:3]
         touches = touches_by_kind(below.force_n, force_n, (low_n, high_n), below.is_proximal, below.is_still)

@@ -255,7 +255,7 @@ def subject_toml(subject: Subject) -> str:
 
 
 def _digest(tables: dict[str, Any]) -> str:
-    """SHA-256 of a file's tables, which tells whether a number was changed."""
+    """SHA-256 of a file's tables, which shows whether a number was changed."""
     return hashlib.sha256(repr(tables).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""The errors that explore tells of its readings are those that it makes, over places and seeds."""
+"""The errors that explore states of its readings are those that it makes, over places and seeds."""
 
 from typing import Any
 

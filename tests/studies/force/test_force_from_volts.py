@@ -1,4 +1,4 @@
-"""Force from volts: the person is found from recordings of a known force, and the force from the person's readings."""
+"""Force from volts: a person is estimated from recordings of known force, and force from the person's readings."""
 
 import re
 from dataclasses import replace

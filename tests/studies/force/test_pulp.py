@@ -1,4 +1,4 @@
-"""How a person's pulp gives way: found by calibration where the scene does not state it."""
+"""How a person's pulp gives way: estimated by calibration where the scene does not state it."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Why predict tells no shear: in the model it presses on the vessels as a distal force does."""
+"""Why predict estimates no shear: in the model it presses on the vessels as a distal force does."""
 
 import numpy as np
 

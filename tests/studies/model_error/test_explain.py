@@ -1,4 +1,4 @@
-"""What a scene models and leaves out: which effects are found to matter, and how sure that is."""
+"""What a scene models and leaves out: which effects matter, and how sure that is."""
 
 import json
 from dataclasses import replace

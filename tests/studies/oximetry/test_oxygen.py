@@ -117,9 +117,9 @@ def test_the_error_of_r_is_that_of_other_seeds(light):
 
 @pytest.mark.slow
 def test_r_is_that_of_fresh_traces_with_less_and_more_blood(chosen_jit):
-    """Rationale: one trace tells R at any saturation by reweighting; a finite difference of fresh traces, each of its
+    """Rationale: one trace gives R at any saturation by reweighting; a finite difference of fresh traces, each of its
     own blood, knows nothing of that. Both traces of a pair take the same random numbers, so that their difference is
-    sharp, and pairs of other seeds tell its error. Expected: agreement within three standard errors, which are below
+    sharp, and pairs of other seeds give its error. Expected: agreement within three standard errors, which are below
     7 % of R (measured 2 to 4 % with twice as many photons)."""
     so2, low, high, pairs = 0.6, 0.02, 0.04, 8
     blood = shipped().blood.model_copy(update={"so2": so2, "venous_so2": None})

@@ -1,4 +1,4 @@
-"""Errors of what a placement tells through the body's noise and of oxygen, against what other seeds tell."""
+"""Errors of a placement's results through the body's noise and of oxygen, against the scatter of other seeds."""
 
 from functools import lru_cache
 
@@ -61,8 +61,8 @@ def above_the_body(computed: list[xr.Dataset], name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ["force_resolution", "electronics_resolution", "finger_electronics_resolution"])
 def test_errors_of_resolutions(computed, name):
-    """Rationale: what light tells here is known to a half. Noise that makes the information seem large makes value and
-    error small together, so that they compare in the logarithm alone, as the ends of intervals do.
+    """Rationale: the information here is known to a half. Noise that makes it seem large makes value and error small
+    together, so that they compare in the logarithm alone, as the ends of intervals do.
     Expected: what other seeds scatter by, within the 50 % that three times the chance of twenty seeds is.
     """
     above = above_the_body(computed, f"{name}_n")

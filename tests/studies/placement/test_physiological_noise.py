@@ -124,7 +124,7 @@ def test_the_budget_of_the_force_is_its_error_cause_by_cause():
 @pytest.mark.parametrize("count", [1, 6])
 def test_the_budget_of_one_photodiode_has_what_it_does_not_tell_apart(count):
     """Expected: floor and causes add up to the figure that ranks, also where one photodiode reads both zones at once
-    and follows less of the waves than the floor; what it cannot tell is the most."""
+    and follows less of the waves than the floor; what it cannot measure is the most."""
     point = _point(1e-4 * np.array([[7.0, 1.0], [6.0, -2.0]]), gain=2e-3)
     point = replace(point, body=replace(point.body, led_drift=2e-3))
     read, stage = _read(point, count=count), electronics.NoiseBudget(*(part * 4e-5**2 for part in (1, 0, 0, 0, 0)))
@@ -178,7 +178,7 @@ def test_light_without_end_resolves_to_the_noise_floor_of_the_waves():
 
 
 def test_a_touch_of_known_split_stands_apart_from_waves_of_one_shape():
-    """One shape and one force: two unknowns, which two zones tell; its resolution is that of the part of the touch
+    """One shape and one force: two unknowns, which two zones determine; its resolution is that of the part of the touch
     that is not along the wave, whatever the wave's height.
     """
     wave = np.array([[7e-2], [6e-2]])
@@ -322,7 +322,7 @@ def test_intervals_through_the_body_hold_the_truth_as_often_as_they_say():
 @pytest.mark.long
 def test_errors_over_touches_scatter_as_they_say():
     """Rationale: 16 noisy photon maps, each in 32 blocks, of which the filter's error is taken without one eighth at a
-    time. Expected: standard errors are the scatter, within the 50 % that so few maps tell; a dark layout says nothing.
+    time. Expected: standard errors are the scatter, within the 50 % of so few maps; a dark layout has no information.
     """
     scene = parse_scene(SCENE.replace("[body.heartbeat]", "[body.drift]\n[body.motion]\n[body.heartbeat]"))
     point, rules = information.operating_point(scene, 0.5), Placement(rank_by="force")

@@ -1,4 +1,4 @@
-"""Placement: the merit's arithmetic, a planted best layout is found, and the ranking is what fresh light confirms."""
+"""Placement: the merit's arithmetic, a planted best layout is recovered, and fresh light confirms the ranking."""
 
 import json
 import re
@@ -90,9 +90,9 @@ def test_a_saturated_reading_tells_nothing(scene):
 
 
 def test_a_reading_that_may_be_saturated_tells_as_much_as_it_is_likely_to(scene):
-    """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could tell.
+    """Rationale: with a jump at the converter's limit, a layout there has no error that its photons could estimate.
     Expected: over noisy readings of known error the information's mean is that of one far below times the probability
-    to be below, and the jackknife tells its scatter, where that of a jump is mostly estimated as 0.
+    to be below, and the jackknife estimates its scatter, where that of a jump is mostly estimated as 0.
     """
     led, photodiode, rng = scene.leds[0], scene.photodiodes[0], np.random.default_rng(5)
     limit = electronics.limit_v(scene.electronics) / electronics.volts_per_fraction(led, photodiode, scene.electronics)
@@ -399,7 +399,7 @@ def test_the_ranking_is_as_stable_over_seeds_as_its_confidence_says(chosen_jit, 
     """
     base = boards.base_board(scene)
     layouts = place.given(base, boards.rules(scene))
-    # One more that is nearly as good as the first, for a pair that is hard to tell apart.
+    # One more that is nearly as good as the first, for a pair that is hard to distinguish.
     places = tuple((-0.9, v) for v in (-2.0, -1.0, 1.0, 2.0))
     middle = candidates.candidate_scene(base, Candidate(name="middle", leds_mm=((-3.0, 0.0),), photodiodes_mm=places))
     layouts.append(candidates.CandidateLayout("middle", middle, layouts[0].board, "given"))

@@ -99,11 +99,11 @@ def test_what_holds_is_said_in_words_and_on_the_page(ranked):
 def test_without_time_only_complete_readings_are_reported(ranked, monkeypatch):
     """Expected: all fingers of one digit share their light; the second layout is not begun."""
     _, rules, layouts, judged, _ = ranked
-    looks = itertools.count()
-    monkeypatch.setattr(judged, "stop", lambda: next(looks) >= 1)
+    checks = itertools.count()
+    monkeypatch.setattr(judged, "stop", lambda: next(checks) >= 1)
     result = resolution_over_priors(layouts, rules, judged)
     assert np.isfinite(result.resolution_spread.values).tolist() == [True, False]
-    calls = next(looks)
+    calls = next(checks)
     assert calls == 2
     monkeypatch.setattr(judged, "stop", lambda: True)
     assert not resolution_over_priors(layouts, rules, judged)

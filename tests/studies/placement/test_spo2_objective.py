@@ -1,4 +1,4 @@
-"""Layouts ranked by what they tell of oxygen: against an oximeter's own error, and in a placement."""
+"""Layouts ranked by their information on oxygen: against an oximeter's own error, and in a placement."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def response(volts, noise_v2, zone_v) -> Response:
 
 def test_the_error_is_that_of_the_ratio_of_ratios_in_saturation():
     """Expected: the error of R by `ratio_stderr`, through the slope of ln R, as made by hand for one photodiode; two
-    alike are better by the root of 2, and one without light tells nothing."""
+    alike are better by the root of 2, and one without light has no information."""
     scene = shipped()
     rule = spo2_objective(scene, [FingerCase(name="one")], 0.3)
     objective = Objective(Placement(rank_by="oxygen"), [operating_point(scene, 0.3)], rule)

@@ -1,4 +1,4 @@
-"""Errors of what a placement tells, against what other seeds tell."""
+"""Stated errors of a placement against the scatter of other seeds."""
 
 from functools import lru_cache
 
