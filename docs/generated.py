@@ -470,7 +470,6 @@ def _compared(one: Mapping[str, Any]) -> str:
 def force() -> str:
     """How well force is estimated of virtual people: medians over each simulator's, with the best and the worst."""
     numbers = ("rms_n", "filter_n", "cubic_n", "components_n", "sigmoid_n", "covered", "half_width_n")
-    people = json.loads((HERE / "force_benchmark.json").read_text(encoding="utf-8"))["people"]
     head = [
         "virtual people of",
         "touches",
@@ -484,19 +483,49 @@ def force() -> str:
         "covered",
     ]
     rows = [f"| {' | '.join([*head, 'half width'])} |", "|" + "---|" * (len(head) + 1)]
-    groups = dict.fromkeys((one["simulator"], one["touches"]) for one in people)
-    for group in groups:
-        of_group = [one for one in people if (one["simulator"], one["touches"]) == group]
+    for names, of_group in _force_groups():
         median = {name: statistics.median(one[name] for one in of_group) for name in numbers}
         errors = sorted(one["rms_n"] for one in of_group)
         ends = f"{1e3 * errors[0]:.0f}, {1e3 * errors[-1]:.0f}"
         error, *cells = (f"{1e3 * median[name]:.0f}" for name in numbers[:5])
         cells += [f"{median['covered']:.0%}", f"{1e3 * median['half_width_n']:.0f}"]
-        simulator = f"{group[0]} ({len(of_group)})"
         floors = [1e3 * one["floor_n"] for one in of_group if "floor_n" in one]
         floor = f"{statistics.median(floors):.0f}" if floors else ""
-        rows.append(f"| {' | '.join([simulator, group[1], error, ends, floor, *cells])} |")
+        rows.append(f"| {' | '.join([*names, error, ends, floor, *cells])} |")
     return "\n".join(rows) + "\n"
+
+
+def force_exceptions() -> str:
+    """Of how many virtual people the estimate is worse than a simpler one or seldom covers, by their touches."""
+    head = ["virtual people of", "touches", "> 1.15 filter", "> 1.1 cubic", "covered < 85 %", "half width / error"]
+    rows = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for names, of_group in _force_groups():
+        beside_filter, beside_cubic, half_widths = (
+            [one[name] / one[to] for one in of_group]
+            for name, to in (("rms_n", "filter_n"), ("rms_n", "cubic_n"), ("half_width_n", "rms_n"))
+        )
+        cells = [
+            _count_and_worst([ratio for ratio in beside_filter if ratio > 1.15], max, "{:.2f}"),
+            _count_and_worst([ratio for ratio in beside_cubic if ratio > 1.1], max, "{:.2f}"),
+            _count_and_worst([one["covered"] for one in of_group if one["covered"] < 0.85], min, "{:.0%}"),
+            f"{statistics.median(half_widths):.1f}",
+        ]
+        rows.append(f"| {' | '.join([*names, *cells])} |")
+    return "\n".join(rows) + "\n"
+
+
+def _force_groups() -> Iterator[tuple[tuple[str, str], list[dict[str, Any]]]]:
+    """Simulator with its number of people, and kind of touches; and the scores of each of these people."""
+    people = json.loads((HERE / "force_benchmark.json").read_text(encoding="utf-8"))["people"]
+    kinds = [f"{kind} {site}" for site in ("proximal", "distal", "even") for kind in ("slow", "steps")]
+    for simulator, touches in itertools.product(dict.fromkeys(one["simulator"] for one in people), kinds):
+        scores = [one for one in people if (one["simulator"], one["touches"]) == (simulator, touches)]
+        yield (f"{simulator} ({len(scores)})", touches), scores
+
+
+def _count_and_worst(values: list[float], worst: Callable[[list[float]], float], text: str) -> str:
+    """How many values, with the worst of them in brackets."""
+    return f"{len(values)} ({text.format(worst(values))})" if values else "0"
 
 
 @lru_cache
@@ -548,6 +577,7 @@ MADE: dict[str, Callable[[], str]] = {
         tissue_optics,
         validation,
         force,
+        force_exceptions,
         force_pictures,
     )
 }
