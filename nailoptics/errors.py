@@ -102,5 +102,4 @@ def exit_message(error: BaseException, *, interrupted: bool) -> tuple[Sequence[s
         return ["not enough memory; request fewer samples (touch.sample_rate_hz) or photons."], 1
     if os.environ.get("NAILOPTICS_DEBUG"):
         raise error
-    what = f"{type(error).__name__}: {error}"
-    return [f"internal error (please report): {what} (NAILOPTICS_DEBUG=1 shows where)"], 1
+    return [f"internal error (please report): {type(error).__name__}: {error} (NAILOPTICS_DEBUG=1 shows where)"], 1

@@ -202,8 +202,7 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> memoryv
     # The archive's last two bytes are the length of a comment that it does not have: the checksum becomes one.
     data.seek(-2, os.SEEK_END)
     data.write(_CHECKSUM.to_bytes(2, "little"))
-    checksum = zlib.crc32(data.getbuffer())
-    data.write(f"{checksum:0{_CHECKSUM}x}".encode())
+    data.write(f"{zlib.crc32(data.getbuffer()):0{_CHECKSUM}x}".encode())
     return data.getbuffer()
 
 

@@ -63,8 +63,7 @@ def covariance_of_sums(sample: NDArray[Any], column: NDArray[Any], values: Array
     # A tenth of a second, paid only where errors of several readings are combined.
     from scipy.sparse import csr_array
 
-    who = np.unique(sample, return_inverse=True)[1]
-    by_sample = csr_array((values, (who, column)), shape=(len(values), count))
+    by_sample = csr_array((values, (np.unique(sample, return_inverse=True)[1], column)), shape=(len(values), count))
     return np.asarray((by_sample.T @ by_sample).toarray())
 
 

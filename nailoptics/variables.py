@@ -49,10 +49,9 @@ def variable(
     attributes = {"long_name": long_name} if values.dtype.kind in "OSU" else {"units": units, "long_name": long_name}
     if stderr is None:
         return {name: (dims, values, attributes)}
-    beside = {"units": units, "long_name": f"standard error: {long_name}"}
     return {
         name: (dims, values, attributes | {"ancillary_variables": f"{name}_stderr"}),
-        f"{name}_stderr": (dims, np.asarray(stderr), beside),
+        f"{name}_stderr": (dims, np.asarray(stderr), {"units": units, "long_name": f"standard error: {long_name}"}),
     }
 
 

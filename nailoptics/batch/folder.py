@@ -311,8 +311,7 @@ def _coordinates(plan: Plan) -> dict[str, Any]:
             values, attributes = np.array(values), attributes | {"units": unit_of(axis.path)}
         elif not all(isinstance(v, str) for v in values):
             values = np.array([str(v) for v in values])
-        dim = axis.name if axis.name in plan.dims else "sample"
-        coordinates[axis.name] = (dim, values, attributes)
+        coordinates[axis.name] = (axis.name if axis.name in plan.dims else "sample", values, attributes)
     return coordinates
 
 

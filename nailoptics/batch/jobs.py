@@ -67,8 +67,7 @@ class Settings:
     def options_of(self, scene: Scene) -> TraceOptions:
         """The options of a scene's study, which takes no longer than the run has left."""
         requested = self.options.photons or self.options.relative_error
-        own_light = STUDIES[self.study].own_light
-        required = scene.accuracy if own_light and not requested else self.required(scene)
+        required = scene.accuracy if STUDIES[self.study].own_light and not requested else self.required(scene)
         if self.deadline is not None:
             left = max(self.deadline - time.time(), 1e-3)
             required = required.model_copy(update={"max_seconds": min(left, required.max_seconds or left)})

@@ -103,8 +103,7 @@ def run_batch(
         raise InputError(f"workers = {workers!r}; must be a whole number above 0.")
     if workers is not None and scheduler is not None:
         raise InputError("workers and scheduler exclude each other; a scheduler has its own workers.")
-    options = TraceOptions(**requested)
-    settings = Settings.of(Path(folder), options, sweep.study)
+    settings = Settings.of(Path(folder), TraceOptions(**requested), sweep.study)
     place, jobs = Folder(settings.folder), jobs_of(sweep, settings)
     mine = of_shard(jobs, shard)
     check_same(place, jobs, settings)
@@ -378,7 +377,6 @@ class _Driver:
         if outcome.unfinished and not self.trouble:
             reasons.append(f"max_seconds ended the run with {outcome.unfinished} left (run again to resume)")
         if reasons:
-            good = len(outcome.kept) + len(outcome.done)
-            text = f"{good} of {outcome.total} scenes are done; {'; '.join(reasons)}."
+            text = f"{len(outcome.kept) + len(outcome.done)} of {outcome.total} scenes are done; {'; '.join(reasons)}."
             raise NotReachedError(text, result=outcome, full=self.full)
         return outcome

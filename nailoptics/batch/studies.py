@@ -58,8 +58,7 @@ def _simulate(scene: Scene, options: TraceOptions, stores: Sequence[LightStore],
     transfer, photons, reached = _transfer(scene, options, stores, None)
     light = WornLight(with_fitted_resistors(scene), light_of(transfer), scene_ambient_a(scene, options))
     course = blood_over_touch(scene, bandwidth_hz=scene.electronics.bandwidth_hz)
-    result = simulate_from(light, course=course, seed=options.seed)
-    return _summarised(result), photons, reached
+    return _summarised(simulate_from(light, course=course, seed=options.seed)), photons, reached
 
 
 def _trace(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], traced: Scene | None) -> Answer:
@@ -97,13 +96,12 @@ def _summarised(result: xr.Dataset) -> xr.Dataset:
             stderr = moment[f"{source}_stderr"].transpose(*PAIR).values
         return variable(name, PAIR, values.values, text, units=values.attrs["units"], stderr=stderr)
 
-    saturated = result.saturated.any("time").values
     return result.assign(
         of(start, "detected_fraction", "detected_fraction_rest", "detected fraction at the start")
         | of(start, "volts", "volts_start", "voltage at the start")
         | of(peak, "volts_change", "volts_change_peak", "largest change of the voltage")
         | of(peak, "volts_noise_rms", "volts_noise_peak", "electronic noise at the largest change, rms")
-        | variable("saturated_ever", PAIR, saturated, "converter at its limit at any time")
+        | variable("saturated_ever", PAIR, result.saturated.any("time").values, "converter at its limit at any time")
     )
 
 
@@ -112,8 +110,7 @@ def _colour(scene: Scene, options: TraceOptions, stores: Sequence[LightStore], t
     from ..studies.colour.nail_colour import colour, photographs
 
     # The accuracy of a scene's readings is not that of its colours.
-    required = replace(options, relative_error=None).fields
-    result, unmet = as_far_as_reached(colour, scene, stores=stores, **required)
+    result, unmet = as_far_as_reached(colour, scene, stores=stores, **replace(options, relative_error=None).fields)
     pictures = photographs(scene, result, states=range(result.sizes["state"]), backend=options.backend)
     names = [name for name, variable in result.variables.items() if "tile" not in variable.dims]
     # Forces and places are the scene's own, and "state" is what a batch calls its progress with a scene.

@@ -100,11 +100,10 @@ def session_of(
     names = {"absorbers": list(optics.absorbers(scene)), "photodiodes": list(scene.layout.photodiode_names)}
     about = {"led": led, "wavelength_nm": scene.leds[led].wavelength_nm, **own, **names, "scene": to_toml(scene)}
     flags = {"DoMismatch": 1, "DoPartialPath": 1, "DoSaveVolume": 0}
-    rows = [dict(zip(("mua", "mus", "g", "n"), map(float, row), strict=True)) for row in media]
     return {
         "Session": {"ID": led_file(scene, led, ""), "Photons": photons, "RNGSeed": 1} | flags,
         "Forward": {"T0": 0.0, "T1": longest_s, "Dt": longest_s},
-        "Domain": {"Media": rows},
+        "Domain": {"Media": [dict(zip(("mua", "mus", "g", "n"), map(float, row), strict=True)) for row in media]},
         "nailoptics": about,
     }
 

@@ -66,8 +66,7 @@ def voxels(geometry: Geometry, side_mm: float) -> Voxels:
         raise InputError(f"voxel_mm = {side_mm:g}: {why}")
     x, y, z = (low[k] + side_mm * (np.arange(count[k]) + 0.5) for k in range(3))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    region = geometry.columns(places, z).reshape(count)
-    made = Voxels(region, low, side_mm)
+    made = Voxels(geometry.columns(places, z).reshape(count), low, side_mm)
     for face in geometry.photodiodes:
         # Where it is, as all that is opaque beside it: in a recess it would lie in its neighbours' shadow.
         _paint(made, face, geometry.regions.index("epoxy"), back=0.0, beside=EDGE)

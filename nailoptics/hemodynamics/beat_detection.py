@@ -38,8 +38,7 @@ class Beats:
 
     def rate_at(self, time_s: float, within_s: float) -> float:
         """Rate in a window around a time, from the median of its usual intervals; NaN without two. [1/min]"""
-        near = np.abs(self.peak_s - time_s) <= within_s / 2
-        return _rate(self.peak_s, self.usual & near)
+        return _rate(self.peak_s, self.usual & (np.abs(self.peak_s - time_s) <= within_s / 2))
 
 
 def find_beats(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording") -> Beats:
@@ -118,8 +117,7 @@ def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: flo
     """Evenly sampled values, (..., T) float, after a zero-phase Butterworth band-pass along the last axis."""
     from scipy import signal
 
-    high = min(high_hz, 0.45 * rate_hz)
-    filtered = signal.butter(2, (low_hz, high), btype="bandpass", fs=rate_hz, output="sos")
+    filtered = signal.butter(2, (low_hz, min(high_hz, 0.45 * rate_hz)), btype="bandpass", fs=rate_hz, output="sos")
     pad = min(values.shape[-1] - 1, int(3 * rate_hz / low_hz))
     return np.asarray(signal.sosfiltfilt(filtered, values, axis=-1, padtype="odd", padlen=pad))
 
@@ -127,8 +125,7 @@ def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: flo
 def _autocorrelation(wave: Array, longest: int) -> Array:
     """Correlation of a waveform with itself at lags up to the longest, 1 at lag 0, (longest + 1,) float."""
     held = wave - wave.mean()
-    spectrum = np.fft.rfft(held, 2 * len(held))
-    product = np.fft.irfft(np.abs(spectrum) ** 2)[: longest + 1]
+    product = np.fft.irfft(np.abs(np.fft.rfft(held, 2 * len(held))) ** 2)[: longest + 1]
     return np.asarray(
         product / max(product[0], np.finfo(float).tiny) * len(held) / (len(held) - np.arange(longest + 1))
     )
@@ -144,8 +141,7 @@ def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:
 
 def _rate(peak_s: Array, usual: Marks) -> float:
     """Beats in a minute from intervals between usual beats that follow each other. [1/min]"""
-    both = usual[1:] & usual[:-1]
-    intervals = np.diff(peak_s)[both]
+    intervals = np.diff(peak_s)[usual[1:] & usual[:-1]]
     if len(intervals) == 0:
         return float("nan")
     # One that was missed makes an interval of two.

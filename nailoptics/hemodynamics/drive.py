@@ -113,8 +113,7 @@ class Drive:
             if at != piece:
                 piece, start = at, starts[at]
                 line = list(zip(self._first[at].tolist(), self._slopes[at].tolist(), strict=True))
-            past = time - start
-            values.append([v + s * past for v, s in line])
+            values.append([v + s * (time - start) for v, s in line])
         return values
 
     def slope(self, time: float, piece: int, *, smooth: bool) -> list[float]:
@@ -152,5 +151,4 @@ def waveform_of(name: str, value: Any, time_s: np.ndarray) -> Waveform:
         raise InputError(
             f"{name} must be a waveform, one number or one for each of {time_s.size} times, got shape {samples.shape}."
         )
-    time = time_s[:1] if samples.shape == () else time_s
-    return Waveform(time_s=time, pressure_pa=np.atleast_1d(samples))
+    return Waveform(time_s=time_s[:1] if samples.shape == () else time_s, pressure_pa=np.atleast_1d(samples))

@@ -63,8 +63,7 @@ def respond(
     """
     time = _checked(time_s, model, start, rtol)
     p = parameters
-    given = named_pressures(p, zones, pressures)
-    waveforms = [waveform_of(name, value, time) for name, value in given.items()]
+    waveforms = [waveform_of(name, value, time) for name, value in named_pressures(p, zones, pressures).items()]
 
     def to_channels(rows: np.ndarray) -> np.ndarray:
         """P_H, P_L and the touch pressure on each wall, from P_H, P_L and the touch pressures."""

@@ -115,8 +115,7 @@ def choose(requested: str = "auto", *, volpath: bool = False) -> Backend:
                 if volpath and "volpath" not in candidate.engines:
                     return replace(choose("scalar"), why=f"{name} {candidate.why}", advice=ADVICE["volpath"])
                 why = "requested" if requested == name else "; ".join(failures) or "the fastest that there is"
-                advice = ADVICE.get(name) if requested == "auto" else None
-                return replace(candidate, why=why, advice=advice)
+                return replace(candidate, why=why, advice=ADVICE.get(name) if requested == "auto" else None)
             failed.append(f"{candidate.library}: {candidate.why}" if candidate.library else candidate.why)
         failures.append(f"{name} is not usable ({'; '.join(failed)})")
     raise InputError(f"backend {failures[0]}; use backend auto, or see nailoptics doctor.")

@@ -98,8 +98,7 @@ def _time_constant(path: np.ndarray, *, end: np.ndarray | None = None) -> np.nda
     whole = (path[..., -1:] if end is None else end) - path[..., :1]
     done = (path - path[..., :1]) / np.where(whole == 0.0, 1.0, whole)
     reached = np.argmax(done >= _TIME_CONSTANT_PART, axis=-1)
-    time = _crossing(done, _TIME_CONSTANT_PART, np.maximum(reached, 1), PHASE_S)
-    return np.where(reached > 0, time, PHASE_S[-1])
+    return np.where(reached > 0, _crossing(done, _TIME_CONSTANT_PART, np.maximum(reached, 1), PHASE_S), PHASE_S[-1])
 
 
 def _release_time(on: np.ndarray, off: np.ndarray) -> np.ndarray:

@@ -70,8 +70,7 @@ def draw_top_view(axes: "style.Axes", scene: Scene) -> None:
     """Draw the top view into axes."""
     layout, finger = scene.layout, scene.fingertip
     half_u, half_v = finger.nail_width_mm / 2, finger.nail_length_mm / 2
-    nail = Rectangle("nail", -half_u, half_u, -half_v, half_v)
-    draw_area(axes, nail, fc=NAIL, ec=style.MUTED, lw=1.2)
+    draw_area(axes, Rectangle("nail", -half_u, half_u, -half_v, half_v), fc=NAIL, ec=style.MUTED, lw=1.2)
     _blood_zones(axes, scene, half_u, half_v)
     border, *holes = layout.border_mm or (layout.outline.corners_mm,)
     for area, fill in ((border, BOARD), *((hole, NAIL) for hole in holes)):

@@ -65,8 +65,7 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
         return significant(value, 4, sign=sign)
     if not math.isfinite(error):
         return f"{significant(value, 3, sign=sign)} ± ?"
-    largest = max(abs(value), error)
-    power = math.floor(math.log10(largest))
+    power = math.floor(math.log10(max(abs(value), error)))
     scale, tail = (1.0, "") if -3 <= power < 5 else (10.0**power, f" × 10{str(power).translate(_SUPERSCRIPT)}")
     decimals = min(max(1 - math.floor(math.log10(error / scale)), 0), 9)
     text = f"{fixed(value / scale, decimals, sign=sign)} ± {fixed(error / scale, decimals)}"

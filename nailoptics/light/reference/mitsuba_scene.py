@@ -262,15 +262,13 @@ def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]
         place = T().translate([x, y, gap / 2]) @ T().rotate([1, 0, 0], 180)
         place = place @ T().scale([*np.divide(led.size_mm, 2), 1])
         # In a phantom the die stands in nobody's way.
-        meter = {"type": "irradiancemeter", "film": RGB_FILM}
-        scene["die"] = rectangle(place, bsdf={"type": "null"}, sensor=meter)
+        scene["die"] = rectangle(place, bsdf={"type": "null"}, sensor={"type": "irradiancemeter", "film": RGB_FILM})
     return scene
 
 
 def sides(*, below: str | None, above: str | None) -> dict[str, Any]:
     """The media on both sides of a face whose normal points above."""
-    named = {"interior": below, "exterior": above}
-    return {side: {"type": "ref", "id": name} for side, name in named.items() if name}
+    return {side: {"type": "ref", "id": name} for side, name in {"interior": below, "exterior": above}.items() if name}
 
 
 def finger_scene(

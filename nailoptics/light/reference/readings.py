@@ -97,8 +97,7 @@ class Paths:
 
     def __init__(self, made: Callable[[Any, Path], dict[str, Any]], scale: Sequence[float], backend: Backend) -> None:
         self._backend, self._scale = backend, np.array(scale)
-        folder = tempfile.TemporaryDirectory(prefix="nailoptics-")
-        with stock_mitsuba(self._backend, SPECTRAL) as mi, folder as meshes:
+        with stock_mitsuba(self._backend, SPECTRAL) as mi, tempfile.TemporaryDirectory(prefix="nailoptics-") as meshes:
             scene = made(mi, Path(meshes))
             self._scene = mi.load_dict(mitsuba_scene.spectral(scene) if self._backend.jit else scene, optimize=False)
 

@@ -149,8 +149,7 @@ class NailReflectance:
 
     def _batch(self, regions: Regions, beam: "_Beam", count: int, seed: int) -> tuple[np.ndarray, ...]:
         """Index, weight, paths and cosine of the rays that came back."""
-        paths = len(optics.TISSUES) + len(self.zones.edges_mm)
-        ends = _Ends(count, paths=paths, media=len(regions.absorbing))
+        ends = _Ends(count, paths=len(optics.TISSUES) + len(self.zones.edges_mm), media=len(regions.absorbing))
         walk = FingerWalk(self.finger[1], regions, ZoneEdges(self.zones), beam, ends)
         walked = ends.evaluated(walk.run(PhotonQueue(count, seed)))
         place_mm, ray = np.stack([np.array(x) for x in ends.place], -1), np.arange(count) % len(beam.radius_mm)

@@ -296,8 +296,7 @@ def emission_table(led: Led) -> np.ndarray:
     theta = np.linspace(0, np.radians(led.pattern_deg[-1]), 4001)
     density = np.interp(theta, np.radians(led.pattern_deg), led.pattern_relative) * np.sin(theta)
     cumulative = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
-    u = np.linspace(0, 1, len(LAMBERTIAN))
-    return np.cos(np.interp(u, cumulative / cumulative[-1], theta)) ** 2
+    return np.cos(np.interp(np.linspace(0, 1, len(LAMBERTIAN)), cumulative / cumulative[-1], theta)) ** 2
 
 
 def emission_cosine(table: Any, u: Any) -> Any:

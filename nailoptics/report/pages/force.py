@@ -209,8 +209,7 @@ def _share_figure(result: xr.Dataset) -> "style.Figure":
     figure, (place, side, body, fits) = style.panels(7.2, 5.8, 4, sharex=True)
     low, high = part.proximal_share_low, part.proximal_share_high
     place.fill_between(part.time, low, high, color=style.ZONES[0], alpha=0.18, linewidth=0)
-    identified = np.where(high - low < 0.9, part.proximal_share, np.nan)
-    place.plot(part.time, identified, color=style.ZONES[0])
+    place.plot(part.time, np.where(high - low < 0.9, part.proximal_share, np.nan), color=style.ZONES[0])
     place.set(ylim=(-0.05, 1.05), title="Proximal share of the force [1]; blank where not identifiable")
     for name, colour in zip(("proximal", "distal", "both"), (*style.ZONES, style.MUTED), strict=True):
         side.plot(part.time, part[f"probability_{name}"], color=colour, label=name)

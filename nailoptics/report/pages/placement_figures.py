@@ -163,8 +163,7 @@ def _draw_sites(axes: "style.Axes", result: xr.Dataset, led: str) -> None:
         look: dict[str, Any] = {"cmap": "viridis_r", "norm": norm, "edgecolors": style.MUTED, "linewidths": 0.4}
         u_mm, v_mm = (place[at] + aside).T
         image = axes.scatter(u_mm, v_mm, s=24, c=resolution_mn[at], marker=mark, **look)
-    bar = axes.figure.colorbar(image, ax=axes, **BAR, format="{x:g}")
-    bar.ax.yaxis.set_minor_formatter("{x:g}")
+    axes.figure.colorbar(image, ax=axes, **BAR, format="{x:g}").ax.yaxis.set_minor_formatter("{x:g}")
     axes.set_title("LEDs tried [mN]")
 
 

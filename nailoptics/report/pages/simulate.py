@@ -232,8 +232,7 @@ def _fits(result: xr.Dataset, readings: pd.DataFrame) -> tuple[list[dict[str, st
 def _pair_table(rows: Sequence[dict[str, str]], readings: pd.DataFrame, scene: Scene, *, kind: str) -> Html:
     """A table of all readings, LED by LED, with the colour of each photodiode's place along the nail."""
     order = list(dict.fromkeys(readings.photodiode))
-    along = maps.coloured_along_nail(scene)
-    colours = {name: colour for name, (colour, _) in zip(order, along, strict=True)}
+    colours = {name: colour for name, (colour, _) in zip(order, maps.coloured_along_nail(scene), strict=True)}
     shown = []
     for row, name in zip(rows, readings.photodiode, strict=True):
         swatch = f'<span class="swatch" style="background:{colours[name]}"></span>'
@@ -252,8 +251,7 @@ def courses(result: xr.Dataset) -> "style.Figure":
         lines: list[tuple[str, str, xr.DataArray]] = []
         for name in filter(result.__contains__, course["of"]):
             if "zone" in result[name].dims:
-                zones = thin[name].transpose("zone", "time")
-                lines += zip(map(str, result.zone.values), colours, zones, strict=True)
+                lines += zip(map(str, result.zone.values), colours, thin[name].transpose("zone", "time"), strict=True)
             else:
                 lines.append((TEXTS["lines"].get(name, ""), LINES.get(name, style.VEIN), thin[name]))
         for k, (text, colour, values) in enumerate(lines):

@@ -39,8 +39,7 @@ def draw(result: Transfer | xr.Dataset) -> "style.Figure":
             error = Z95 * one.detected_fraction_stderr
             axes.errorbar(at, one.detected_fraction, error, fmt="o", markersize=4, color=colour)
         axes.set(title=led_name(readings, i), ylabel="detected fraction [1]", yscale="log")
-    labels = map(style.plain, readings.photodiode.values)
-    panels[-1, 0].set_xticks(range(count), [*labels], rotation=30, ha="right")
+    panels[-1, 0].set_xticks(range(count), [*map(style.plain, readings.photodiode.values)], rotation=30, ha="right")
     return drawing
 
 

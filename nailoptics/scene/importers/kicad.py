@@ -99,8 +99,7 @@ def _all(tree: Sequence[Any], *names: str) -> Iterator[Item]:
 
 def _numbers(tree: Sequence[Any], name: str) -> list[float]:
     """The numbers of an item such as (at 1 2 90); empty where there is none."""
-    item = next(_all(tree, name), Item())
-    return [float(x) for x in item[1:] if isinstance(x, str) and NUMBER.fullmatch(x)]
+    return [float(x) for x in next(_all(tree, name), Item())[1:] if isinstance(x, str) and NUMBER.fullmatch(x)]
 
 
 def _point(tree: Sequence[Any], name: str) -> Point:
@@ -114,8 +113,7 @@ def _board(tree: list[Any]) -> KicadBoard:
     # The bottom's copper is the last; up to version 5 items call it what its user did.
     back = {"B.Cu", *(str(row[1]) for row in rows[-1:])}
     for item in _all(tree, "module", "footprint"):
-        place = _numbers(item, "at")
-        x, y, angle = (*place, 0.0)[:3]
+        x, y, angle = (*_numbers(item, "at"), 0.0)[:3]
         texts = {str(t[1]): str(t[2]) for t in _all(item, "fp_text", "property") if len(t) > 2}
         # Since version 8 properties, before it texts: a field of the user's own may have a name in other letters.
         ref, value = (texts.get(name, texts.get(name.lower(), "")) for name in ("Reference", "Value"))
@@ -148,8 +146,8 @@ def _boxes(footprint: list[Any], angle_deg: float, side: str) -> tuple[Point, Bo
         [point for shape in footprint for point in _line(shape, "fp_", layer)]
         for layer in (f"{side}.Fab", f"{side}.CrtYd", f"{other}.CrtYd")
     )
-    boxes = around([*body, *pads]), around(courtyard), around([*beyond, *drilled])
-    return middle(pads) if pads else (0.0, 0.0), *boxes
+    anchor = middle(pads) if pads else (0.0, 0.0)
+    return anchor, around([*body, *pads]), around(courtyard), around([*beyond, *drilled])
 
 
 def _pads(footprint: list[Any], angle_deg: float, *kinds: str) -> list[Point]:

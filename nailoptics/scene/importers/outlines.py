@@ -85,8 +85,7 @@ def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> list[Polygon]:
         raise InputError(f"{path}: reading DXF needs ezdxf: pip install 'nailoptics[cad]'.") from None
     data = read_bytes(path, "an outline")
     try:
-        binary = data.startswith(b"AutoCAD Binary DXF")
-        drawing = ezdxf.readfile(path) if binary else recover.read(BytesIO(data))[0]
+        drawing = ezdxf.readfile(path) if data.startswith(b"AutoCAD Binary DXF") else recover.read(BytesIO(data))[0]
         unit_mm = _unit_mm(drawing, path) or unit_mm
         for count, entity in enumerate(_entities(drawing.modelspace())):
             if count >= MOST_ENTITIES:

@@ -108,8 +108,7 @@ class ForceInterval:
         # Past closure a harder touch reads the same: neither bound lies above it.
         low = np.minimum(low, np.where(is_closed, self._least_closing_n[:, None], np.inf).min(0))
         # Where rest is no less likely than the quantile, the bound is 0.
-        resting = rest_odds(touch, covariance)
-        low = np.where((low < LEAST_FORCE_N) | (resting > QUANTILES[0]), 0.0, low)
+        low = np.where((low < LEAST_FORCE_N) | (rest_odds(touch, covariance) > QUANTILES[0]), 0.0, low)
         pressure_variance = np.einsum("tii->it", by_filter + pressure_by_calibration)
         return ForceEstimate(
             force_n=middle,

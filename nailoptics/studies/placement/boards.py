@@ -230,8 +230,7 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
         place = next((at for at in near if has_room(at, (SPECK_MM, SPECK_MM), *lines)), place)
     board = scene.board.model_copy(update={"barrier_side": side})
     speck = SINGLE | dict.fromkeys(ROOM) | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
-    photodiodes = (scene.photodiodes[0].model_copy(update=speck),)
-    return scene.model_copy(update={"photodiodes": photodiodes, "board": board})
+    return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=speck),), "board": board})
 
 
 def crowded(scene: Scene) -> list[str]:

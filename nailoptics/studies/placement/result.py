@@ -54,9 +54,8 @@ def as_dataset(
         [information.force_budget_n(of_leds, c.point) for of_leds, c in zip(by_finger, conditions, strict=True)]
         for by_finger in (score.responses for score in scores)
     ]
-    values = [[[*budget.values()] for budget in fingers] for fingers in budgets]
     data = (
-        described(__package__, force_budget_n=values)
+        described(__package__, force_budget_n=[[[*budget.values()] for budget in fingers] for fingers in budgets])
         | _ranking(layouts, scores, conditions)
         | _extremes(layouts, scores)
         | _sites(searched)
@@ -168,8 +167,7 @@ def _predicted(by_led: Sequence[Response]) -> Variables:
         values, errors = jackknifed(np.stack([getattr(read, field) for read in by_led], 1))
         # Where no photon came the dark current alone is read, the same by every group of them.
         known = (errors > ROUNDING * np.abs(values)) & (MIN_EFFECTIVE_TERMS * errors**2 <= values**2)
-        estimate = Estimate(values, np.where(known, errors, np.nan))
-        data |= described(__package__, **{f"predicted_{name}": estimate})
+        data |= described(__package__, **{f"predicted_{name}": Estimate(values, np.where(known, errors, np.nan))})
     return data | described(__package__, predicted_noise_v=[read.noise_v[0] for read in by_led])
 
 

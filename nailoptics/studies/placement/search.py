@@ -79,8 +79,7 @@ class Search:
                     by_count = (i + done) / len(waiting) / 2
                     report_progress("search", part if math.isfinite(available) else by_count)
                 if all(design.columns):
-                    known = [a.places_mm for a in self.ranked if a.row == row]
-                    self._store(design.search(known))
+                    self._store(design.search([a.places_mm for a in self.ranked if a.row == row]))
                 if report_progress.is_over(SEARCH_SHARE):
                     why = "was interrupted" if report_progress.interrupted else "ran out of time"
                     log.warning("the search for LED places %s after %d of them", why, len(self.results))

@@ -153,8 +153,7 @@ class Skin(_Reflectance):
     """A ring finger's pulp, as a spectrophotometer measures it."""
 
     def __init__(self, options: TraceOptions) -> None:
-        scene = load_scene("prototype").model_copy(update={"finger": Finger(digit="ring")})
-        super().__init__(scene, PAD, options)
+        super().__init__(load_scene("prototype").model_copy(update={"finger": Finger(digit="ring")}), PAD, options)
 
     def spectrum(self, scene: Scene, rays: ColourRays | None = None) -> Array:
         """At `SPECTRUM_NM`, by all rays and without each group of them, (1 + groups, q) float. [percent]"""

@@ -43,8 +43,7 @@ class Comparison:
     ) -> Self:
         """Two numbers, each with its standard error; spread: standard deviation of the model over the priors, shown."""
         z = (model[0] - people[0]) / float(np.hypot(people[1], model[1]))
-        shown = interval(model[0], float(np.hypot(model[1], spread)))
-        return cls(texts, interval(*people), shown, "z", z, (-2.0, 2.0))
+        return cls(texts, interval(*people), interval(model[0], float(np.hypot(model[1], spread))), "z", z, (-2.0, 2.0))
 
     @classmethod
     def by_coverage(cls, texts: Mapping[str, Any], values: ArrayLike, model: Array) -> Self:

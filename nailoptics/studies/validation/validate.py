@@ -165,8 +165,7 @@ def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback
     def answers(varied: Scene) -> Array:
         """By photodiode, (1 + groups, 4, photodiodes) float."""
         beat = rest_beat(varied)
-        light = replace(transfer, scene=varied)
-        curve = saturation_curve(light, (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1])
+        curve = saturation_curve(replace(transfer, scene=varied), (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1])
         lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
         # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
         as_sine = np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1))
