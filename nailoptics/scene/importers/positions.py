@@ -13,6 +13,7 @@ from ...errors import InputError
 from ...io import of_plain_cell, plain_cell, write_text
 from ..base import Box
 from ..text_files import read_text, short
+from .outlines import FARTHEST_MM
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +25,6 @@ NEEDED = ("Ref", "PosX", "PosY", "Rot")
 # How programs call the columns, the best name first, and the sides; units of length. [mm]
 KNOWN_AS, SIDES, UNITS_MM = (read_toml("position_files.toml")[name] for name in ("columns", "sides", "units_mm"))
 LENGTH = re.compile(r"([-+]?[0-9.,]+(?:e[-+]?[0-9]+)?)\s*([a-z\"]*)", re.IGNORECASE)
-FARTHEST_MM = 1e6
 # How files of Excel begin, read as text.
 SPREADSHEETS = ("PK\x03\x04", "ÐÏ\x11à")
 # What a scene may say of a file that does not state its unit.
