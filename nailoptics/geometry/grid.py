@@ -61,8 +61,7 @@ class Grid:
     def interfaces(self) -> tuple[Array, Indices, Indices, Indices]:
         """Vertices (v, 3), triangles (m, 3), and the regions (m,) below and above each: every face between two once."""
         a, n, k = self.labels.shape
-        i = np.arange(a * (n + 1) * (k + 1)).reshape(a, n + 1, k + 1)
-        i = np.concatenate([i, i[:1]])
+        i = np.pad(np.arange(a * (n + 1) * (k + 1)).reshape(a, n + 1, k + 1), ((0, 1), (0, 0), (0, 0)), mode="wrap")
         quads, below, above = [], [], []
 
         def add(low: Indices, high: Indices, corners: list[NDArray[np.int64]]) -> None:
