@@ -259,11 +259,8 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
         if state == "done"
     }
     joined = _joined(scenes, len(results)) if scenes else xr.Dataset()
-    for label, texts, text in (
-        ("state", states, "done, missing, failed, corrupt or foreign"),
-        ("digest", plan.scenes, "digest of the scene"),
-    ):
-        joined[label] = _SCENE, list(texts), {"long_name": text}
+    joined["state"] = _SCENE, states, {"long_name": "done, missing, failed, corrupt or foreign"}
+    joined["digest"] = _SCENE, list(plan.scenes), {"long_name": "digest of the scene"}
     dataset = xr.Dataset(coords=_coordinates(plan) | {n: coord for n, coord in joined.coords.items() if n != _SCENE})
     for name, one in joined.data_vars.items():
         values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
@@ -290,10 +287,9 @@ def _of_scene(header: dict[str, Any], dataset: xr.Dataset, axes: set[str], cours
 
 def _joined(scenes: dict[int, xr.Dataset], count: int) -> xr.Dataset:
     """The datasets of scenes, by their numbers among so many, as one; raises InputError where they do not fit."""
-    numbers = xr.Variable(_SCENE, list(scenes))
     how: Any = {"data_vars": "all", "coords": "minimal", "compat": "equals", "join": "exact"}
     try:
-        joined = xr.concat(scenes.values(), numbers, combine_attrs="override", **how)
+        joined = xr.concat(scenes.values(), xr.Variable(_SCENE, list(scenes)), combine_attrs="override", **how)
     except ValueError as error:
         why = f"{str(error).splitlines()[0]}; sweep scenes with the same names, as many of each and the same times."
         raise InputError(f"the scenes of this batch make no one dataset: {why}") from None
