@@ -51,7 +51,6 @@ def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[In
     """All pairs of a triangle and of a ray in one of its bins; triangles rise. first, last : (n, 2) int. The bins along
     x and y that each triangle reaches into. at : (k, 2) int. The bin of each ray."""
     box = at[:, 0] * bins + at[:, 1]
-    order = np.argsort(box, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(box, minlength=bins**2))])
     # In each column of bins that a triangle reaches into, its bins are one run.
     columns = last[:, 0] - first[:, 0] + 1
@@ -62,7 +61,7 @@ def _pairs(first: Integers, last: Integers, at: Integers, bins: int) -> tuple[In
     some = np.nonzero(end > begin)[0]
     triangle, begin, count = triangle[some], begin[some], (end - begin)[some]
     place = np.repeat(begin - (np.cumsum(count) - count), count) + np.arange(count.sum())
-    return np.repeat(triangle, count), order[place]
+    return np.repeat(triangle, count), np.argsort(box, kind="stable")[place]
 
 
 def _inside(

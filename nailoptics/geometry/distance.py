@@ -122,10 +122,9 @@ def _samples(vertices: Array, triangles: Indices, radius: float) -> Array:
     corners, used = vertices[triangles], np.zeros(len(vertices), bool)
     used[triangles] = True
     a, b, c = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1).T
-    area = _areas(corners)
     # The place farthest from all three corners: the middle of the circle around them, or a place on the longest edge.
     obtuse = c**2 >= a**2 + b**2
-    covering = np.where(obtuse, b**2 * c / (b**2 + c**2 - a**2), a * b * c / (4 * area))
+    covering = np.where(obtuse, b**2 * c / (b**2 + c**2 - a**2), a * b * c / (4 * _areas(corners)))
     covering = np.where(obtuse, np.maximum(covering, a**2 * c / (a**2 + c**2 - b**2)), covering)
     return np.concatenate([vertices[used], _lattice(corners, np.ceil(covering / radius).astype(int))])
 

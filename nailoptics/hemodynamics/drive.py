@@ -130,9 +130,8 @@ def _misses(sides: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarra
 
     By how much the slope's change there moves the input over the shorter side, of the input's range.
     """
-    slopes = (last - first) / sides
     span = np.maximum(np.maximum(first, last).max(axis=1) - np.minimum(first, last).min(axis=1), 1.0)[:, None]
-    misses = np.abs(np.diff(slopes, axis=1)) * np.minimum(sides[1:], sides[:-1]) / span
+    misses = np.abs(np.diff((last - first) / sides, axis=1)) * np.minimum(sides[1:], sides[:-1]) / span
     return np.where(first[:, 1:] != last[:, :-1], np.maximum(misses, 1.0), misses).max(axis=0, initial=0.0)
 
 

@@ -115,8 +115,7 @@ def _dataset(
         sides = dict(zip(("proximal_pressure_pa", "distal_pressure_pa"), touch, strict=False))
         data |= sides if zones.inputs == 2 else {"touch_pressure_pa": np.array(touch)}
     coordinates = described(__package__, time=time, zone_position=zones.position)
-    names = {"long_name": "capillary unit, from the cuticle to the tip"}
-    coordinates["zone"] = (("zone",), np.array(zones.names), names)
+    coordinates["zone"] = ("zone",), np.array(zones.names), {"long_name": "capillary unit, from the cuticle to the tip"}
     about = {
         "Conventions": "CF-1.11",
         "title": "touch to blood: vessel diameters and pressures under the nail",

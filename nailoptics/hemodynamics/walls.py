@@ -58,7 +58,6 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
     """
     p = parameters
     shape = np.broadcast_shapes(*(np.shape(value) for pair in vars(p).values() for value in beds(pair)))
-    ones = (1.0,) * zones.count
 
     def stack(capillary: Any, vein: Any, share: tuple[float, ...] = zones.share) -> np.ndarray:
         units = [part * factor for part, factor in zip(share, zones.of_beds(capillary), strict=True)]
@@ -66,7 +65,7 @@ def build_walls(parameters: Parameters, zones: Zones) -> Walls:
 
     area = stack(p.capillary_area_m2, p.vein_area_m2)
     damping = stack(p.capillary_damping_n_s_per_m, p.vein_damping_n_s_per_m)
-    diameter = stack(p.capillary_diameter_m, p.vein_diameter_m, ones)
+    diameter = stack(p.capillary_diameter_m, p.vein_diameter_m, (1.0,) * zones.count)
     capillary_flow = each_bed(
         lambda count, length_m: count * math.pi / (128.0 * length_m * p.viscosity_pa_s),
         p.capillary_count,

@@ -21,8 +21,7 @@ def light_scene(scene: Scene) -> Scene:
     packaged = dict.fromkeys((*ROOM, "reference", "part", "package_height_um", "price")) | {"lens": False}
     usual: dict[str, Any] = packaged | {"flux_mw": 1.0, "fwhm_nm": 0.0, "current_ma": None, "max_current_ma": None}
     leds = tuple(led.model_copy(update=usual | {"name": f"led{i}"}) for i, led in enumerate(scene.leds))
-    usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL}
-    usual |= packaged
+    usual = {name: Photodiode.model_fields[name].default for name in ELECTRICAL} | packaged
     photodiodes = tuple(
         p.model_copy(update=usual | {"name": f"photodiode{i}"}) for i, p in enumerate(scene.photodiodes)
     )

@@ -43,9 +43,8 @@ def photograph(
     if mesh.regions[int(mesh.region_at(np.array([scene.colour.camera_mm]))[0])] != "air":
         place = ", ".join(f"{value:g}" for value in scene.colour.camera_mm)
         raise InputError(f"colour.camera_mm = [{place}]: lies inside the finger; put it above, such as [-12, 38, 58].")
-    names = np.array(mesh.regions)
     outer = (mesh.below == 0) | (mesh.above == 0)
-    inside = names[np.where(mesh.below == 0, mesh.above, mesh.below)]
+    inside = np.array(mesh.regions)[np.where(mesh.below == 0, mesh.above, mesh.below)]
     parts = {"nail": outer & (inside == "plate"), "skin": outer & (inside != "plate") & (inside != "cut")}
     pictures = []
     with stock_mitsuba(choose(backend, volpath=True)) as mi:

@@ -108,9 +108,8 @@ def _release_time(on: np.ndarray, off: np.ndarray) -> np.ndarray:
 
 def _overshoot(on: np.ndarray, off: np.ndarray) -> np.ndarray:
     """How far paths (..., steps, 81) pass their ends on either phase, of the largest step's change. [1]"""
-    change = off[..., -1] - off[..., 0]
     past = [np.sign(phase[..., -1:] - phase[..., :1]) * (phase - phase[..., -1:]) for phase in (on, off)]
-    return np.max(past, axis=(0, -2, -1)) / np.maximum(np.abs(change).max(axis=-1), _TINY)
+    return np.max(past, axis=(0, -2, -1)) / np.maximum(np.abs(off[..., -1] - off[..., 0]).max(axis=-1), _TINY)
 
 
 def _release_over_loading(on: np.ndarray, off: np.ndarray) -> np.ndarray:

@@ -114,8 +114,7 @@ def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float)
             place = edge + side * scene.zone_width_mm / 2
             axes.plot([-half_u, half_u], [place, place], color=style.DARK_INK, lw=0.6, ls=(0, (2, 3)), zorder=1.5)
     for name, side, va in (("distal blood", 1, "top"), ("proximal blood", -1, "bottom")):
-        at = -half_u + 0.15, side * (half_v - 0.15)
-        axes.text(*at, name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
+        axes.text(-half_u + 0.15, side * (half_v - 0.15), name, va=va, color=style.DARK_INK, fontsize=8, zorder=5)
 
 
 def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
@@ -132,9 +131,7 @@ def _names_beside(scene: Scene) -> list[list[tuple[Rectangle, str]]]:
     if layout.unwired:
         lowest = min(layout.unwired, key=lambda r: r.v_min)
         others.append((Rectangle("", lowest.u_min + 0.1, lowest.u_max, lowest.v_min, lowest.v_max), "not wired"))
-    sides = [(1, r, name) for r, name in right] + [
-        (1 if r.center_mm[0] > middle else -1, r, name) for r, name in others
-    ]
+    sides = [(1, *one) for one in right] + [(1 if r.center_mm[0] > middle else -1, r, name) for r, name in others]
     parts = [*layout.leds, *layout.photodiode_areas]
     return [
         [(r, name) for side, r, name in sides if way == (-side if _hidden(r, side, parts) else side)] for way in (-1, 1)

@@ -35,8 +35,7 @@ def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
     corners = np.concatenate([np.asarray(face.quads).reshape(-1, 3) for face in faces])
     low = np.maximum(corners.min(0) - [ASIDE_MM, ASIDE_MM, BELOW_MM], geometry.bounds_mm[0])
     high = np.minimum(corners.max(0) + [ASIDE_MM, ASIDE_MM, ABOVE_MM], geometry.bounds_mm[1])
-    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]))
-    return geometry, Interfaces(geometry, grid)
+    return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high])))
 
 
 class FingerTracer:

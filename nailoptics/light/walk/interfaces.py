@@ -206,10 +206,9 @@ class Emitter:
 
     def __init__(self, face: Face, emission: np.ndarray, region: Any) -> None:
         self.region = region
-        quads = np.asarray(face.quads)
         share = face.areas_mm2
         self.cumulative_share = mi.Float(np.cumsum(share) / share.sum())
-        self.corners = mi.Float(quads.astype(np.float32).ravel())
+        self.corners = mi.Float(np.asarray(face.quads, np.float32).ravel())
         self.normal = mi.Float(np.asarray(face.normal, np.float32).ravel())
         self.emission = mi.Float(emission)
 

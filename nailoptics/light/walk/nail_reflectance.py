@@ -208,5 +208,4 @@ def _built(scene: Scene, variant: str) -> tuple[Geometry, Interfaces]:
     low, high = (np.array(corner) for corner in geometry.bounds_mm)
     low[1] = max(low[1], -scene.fingertip.nail_length_mm / 2 - ASIDE_MM)
     low[2] = max(low[2], -BELOW_MM)
-    grid = finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high]))
-    return geometry, Interfaces(geometry, grid)
+    return geometry, Interfaces(geometry, finger_geometry.distance_grid(geometry, bounds_mm=np.stack([low, high])))

@@ -136,9 +136,8 @@ class WalkedPhotons:
         absorbed = self.absorbed.sum(0) + np.where(met > 0, self.weight, 0.0)
         lost = 1 - reflected - transmitted - absorbed
         parts = {"reflected": reflected, "transmitted": transmitted, "absorbed": absorbed, "lost": lost}
-        places = {}
-        for name, part in zip(media, self.absorbed, strict=True):
-            places[name] = float(part.sum()), float((part**2).sum())
+        each = zip(media, self.absorbed, strict=True)
+        places = {name: (float(part.sum()), float((part**2).sum())) for name, part in each}
         ends = [np.bincount(met, self.weight**power, minlength=len(names) + 1)[1:] for power in (1, 2)]
         places |= {name: (float(a), float(b)) for name, a, b in zip(names, *ends, strict=True)}
         return {name: (float(part.sum()), float((part**2).sum())) for name, part in parts.items()}, places

@@ -106,9 +106,8 @@ def _photodiodes(result: xr.Dataset) -> list[tuple[str, int]]:
 def _range_errors_figure(result: xr.Dataset, *, led: int = 0) -> "style.Figure":
     """The error of both models, fitted over each range from the sweep's start, with 95 % intervals."""
     photodiodes, sweeps = _photodiodes(result), [str(s) for s in result.sweep.values]
-    height_in = 0.9 + 3.0 * len(sweeps)
     room, how = style.Room(left=0.65, top=0.6, across=0.35, down=0.65), {"sharey": True, "sharex": "row"}
-    figure, grid = style.panels(9.6, height_in, len(sweeps), 2, room_in=room, squeeze=False, **how)
+    figure, grid = style.panels(9.6, 0.9 + 3.0 * len(sweeps), len(sweeps), 2, room_in=room, squeeze=False, **how)
     for row, sweep in zip(grid, sweeps, strict=True):
         for axes, (model, formula) in zip(row, FORMULAS.items(), strict=True):
             axes.set(yscale="log", ylim=SHOWN)

@@ -100,9 +100,8 @@ def _person(person: DrawnPerson, quantile: float) -> dict[str, Any]:
 
 def _colour(table: explore.ColourTable) -> dict[str, Any]:
     fluence = table.fluence.values
-    log_fluence = np.log(np.maximum(fluence, fluence[fluence > 0].min()))
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
-    kernels |= {"logFluence": log_fluence, "people": table.people}
+    kernels |= {"logFluence": np.log(np.maximum(fluence, fluence[fluence > 0].min())), "people": table.people}
     halves = {name: np.ascontiguousarray(values, "<f2").tobytes() for name, values in kernels.items()}
     encoded = {name: base64.b64encode(half).decode() for name, half in halves.items()}
     return {"nm": table.led.wavelength_nm, "photons": table.photons} | encoded

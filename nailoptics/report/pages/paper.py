@@ -289,9 +289,8 @@ def _picture(result: PaperFigures, name: str = "") -> "style.Figure":
 
 
 def _page(result: PaperFigures) -> str:
-    claims = preformatted("\n".join(lines(result.claims)))
     drawn = [image(path.read_bytes(), path.stem) for path in result.pictures]
-    body = [section("Its claims", claims), section("Its figures", *drawn)]
+    body = [section("Its claims", preformatted("\n".join(lines(result.claims)))), section("Its figures", *drawn)]
     return document(kicker="paper", title="The paper's figures and claims", lead="", body=body, attributes={})
 
 

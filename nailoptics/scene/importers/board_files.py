@@ -97,9 +97,8 @@ def read_board_file(table: Mapping[str, Any], folder: str | Path | None) -> tupl
     if board is None:
         oblique = [part for part in mapped if _looks_turned(part, uses[part.ref], folder)]
         warn_of_bottom(table, placed, mapped, oblique, read_text(path, "a position file", any_encoding=True))
-    whole = None
-    if board is not None and board.edges:  # a file may hold several boards: the outline around the parts
-        whole = join(board.edges, name, around=[part.position_mm for part in mapped])
+    # A file may hold several boards: the outline around the parts.
+    whole = join(board.edges, name, around=[part.position_mm for part in mapped]) if board and board.edges else None
     side = str(table.get("faces_nail") or mapped[0].side)
     for part in (part for part in mapped if part.side != side):
         why = "parts on the other side see nothing: take it out of the parts"
