@@ -250,7 +250,7 @@ class BloodPoint:
 
     share : (q,) float. Weight of each wavelength times the photodiode's response relative to that at the peak.
     mu_a : (q, r) float. Absorption in this state. [mm^-1]
-    slope : (q,) float. Absorption per blood fraction. [mm^-1]
+    slope : (q, K) float. Change of absorption with the blood of each zone. [mm^-1]
     beds : Columns of the bed's zones.
     """
 
@@ -264,10 +264,10 @@ class BloodPoint:
         path = arrivals.path_mm.astype(float)
         part = self.share * attenuation(path, self.mu_a - arrivals.mu_a)
         weight = arrivals.weight * part.sum(1)
-        per_path = arrivals.weight * (part @ self.slope)
+        per_path = arrivals.weight[:, None] * (part @ self.slope)
         bed = path[:, self.beds]
         direct = np.where(bed.sum(1) <= NO_PATH_MM, weight, 0.0)
-        return np.column_stack([weight, direct, -per_path[:, None] * bed])
+        return np.column_stack([weight, direct, -per_path * bed])
 
 
 def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = None) -> BloodPoint:
@@ -277,11 +277,15 @@ def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = No
     """
     optics.check_line(scene, led)
     source = scene.leds[led]
-    wavelength, share = optics.spectrum(source)
+    wavelength, share = optics.detected_spectrum(source, scene.photodiodes[:1])
+    rest = scene.blood.rest_blood_fraction
+    blood = np.broadcast_to(rest if blood_fraction is None else blood_fraction, len(optics.bed_columns(scene)))
+    # What is there beyond rest is arterial: `saturation` of blood.
+    so2 = np.where(blood > rest, scene.blood.so2, scene.blood.rest_so2)
     return BloodPoint(
-        share=share * wavelength / source.wavelength_nm,
+        share=share[0],
         mu_a=optics.absorption(scene, wavelength, blood_fraction=blood_fraction),
-        slope=tissue.blood_mu_a_per_mm(wavelength, scene.blood.rest_so2),
+        slope=tissue.blood_mu_a_per_mm(wavelength[:, None], so2),
         beds=optics.bed_columns(scene),
     )
 

@@ -220,8 +220,6 @@ def section(scene: Scene, light: DetectedLight | None = None, options: TraceOpti
     stores = LightStore.of_command(options)
     entries, traced = [store.entry(key) for store in stores], lambda: to_record(_section(light_scene(scene), options))
     result, _ = load_or_compute(entries, "section", traced, from_record)
-    for store in stores:
-        store.close()
     # Its light knows no names.
     result.section_region.attrs["regions"] = json.dumps(geometry.region_names(scene.layout))
     return result

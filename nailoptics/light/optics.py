@@ -1,6 +1,7 @@
 """What a photon meets: the optics of every region of a scene, and how absorption follows the blood."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,7 +12,8 @@ from .. import checks, tissue
 from ..errors import InputError
 from ..geometry import AROUND
 from ..hemodynamics.blood import saturation as so2_of_zones
-from ..scene import Led, Scene
+from ..scene import Led, Photodiode, Scene
+from ..scene.base import PHOTON_NM_PER_V
 
 # Regions of a finger's geometry that light scatters in or passes; all others are opaque, but for the air.
 TISSUES: tuple[str, ...] = tissue.REGIONS
@@ -165,6 +167,27 @@ def spectrum(led: Led, points: int = 5) -> tuple[np.ndarray, np.ndarray]:
     node, weight = np.polynomial.hermite.hermgauss(points)
     wavelength = led.wavelength_nm + node * led.fwhm_nm / (2 * np.sqrt(np.log(2)))
     return wavelength, weight / weight.sum()
+
+
+def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> np.ndarray:
+    """A photodiode's photocurrent per watt of light, by its own table or quantum efficiency times wavelength / 1240 nm,
+    of the wavelength's shape. [A/W]"""
+    wavelength = np.asarray(wavelength_nm, float)
+    if photodiode.responsivity is None:
+        return np.asarray(photodiode.quantum_efficiency * wavelength / PHOTON_NM_PER_V)
+    at_nm, value = np.asarray(photodiode.responsivity, float).T
+    return np.asarray(np.interp(wavelength, at_nm, value, left=0.0, right=0.0))
+
+
+def detected_spectrum(led: Led, photodiodes: Sequence[Photodiode]) -> tuple[np.ndarray, np.ndarray]:
+    """The wavelengths of `spectrum`, (q,) float [nm], and their weights times each photodiode's responsivity over that
+    at the LED's peak, (photodiodes, q) float; to one that is blind there every photon counts alike."""
+    wavelength, weight = spectrum(led)
+    relative = {}
+    for photodiode in {id(one): one for one in photodiodes}.values():
+        at_peak, *at_line = responsivity_a_per_w(photodiode, [led.wavelength_nm, *wavelength])
+        relative[id(photodiode)] = np.array(at_line) / at_peak if at_peak > 0 else wavelength / led.wavelength_nm
+    return wavelength, weight * np.array([relative[id(one)] for one in photodiodes])
 
 
 def check_line(scene: Scene, led: int) -> None:

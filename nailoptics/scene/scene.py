@@ -280,6 +280,11 @@ class Scene(Displayed, Table):
         except ValueError as error:
             raise InputError(f"{error}.") from None
 
+    @property
+    def elements(self) -> list[Photodiode]:
+        """The photodiode of each reading, one for every element of an array; InputError as for `layout`."""
+        return list(self.photodiodes) if self.finger is None else [e.photodiode for e in self.layout.photodiodes]
+
 
 def _with_map(placement: object, parts: object) -> object:
     """The rules of a search in which candidates from files that say no other have the board's parts."""

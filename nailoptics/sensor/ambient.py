@@ -97,8 +97,6 @@ def trace_ambient(
         largest_a = np.where(largest_a > 0, largest_a, whole_a / photons)
         total, square = currents_a.sum(1), (currents_a**2).sum(1)
         result[..., j] = total, np.sqrt(np.maximum(square - total**2 / photons, largest_a**2)), whole_a
-    for store in stores:
-        store.close()
     return result
 
 

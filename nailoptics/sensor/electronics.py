@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import Array, not_negative
 from ..errors import InputError
+from ..light.optics import responsivity_a_per_w
 from ..scene import Electronics, Led, Photodiode, Scene
-from ..scene.base import PHOTON_NM_PER_V
 from ..variables import Estimate, Variables, described
 
 Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
@@ -62,16 +62,6 @@ class Output:
         return np.sqrt(self.noise_v2)
 
 
-def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> Array:
-    """A photodiode's photocurrent per watt of light, by its own table or quantum efficiency times wavelength / 1240 nm,
-    of the wavelength's shape. [A/W]"""
-    wavelength = np.asarray(wavelength_nm, float)
-    if photodiode.responsivity is None:
-        return np.asarray(photodiode.quantum_efficiency * wavelength / PHOTON_NM_PER_V)
-    at_nm, value = np.asarray(photodiode.responsivity, float).T
-    return np.asarray(np.interp(wavelength, at_nm, value, left=0.0, right=0.0))
-
-
 def _of_each(photodiodes: Photodiodes, value: Callable[[Photodiode], float]) -> Array:
     """A number of a photodiode, or of each of several, () or (photodiodes,) float."""
     if isinstance(photodiodes, Photodiode):
@@ -118,7 +108,7 @@ def has_resistors(scene: Scene) -> bool:
 def with_resistors(scene: Scene, largest_a: Array) -> Scene:
     """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents of the
     layout's elements, (photodiodes,) float. [A]"""
-    ohm = stage_ohm([e.photodiode for e in scene.layout.photodiodes], scene.electronics, largest_a=largest_a)
+    ohm = stage_ohm(scene.elements, scene.electronics, largest_a=largest_a)
     photodiodes, first = [], 0
     for photodiode in scene.photodiodes:
         count = len(photodiode.wired or range(photodiode.elements))
@@ -252,7 +242,7 @@ def volts_per_fraction(led: Led, photodiode: Photodiodes, amplifier: Electronics
 def ambient_in_readings(scene: Scene, current: Array, error: Array, bare: Array) -> Variables:
     """The light from outside on a scene's photodiodes, and what of it is in a reading; current, error, bare :
     (photodiodes,) float. Photocurrent, its standard error, and that in the open. [A]"""
-    stage, diodes = scene.electronics, [element.photodiode for element in scene.layout.photodiodes]
+    stage, diodes = scene.electronics, scene.elements
     assert scene.ambient is not None
     flicker = scene.ambient.flicker / np.sqrt(2) * flicker_gain(scene.ambient.flicker_hz, stage)
     to_v, left = stage_ohm(diodes, stage), 1.0 if stage.ambient_rejection is None else 0.0

@@ -107,7 +107,7 @@ def with_fitted_resistors(scene: Scene) -> Scene:
     ambient_a = ambient_bound_a(scene, usual=LAMP)
     read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))
     bound = (read.fraction + Z95 * np.nan_to_num(read.stderr))[..., 0]
-    photodiodes = [element.photodiode for element in scene.layout.photodiodes]
+    photodiodes = scene.elements
     lit_a = [
         electronics.photocurrent_a(of_led, led, photodiodes) for of_led, led in zip(bound, scene.leds, strict=True)
     ]
@@ -130,7 +130,7 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
     # Drift and motion scale what is read: of its error they add their own part to the change's.
     scaled = np.broadcast_to(motion * gain / (motion * gain)[..., :1] - 1, fraction.shape)
     volts, volts_stderr, change, noise = (np.empty_like(fraction) for _ in range(4))
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    diodes = scene.elements
     saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
     ambient = {} if lit.ambient_a is None else electronics.ambient_in_readings(scene, *lit.ambient_a)
     ambient_a = np.zeros(fraction.shape[1]) if lit.ambient_a is None else lit.ambient_a[0]

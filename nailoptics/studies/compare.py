@@ -195,12 +195,12 @@ def _led_errors(
 ) -> dict[str, np.ndarray]:
     """Results of one LED over one sweep, photodiode by photodiode."""
     scene = transfer.scene
-    wavelength, share = optics.spectrum(scene.leds[led])
-    wavelength_nm, share = scene.leds[led].wavelength_nm, share * wavelength / np.sum(share * wavelength)
+    wavelength, share = optics.detected_spectrum(scene.leds[led], scene.elements)
+    wavelength_nm, share = scene.leds[led].wavelength_nm, share / share.sum(1, keepdims=True)
     blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
     reading, path_mm = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
-    over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share
+    over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share.T
     contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.fingertip.bed_scattering)
     denser = contrast * (sweep.blood - sweep.blood[0])
     rows = []
@@ -213,7 +213,9 @@ def _led_errors(
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]
             scattered, surer = (traced * np.exp(value * denser_here) for value in (slope, slope + error))
-            pair = TracedSweep(int(bed), sweep.blood * over_line[:, None], path, traced, alone[bed], scattered, surer)
+            pair = TracedSweep(
+                int(bed), sweep.blood * over_line[:, j, None], path, traced, alone[bed], scattered, surer
+            )
             rows.append(formula_errors(pair, sweep))
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 

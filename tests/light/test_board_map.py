@@ -106,6 +106,21 @@ def test_a_fresh_trace_with_more_blood_reads_what_the_map_predicts(scene, arriva
     assert np.all(noise < [0.04, 0.07] * mean[:, 0])
 
 
+@pytest.mark.parametrize("blood", [0.02, 0.05])
+def test_the_derivative_by_blood_is_that_of_the_reading(scene, blood):
+    """Rationale: beyond rest blood is arterial, squeezed out it is as it was. Expected: at 660 nm, where both differ
+    most, a finite difference in each zone, to its curvature."""
+    red = scene.with_({"leds.0.wavelength_nm": 660.0, "blood.venous_so2": 0.7})
+    states = [[blood, blood], [blood + 1e-5, blood], [blood, blood + 1e-5]]
+    points = [blood_point(red, 0, blood_fraction=state) for state in states]
+    path = np.zeros((3, points[0].mu_a.shape[1]))
+    path[:, points[0].beds] = [[2.0, 0.5], [1.0, 1.0], [0.2, 3.0]]
+    light = Arrivals(3, np.arange(3), np.zeros((3, 2)), np.ones(3), path, np.zeros(path.shape[1]))
+    at, *moved = (point.values(light) for point in points)
+    slopes = np.stack([(one[:, 0] - at[:, 0]) / 1e-5 for one in moved], 1)
+    assert at[:, 2:] == pytest.approx(slopes, rel=1e-3)
+
+
 @pytest.mark.long
 def test_without_a_wall_light_crosses_that_never_saw_the_bed(scene, arrivals, chosen_jit):
     areas = list(scene.layout.photodiode_areas)

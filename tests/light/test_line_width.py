@@ -7,6 +7,7 @@ import nailoptics as nail
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.light import optics
+from nailoptics.light.transfer.series import read_by_groups, readings_over_states
 from nailoptics.light.transfer.transfer import rest_state
 from nailoptics.scene import load_scene
 
@@ -45,6 +46,27 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
     )
     assert np.all(np.abs(values - total) < 3.5 * errors) and np.all(errors < 0.06 * total)
     assert abs(values.sum() / total.sum() - 1) < 0.015 + 3 * np.linalg.norm(errors) / total.sum()
+
+
+@pytest.mark.jit
+def test_a_line_is_weighed_by_each_photodiodes_own_responsivity(chosen_jit):
+    """Rationale: a daylight filter's edge lies within the line, so that one half is detected better than the other.
+    Expected: photocurrents are sums of light times responsivity, wavelength by wavelength, of the same photons."""
+    scene = nail.load_scene(data_dir("scenes") / "prototype.toml")
+    led = scene.leds[0].model_copy(update={"wavelength_nm": 800.0, "fwhm_nm": 40.0})
+    edge = scene.photodiodes[0].model_copy(update={"responsivity": ((780.0, 0.0), (800.0, 0.5), (1100.0, 0.6))})
+    scene = scene.model_copy(update={"leds": (led,), "photodiodes": (edge, *scene.photodiodes[1:])})
+    transfer = nail.trace(scene, photons=PHOTONS, seed=3)
+    rest = np.full((1, 2), scene.blood.rest_blood_fraction)
+    fraction = readings_over_states(transfer, rest).fraction[0, :, 0]
+    by_groups = read_by_groups(transfer, scene, rest)[0, 0, :, 0]
+    mu_a, share = rest_state(scene, 0)
+    alone = [transfer.traces[0].moments(mu[None], np.ones(1), count=8).fraction for mu in mu_a]
+    for j, photodiode in enumerate(scene.elements):
+        responsivity = optics.responsivity_a_per_w(photodiode, optics.spectrum(led)[0])
+        expected = (share * responsivity) @ np.array(alone)[:, j]
+        at_peak = optics.responsivity_a_per_w(photodiode, 800.0)
+        assert at_peak * np.array([fraction[j], by_groups[j]]) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize(("wavelength_nm", "most"), [(410.0, 8), (980.0, 16)])

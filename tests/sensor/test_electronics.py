@@ -5,8 +5,8 @@ import pytest
 
 from nailoptics.errors import InputError
 from nailoptics.scene import Electronics, Led, Photodiode
+from nailoptics.scene.base import PHOTON_NM_PER_V
 from nailoptics.sensor.electronics import (
-    PHOTON_NM_PER_V,
     flicker_gain,
     lsb_v,
     noise_budget,

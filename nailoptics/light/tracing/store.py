@@ -77,7 +77,8 @@ class LightStore:
 
     def __init__(self, root: Path, *, most_bytes: float = math.inf, optional: bool = False) -> None:
         self.root, self.most_bytes, self.optional, self.closed = root, most_bytes, optional, False
-        self._unchecked = self._written = 0
+        # The first write checks the bound.
+        self._unchecked, self._written = math.inf, 0
 
     @classmethod
     def of_user(cls) -> "LightStore | None":
@@ -140,11 +141,6 @@ class LightStore:
                     break
                 remove(folder)
                 total -= size
-
-    def close(self) -> None:
-        """Keep the bound, if anything was written."""
-        if self._unchecked:
-            self.trim()
 
 
 @dataclass(frozen=True)

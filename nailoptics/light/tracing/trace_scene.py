@@ -65,8 +65,6 @@ def trace(
             interrupted, required = True, Accuracy(photons=engine.full)
         reused += source.reused
         traces.append(criterion.trace())
-    for store in stores:
-        store.close()
     result = Transfer(
         scene,
         tuple(traces),

@@ -39,14 +39,14 @@ def transmissions(path_mm: np.ndarray, mu_a: np.ndarray, share: np.ndarray) -> n
     """`attenuation` over an LED's line, in many states that differ in few absorbers, (n, states) float.
 
     mu_a : (states, q, r) float. Absorption over the line, less that for which the weights hold. [mm^-1]
-    share : (q,) float. Weights of the line.
+    share : (q,) or, of each photon, (n, q) float. Weights of the line.
     """
     out = np.zeros((len(path_mm), len(mu_a)))
     fixed = np.ptp(mu_a, axis=0).max(0) == 0
     path = path_mm.astype(float)
-    for q, part in enumerate(share):
+    for q, part in enumerate(share.T):
         # What no state changes is worked out once; each zone's few values once each, not once per state.
-        factor = part * attenuation(path[:, fixed], mu_a[0, q, fixed])[:, None]
+        factor = (part * attenuation(path[:, fixed], mu_a[0, q, fixed]))[:, None]
         for k in np.flatnonzero(~fixed):
             values, which = np.unique(mu_a[:, q, k], return_inverse=True)
             factor = factor * attenuation(path[:, [k]], values[:, None])[:, which]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 from numpy.typing import ArrayLike
 
 from ... import checks
@@ -90,15 +91,14 @@ class _Course:
         count = len(self.transfer.photodiodes)
         out = np.zeros((4, len(self.transfer.traces), count, len(states)))
         for i, (trace, led) in enumerate(zip(self.transfer.traces, self.transfer.scene.leds, strict=True)):
-            wavelength, share = optics.spectrum(led)
-            share = share * wavelength / led.wavelength_nm
+            wavelength, share = optics.detected_spectrum(led, self.transfer.scene.elements)
             mu_a = _absorption(self.transfer.scene, wavelength, np.vstack([self.first, states]), line) - trace.mu_a
             sums = np.zeros((4, count, len(states)))
             order = np.argsort(trace.photodiode, kind="stable")
             edges = np.searchsorted(trace.photodiode[order], np.arange(count + 1))
             for j, start in [(p, at) for p in range(count) for at in range(edges[p], edges[p + 1], CHUNK)]:
                 chunk = order[start : min(start + CHUNK, edges[j + 1])]
-                weight = transmissions(trace.path_mm[chunk], mu_a, share) * trace.weight[chunk, None]
+                weight = transmissions(trace.path_mm[chunk], mu_a, share[j]) * trace.weight[chunk, None]
                 weight, change = weight[:, 1:], weight[:, 1:] - weight[:, :1]
                 for total, values in zip(sums, (weight, weight**2, change, change**2), strict=True):
                     total[j] += values.sum(0)
@@ -143,8 +143,6 @@ class _Course:
 class ChebyshevBox:
     """Chebyshev nodes over a box, so many in each direction, and the weights that interpolate between them.
 
-    References: Berrut, Trefethen 2004, SIAM Rev. 46, 501 (barycentric Lagrange interpolation).
-
     low, high : (d,) float. Ends of the box.
     counts : (d,) int. Nodes in each direction; of one alone the value is the same all along it.
     """
@@ -155,9 +153,9 @@ class ChebyshevBox:
 
     @property
     def axes(self) -> list[Array]:
-        """The nodes along each direction, from its high end on, (n,) float each."""
+        """The nodes along each direction, rising, (n,) float each."""
         middle, half = (np.add(self.high, self.low) / 2, np.subtract(self.high, self.low) / 2)
-        return [m + h * np.cos(_angles(n)) for m, h, n in zip(middle, half, self.counts, strict=True)]
+        return [m + h * chebpts1(n) for m, h, n in zip(middle, half, self.counts, strict=True)]
 
     @property
     def nodes(self) -> Array:
@@ -170,20 +168,11 @@ class ChebyshevBox:
         """What each node's value counts for at places in the box, (t, d) or, of one direction, (t,): (t, m) float."""
         places = np.asarray(places, float).reshape(-1, len(self.counts))
         weights = np.ones((len(places), 1))
-        for column, axis, low, high in zip(places.T, self.axes, self.low, self.high, strict=True):
-            if (n := len(axis)) == 1:
-                continue
-            sign = np.sin(_angles(n)) * (-1.0) ** np.arange(n)
-            away = column[:, None] - axis
-            on_node = np.abs(away) < 1e-14 * (high - low)
-            share = sign / np.where(on_node, 1, away)
-            share = np.where(on_node.any(1, keepdims=True), on_node, share / share.sum(1, keepdims=True))
+        for column, n, low, high in zip(places.T, self.counts, self.low, self.high, strict=True):
+            x = (2 * column - low - high) / (high - low if n > 1 else np.inf)
+            share = chebvander(x, n - 1) @ np.linalg.inv(chebvander(chebpts1(n), n - 1))
             weights = (weights[:, :, None] * share[:, None, :]).reshape(len(places), -1)
         return weights
-
-
-def _angles(n: int) -> Array:
-    return np.asarray((2 * np.arange(n) + 1) * np.pi / (2 * n))
 
 
 def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float) -> int:
@@ -244,10 +233,9 @@ def read_replicates(
     state: minus the derivative of ln reading by the absorption of each zone's blood, averaged over the line. [mm]
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]
-    wavelength, share = optics.spectrum(source)
-    share = share * wavelength / source.wavelength_nm
-    blood_per_mm = np.ones(len(share)) if blood_per_mm is None else blood_per_mm
-    mean = float(share @ blood_per_mm / share.sum())
+    wavelength, share = optics.detected_spectrum(source, transfer.scene.elements)
+    blood_per_mm = np.ones(len(wavelength)) if blood_per_mm is None else blood_per_mm
+    relative = blood_per_mm * (share.sum(1) / (share @ blood_per_mm))[:, None]
     zones, count = list(optics.bed_columns(transfer.scene)) if paths else [], len(transfer.photodiodes)
     sums = np.zeros((len(mu_a) + len(zones), count * GROUPS))
     # As many at once as there are sums, or more: adding these up takes no longer than the records.
@@ -256,11 +244,12 @@ def read_replicates(
         chunk = slice(start, start + step)
         lengths = trace.path_mm[chunk].astype(float)
         weights, slope = np.zeros((len(mu_a), len(lengths))), np.zeros(len(lengths))
-        for q, part in enumerate(share):
-            part_weight = part * attenuation(mu_a[:, q] - trace.mu_a, lengths) * trace.weight[chunk]
+        at = trace.photodiode[chunk].astype(int)
+        for q, part in enumerate(share.T):
+            part_weight = part[at] * attenuation(mu_a[:, q] - trace.mu_a, lengths) * trace.weight[chunk]
             weights += part_weight
-            slope += part_weight[0] * blood_per_mm[q] / mean
-        group = trace.photodiode[chunk].astype(int) * GROUPS + trace.photon[chunk] % GROUPS
+            slope += part_weight[0] * relative[at, q]
+        group = at * GROUPS + trace.photon[chunk] % GROUPS
         rows = [*weights, *(slope * lengths[:, zones].T)]
         sums += [np.bincount(group, row, minlength=count * GROUPS) for row in rows]
     read = leave_one_out(sums.reshape(len(sums), count, GROUPS).T * (GROUPS / trace.photons))

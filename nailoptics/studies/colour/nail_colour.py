@@ -207,8 +207,6 @@ def colour(
             unmet = f"{stage.why} before the spread of colours over unknown fingers."
         else:
             result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
-    for store in stores:
-        store.close()
     result.attrs = _attributes(scene, viewing, options, chosen, rays.photons)
     result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
     return unless_cut_off(result, unmet)

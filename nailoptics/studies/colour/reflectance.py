@@ -102,7 +102,7 @@ ABSORPTION = 2.5
 
 _BOX = ChebyshevBox(np.log(WAVELENGTHS_NM[:1]), np.log(WAVELENGTHS_NM[-1:]), [NODES])
 # The wavelengths at which rays are walked, rising, [nm], and what each counts for at `WAVELENGTHS_NM`, (nodes, q).
-NODES_NM, WEIGHTS = np.exp(_BOX.nodes[::-1, 0]), _BOX.weights(np.log(WAVELENGTHS_NM))[:, ::-1].T
+NODES_NM, WEIGHTS = np.exp(_BOX.nodes[:, 0]), _BOX.weights(np.log(WAVELENGTHS_NM)).T
 
 
 @dataclass(frozen=True)

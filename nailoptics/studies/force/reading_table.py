@@ -152,7 +152,7 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     scene, rest = with_fitted_resistors(scene), scene.blood.rest_blood_fraction
     step, stage = 0.5 * rest, scene.electronics
     near = light.readings_at(np.array([[rest, rest], [rest + step, rest], [rest, rest + step]]))
-    diodes = [element.photodiode for element in scene.layout.photodiodes]
+    diodes = scene.elements
     traced_a = scene_ambient_a(scene, options)
     read = partial(electronics.read, ambient_a=np.zeros(len(diodes)) if traced_a is None else traced_a[0])
     unlit = read(0.0, scene.leds[0], diodes, stage)

@@ -400,7 +400,7 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
 def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Effect:
     """The light from outside that the scene names, or else a lamp's, beside the LED's light on each photodiode."""
     scene = base.transfer.scene
-    source, diodes = scene.ambient or LAMP, [element.photodiode for element in scene.layout.photodiodes]
+    source, diodes = scene.ambient or LAMP, scene.elements
     full_a = np.array([electronics.photocurrent_a(1.0, led, diodes) for led in scene.leds])
     outside_a = trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -101,10 +101,10 @@ def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedRea
     scene, states = transfer.scene, end_states(transfer.scene)
     parts = []
     for recorded, led in zip(transfer.traces, scene.leds, strict=True):
-        wavelength, share = optics.spectrum(led)
+        wavelength, share = optics.detected_spectrum(led, scene.elements)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - recorded.mu_a
         left = [
-            transmissions(recorded.path_mm[start : start + CHUNK], mu_a, share * wavelength / led.wavelength_nm)
+            transmissions(recorded.path_mm[part := slice(start, start + CHUNK)], mu_a, share[recorded.photodiode[part]])
             for start in range(0, max(len(recorded.weight), 1), CHUNK)
         ]
         parts.append(np.concatenate(left) * recorded.weight[:, None] / recorded.photons)

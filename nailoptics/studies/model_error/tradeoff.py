@@ -254,11 +254,11 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
     full = base.transfer.scene
     ends, depths, traced = paired.end_states(full), [], []
     for i, led in enumerate(full.leds):
-        wavelength, share = optics.spectrum(led)
+        wavelength, share = optics.detected_spectrum(led, full.elements)
         mu_a = optics.absorption(full, wavelength, blood_fraction=ends)
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
         reading, path_mm = read_replicates(base.transfer, i, mu_a, blood)
-        mean = float(np.average(blood, weights=share * wavelength))
+        mean = share @ blood / share.sum(1)
         depths.append(path_mm @ ((ends[1] - ends[0]) * mean))
         traced.append(reading[..., 1] / reading[..., 0] - 1)
     unit, stderr = base.largest_modulation

@@ -54,7 +54,7 @@ class Spo2Objective:
     """What a layout's SpO2 is evaluated by, finger by finger.
 
     leds : numbers of the red and the infrared LED.
-    pulse : (fingers, led, zones) float. What a beat adds to the blood of each zone, as blood of the resting kind.
+    pulse : (fingers, led, zones) float. What a beat adds to the blood of each zone, as blood of the slopes' saturation.
     shape_rms : (fingers,) float. rms of a beat's waveform over its height.
     log_ratio_per_percent : change of ln R with the saturation.
     frames : readings of each LED that are averaged.
@@ -90,7 +90,9 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.PersonCase],
     for case in cases:
         beat = beat_at(boards.worn_on(base, case), force_n)
         least, most = beat.extremes
-        pulse.append(fresher[:, None] * (most - least))
+        # Slopes are those of arterial blood where blood has pooled.
+        pooled = beat.blood_fraction.mean(1) > blood.rest_blood_fraction
+        pulse.append(np.where(pooled, 1.0, fresher[:, None]) * (most - least))
         together = beat.blood_fraction.sum(0)
         shape.append(together.std() / np.ptp(together))
     ratio = [np.log(np.divide(*tissue.blood_mu_a_per_mm(wavelength, so2))) for so2 in (blood.so2 - STEP, blood.so2)]

@@ -205,7 +205,7 @@ class PhotonMapCache:
         """The layout with its "auto" resistors for the brightest light on any finger, beside [ambient] or a lamp."""
         if electronics.has_resistors(layout):
             return layout
-        photodiodes = [element.photodiode for element in layout.layout.photodiodes]
+        photodiodes = layout.elements
         lit_a = [
             brightest_current_a(light.mean(0), led, photodiodes, condition.point)
             for i, condition in enumerate(self.conditions)

@@ -91,8 +91,6 @@ def place(
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
     checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
-    for store in stores:
-        store.close()
     made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons}
     made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
     result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
