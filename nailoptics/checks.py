@@ -18,12 +18,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def finite(name: str, value: ArrayLike) -> Array:
-    """The value as an array of floats; InputError where one is not a finite number."""
+def _floats(name: str, value: ArrayLike) -> Array:
     try:
-        array = np.asarray(value, dtype=float)
+        return np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(f"{name} must be numbers, got {value!r}; give a number or an array.") from None
+
+
+def finite(name: str, value: ArrayLike) -> Array:
+    """The value as an array of floats; InputError where one is not a finite number."""
+    array = _floats(name, value)
     bad = ~np.isfinite(array)
     if bad.any():
         first = np.argwhere(bad)[0].tolist()
@@ -56,7 +60,7 @@ def fraction(name: str, value: ArrayLike) -> Array:
 
 
 def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: ArrayLike, rule: str) -> Array:
-    array = np.asarray(value, dtype=float)
+    array = _floats(name, value)
     if not (valid := is_valid(array)).all():
         raise InputError(f"{name} = {array[~valid].flat[0]:g} {rule}")
     return array

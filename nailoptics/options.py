@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Self, TypedDict, cast, get_args, get_type_hints
 
+import numpy as np
+
 from . import checks
 from .errors import InputError
 
@@ -55,6 +57,9 @@ class TraceOptions:
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.generic):
+                object.__setattr__(self, name, value.item())
         checks.seed(self.seed)
         if isinstance(self.photons, float) and self.photons.is_integer():  # 1e6
             object.__setattr__(self, "photons", int(self.photons))

@@ -207,6 +207,12 @@ def bed_zone_name(zone: int) -> str:
     return f"bed_{zone + 1}"
 
 
+def smoothstep(x: ArrayLike) -> Array:
+    """0 below 0, 1 above 1, and smooth between."""
+    t = np.clip(x, 0.0, 1.0)
+    return np.asarray(t * t * (3 - 2 * t))
+
+
 @dataclass(frozen=True)
 class BloodZones:
     """Zones of the nail bed along v, each smoothly handing over to the next.
@@ -230,8 +236,7 @@ class BloodZones:
         v_mm : (...) float. Place along the nail, towards the tip positive. [mm]
         """
         v = np.asarray(v_mm, dtype=float)[..., None]
-        t = np.clip((v - np.asarray(self.edges_mm)) / self.width_mm + 0.5, 0.0, 1.0)
-        passed = t * t * (3 - 2 * t)
+        passed = smoothstep((v - np.asarray(self.edges_mm)) / self.width_mm + 0.5)
         ones, zeros = np.ones_like(v), np.zeros_like(v)
         # Edges are a width apart, so at most one step is under way at any v and the sum is exact in floating point.
         return np.asarray(np.concatenate([ones, passed], axis=-1) - np.concatenate([passed, zeros], axis=-1))

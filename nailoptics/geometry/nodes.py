@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tissue import smoothstep
 from .board import BentBoard
 from .regions import AIR, BED, BONE, CUT, EPIDERMIS, PLATE, PULP
-from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle, smooth_step
+from .surfaces import BONE_ROUNDING_MM, Array, FingerSurfaces, signed_angle
 
 SAGITTA_MM = 0.0019  # how far the nail's facets may lie inside its cylinder
 BODY_STEP_MM = 0.8
@@ -138,7 +139,7 @@ class Nodes:
             skin = surfaces.skin(np.concatenate([phi, edge_phi[None]]), rows)
             distance = skin - np.minimum(depth, SECTION_SHARES[k] * skin)
             step = np.linalg.norm(edge[:, k], axis=-1) - distance[-1]
-            distance = distance[:-1] + step * (1 - smooth_step(2 * around))[:, None]
+            distance = distance[:-1] + step * (1 - smoothstep(2 * around))[:, None]
             body[:, :, k] = [0.0, surfaces.center_z] + distance[..., None] * _direction(phi)
         return np.concatenate([nail, body])
 

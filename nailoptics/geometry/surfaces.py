@@ -5,6 +5,7 @@ import numpy as np
 from ..checks import Array
 from ..errors import InputError
 from ..scene import Finger
+from ..tissue import smoothstep
 
 PHALANX_MM = 15.8  # mean distal phalanx of adult index fingers (Buryanov, Kotiuk 2010, Int. J. Morphol. 28:755)
 # Set by eye, as anatomy gives no number.
@@ -12,12 +13,6 @@ PULP_EXPONENT = 2.3  # of the superellipse that the section is on the pulp's sid
 BONE_ROUNDING_MM = 3.0  # of the bone's end
 FOLD_MM = 0.4  # how high the fold of skin at the nail's root rises above the nail
 FOLD_LENGTH_MM = 1.5  # over which it rises
-
-
-def smooth_step(x: Array | float) -> Array:
-    """0 below 0, 1 above 1, and smooth between."""
-    t = np.clip(x, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
 
 
 def taper(x: Array, *, exponent: float) -> Array:
@@ -97,19 +92,19 @@ class FingerSurfaces:
         across = ((np.sin(edge) / half_width) ** 2 + (np.cos(edge) / -self.center_z) ** 2) ** -0.5
         # Where the skin lies much higher than the nail's edge it takes a longer way up.
         rise = max(0.0, float(across / self._nail_circle(edge)) - 1)
-        weight = smooth_step((np.abs(signed_angle(phi)) - edge) / (self.fold_rad + 0.5 * rise))
+        weight = smoothstep((np.abs(signed_angle(phi)) - edge) / (self.fold_rad + 0.5 * rise))
         # The mean of inverse squares follows the nearer of the two, so that a flat nail raises no fold.
         mixed = ((1 - weight) / (nail + tiny) ** 2 + weight / section**2) ** -0.5
         return mixed + (1 - weight) * self.fold(y)
 
     def fold(self, y: Array) -> Array:
         """Height of the skin above the nail's cylinder, same shape as y: the fold of skin over the nail's root."""
-        return FOLD_MM * smooth_step((-self.nail_end - y) / FOLD_LENGTH_MM)
+        return FOLD_MM * smoothstep((-self.nail_end - y) / FOLD_LENGTH_MM)
 
     def bone(self, phi: Array, y: Array) -> Array:
         """Distance from the central line to the bone at phi, y (n, m), same shape; 0 beyond its end."""
         finger = self.finger
-        base = smooth_step((self.bone_end - y - 0.55 * PHALANX_MM) / (0.4 * PHALANX_MM))
+        base = smoothstep((self.bone_end - y - 0.55 * PHALANX_MM) / (0.4 * PHALANX_MM))
         rounded = taper((y - self.bone_end) / BONE_ROUNDING_MM + 1, exponent=2.0)
         wide = finger.width_mm * (0.23 + 0.08 * base) * rounded + 1e-12
         high = self.bone_half_height * (1 + 0.25 * base) * rounded + 1e-12

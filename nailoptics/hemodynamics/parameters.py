@@ -13,11 +13,10 @@ from ..assets import read_toml
 from ..checks import number, positive
 from ..errors import InputError
 from ..scene import Body, Scene
+from ..scene.vessels import OF_BEDS
 
 PerBed = float | tuple[float, float]
 """A constant of both beds, or those of the proximal and of the distal one."""
-# Constants of the beds, each of which may have a different one, begin so.
-OF_BEDS = ("capillary_", "venul")
 _MAY_BE_ANY_SIGN = ("arterial_pressure_pa", "venous_pressure_pa")
 # With less damping a wall's own force is lost beside the blood's, in floats: results are wrong, not slow.
 LEAST_DAMPING_N_S_PER_M = 1e-12

@@ -136,8 +136,8 @@ def read_rest(
     else:
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
         result = rest_of(transfer)
-    cpu, begin = time.process_time() - cpu, time.perf_counter() - begin
-    return unless_cut_off(replace(result, cpu_seconds=cpu, wall_seconds=begin), unmet)
+    result = replace(result, cpu_seconds=time.process_time() - cpu, wall_seconds=time.perf_counter() - begin)
+    return unless_cut_off(result, unmet)
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:

@@ -14,7 +14,7 @@ from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, wa
 from .parts import BoardFile, Led, Photodiode, Rotation
 from .text_files import read_text
 
-# What layouts can be ranked by, and which of these may be combined.
+# What layouts can be ranked by.
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
 

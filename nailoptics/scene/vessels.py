@@ -17,6 +17,9 @@ FACTORS = ("wall_stiffness", "vein_stiffness", "distal_stiffness", "vein_resista
 PerBed = Positive | tuple[Positive, Positive]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
+# Constants of the beds, each of which may have a different one, begin so.
+OF_BEDS = ("capillary_", "venul")
+
 
 class Tuning(Table):
     """Constants of the vessels that replace those of the named set.
@@ -74,7 +77,7 @@ class Tuning(Table):
                 near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
                 hint = f'did you mean "{near[0]}"?' if near else f"use one of {', '.join(known)}"
                 raise ValueError(f"factors.{name} is not a parameter; {hint}")
-            if isinstance((self.factors or {})[name], tuple) and not name.startswith(("capillary_", "venul")):
+            if isinstance((self.factors or {})[name], tuple) and not name.startswith(OF_BEDS):
                 raise ValueError(f"factors.{name} has two values, but it belongs to both beds; give one")
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} has both a value and a factor; give one of them")

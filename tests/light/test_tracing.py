@@ -4,7 +4,7 @@ import itertools
 import logging
 import math
 import time
-from types import SimpleNamespace
+from types import NoneType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -165,6 +165,12 @@ def test_the_library_prints_nothing(jit_backend, capfd, caplog):
 def test_options_of_the_call_come_before_the_scene(options, expected):
     scene = slab(accuracy="relative_error = 0.1\nmax_seconds = 5.0")
     assert accuracy(scene, TraceOptions(**options)).model_dump(exclude_none=True) == expected
+
+
+def test_options_may_be_numbers_of_numpy():
+    """Rationale: loops over `np.arange` give them, and a store's keys are JSON. Expected: Python's own numbers."""
+    options = TraceOptions(seed=np.int64(3), photons=np.int64(1000), relative_error=np.float32(0.5), store=np.True_)
+    assert [type(value) for value in vars(options).values()] == [int, str, float, NoneType, int, bool]
 
 
 def test_a_million_photons_are_the_default():

@@ -26,6 +26,11 @@ def efficient(quantum_efficiency: float) -> Photodiode:
     return Photodiode(name="diode", position_mm=(0, 0), quantum_efficiency=quantum_efficiency)
 
 
+def test_light_that_is_no_number_is_refused_in_one_line():
+    with pytest.raises(InputError, match=r"ambient_a must be numbers, got 'lamp'; give a number or an array\."):
+        read(1e-3, LED, DIODE, Electronics(), ambient_a="lamp")
+
+
 def test_responsivity_is_that_of_silicon():
     # eta 0.85: 0.45 / 0.55 / 0.64 A/W at 660 / 800 / 940 nm, rounded as data sheets give them.
     assert responsivity_a_per_w(efficient(0.85), [660, 800, 940]) == pytest.approx([0.45, 0.55, 0.64], abs=0.005)

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import chain, islice, takewhile
 from pathlib import Path
@@ -132,12 +132,12 @@ class Recording:
         check_known(self.names, names, self.name)
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
-        return Recording(self.name, tuple(names), self.time_s, self.volts[order], self.force_n, self.site)
+        return replace(self, names=tuple(names), volts=self.volts[order])
 
     def select(self, samples: slice | NDArray[Any]) -> "Recording":
         """The recording of some of the samples."""
         force_n, site = (None if one is None else one[samples] for one in (self.force_n, self.site))
-        return Recording(self.name, self.names, self.time_s[samples], self.volts[:, samples], force_n, site)
+        return replace(self, time_s=self.time_s[samples], volts=self.volts[:, samples], force_n=force_n, site=site)
 
     def save(self, path: str | Path) -> None:
         """Write the recording as a CSV, which `calibrate` and `predict` read; raises WriteError."""

@@ -94,7 +94,8 @@ def lower_bound(
     chosen : a layout, from which it begins. allowed : (m,) bool. Places that may be taken; all if not given.
     stop_above : a bound above this is returned as it is.
     """
-    free = places.free
+    if not (free := places.free):
+        return float(np.log(objective.score(given))), np.zeros(0)
     most = np.ones(free) if allowed is None else allowed.astype(float)
     weights = np.bincount(chosen, minlength=free).astype(float)
     designs, mixture, best, windows = [weights], np.ones(1), (-np.inf, weights), places.windows
@@ -172,6 +173,7 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
             break
         photons = SEARCH_PHOTONS if k < TRACED else search.designs[site.row].photons
         further = again.traced(site, photons, report_progress)
+        search.cache.photons, again.cache.photons = search.cache.photons + again.cache.photons, 0
         if further is None:
             return None
         replicates = further.information(site.places_mm)
@@ -179,7 +181,6 @@ def certify(search: Search, report_progress: StageProgress) -> tuple[float, floa
         weights = np.append(free, np.ones(replicates.shape[2] - len(free)))
         scores = objective.score(np.einsum("m,fbmn->fbn", weights, replicates))
         errors[site] = float(jackknife(np.log(scores)))
-    search.cache.photons += again.cache.photons
     if not np.isfinite(logs[site]):
         return None
     least = np.exp(logs[site])

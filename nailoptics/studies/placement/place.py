@@ -76,8 +76,7 @@ def place(
     objective = _objective(base, conditions, rules) if people else of_fingers
     made: dict[str, Any] = {"seed": options.seed, "backend": backends.choose(options.backend).name}
     stores = LightStore.of_command(options)
-    ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS)
-    ranking.most_photons = photons
+    ranking = PhotonMapCache(conditions, **made, stores=stores, stream=1, blocks=BLOCKS, most_photons=photons)
     searching = replace(ranking, conditions=on_fingers, stream=0, blocks=1, one_by_one=True)
     searching.stop = partial(report_progress.is_over, search.SEARCH_SHARE)
     layouts, searched, bound = _candidates(base, of_fingers, searching, people, report_progress)

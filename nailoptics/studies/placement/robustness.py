@@ -232,6 +232,7 @@ def tolerances(layout: CandidateLayout, cache: PhotonMapCache, objective: Object
                 missing[at] = "no time"
         except InputError:
             missing[at] = "no room"
+    cache.photons += elsewhere.photons
     best, *others = scores_of([cache.read(scene, layout.board, count), *read.values()], objective)
     table = np.full((len(best.ranked), *missing.shape), np.nan)
     for at, other in zip(read, others, strict=True):

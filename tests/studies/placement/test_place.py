@@ -38,6 +38,7 @@ from nailoptics.studies.placement import (
     sites,
     verification,
 )
+from nailoptics.studies.placement.certificate import lower_bound
 from nailoptics.studies.placement.objective import ForceResolution, Objective
 from nailoptics.studies.placement.robustness import MOVED, _varied, tolerances
 
@@ -160,6 +161,18 @@ def test_a_planted_optimum_is_found():
     pairs = information.force_resolution_n(every[:, None] + every[None], AT)
     apart = np.any(np.abs(places[:, None] - places[None]) >= 0.5 - 1e-9, axis=-1)
     assert reached == pytest.approx(pairs[apart].min(), rel=1e-9)
+
+
+def test_more_photodiodes_than_places_have_no_layout():
+    """Rationale: where photodiodes are fixed, there may be no room for those of a longer front. Expected: an infinite
+    score of no places, and without any place the bound is the score of what is fixed."""
+    none = sites.PhotodiodePlaces((), (), 0, (0.5, 0.5))
+    ask = {"count": 2, "score": lambda total: total.sum((0, -1))}
+    assert row_design.coordinate_exchange(np.zeros((1, 0, 3)), none, **ask) == ([], np.inf)
+    given, rules = np.array([[4.0, 9.0, 1.0]]), Placement(photodiodes=2, rank_by="worst")
+    objective = Objective(rules, [AT])
+    bound, weights = lower_bound(np.zeros((1, 0, 3)), none, [], objective, given=given)
+    assert bound == np.log(objective.score(given)) and not weights.size
 
 
 def test_places_keep_their_distances(scene):
