@@ -69,8 +69,7 @@ def _led(scene: Scene, result: xr.Dataset, i: int) -> list[str]:
     note = "" if led.current_ma else f", for which {STAND_IN_MA:g} mA stands: the scene has no current_ma"
     lines = [f"* LED {led.name}: {led.flux_mw:g} mW{note}. Replace by its driver; Vled measures its current."]
     lines += [f"Iled{i + 1} 0 led{i + 1} DC {_drive_a(led) if i == 0 else 0:g}", f"Vled{i + 1} led{i + 1} 0 0"]
-    diodes = scene.elements
-    per_fraction_a = electronics.photocurrent_a(1.0, led, diodes)
+    per_fraction_a = electronics.photocurrent_a(1.0, led, scene.elements)
     fraction = (result.detected_fraction.values * reading_gain(result))[i]
     for j, ratio in enumerate(fraction * per_fraction_a[:, None] / _drive_a(led), start=1):
         lines += [f"Vratio{i + 1}_{j} ratio{i + 1}_{j} 0 PWL("]

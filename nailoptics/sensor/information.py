@@ -232,8 +232,7 @@ def force_budget_n(by_led: Sequence[Response], point: OperatingPoint) -> dict[st
 
 def scene_responses(scene: Scene, by_led: Iterable[Array], point: OperatingPoint, **how: Any) -> list[Response]:
     """The `response` of a scene's own photodiodes to each of its LEDs, (..., photodiodes, 4) float each."""
-    photodiodes = scene.elements
-    return [response(values, scene, led, photodiodes, point, **how) for led, values in enumerate(by_led)]
+    return [response(values, scene, led, scene.elements, point, **how) for led, values in enumerate(by_led)]
 
 
 def fisher_information(read: Response, *, electronics_alone: bool = False) -> Array:

@@ -31,6 +31,11 @@ NODES = 12
 _NOISE = 11
 
 
+def monomials(x: Array, y: Array) -> Array:
+    """x^i y^j for all `POWERS`, (P, ...) float."""
+    return np.stack([x**i * y**j for i, j in POWERS])
+
+
 @dataclass(frozen=True, config=TABLE)
 class ReadingTable:
     """The volts of R readings where two zones hold some blood, as the electronics of a scene show them.
@@ -69,9 +74,7 @@ class ReadingTable:
     def volts(self, blood: Array) -> Array:
         """Volts, (R, *S) float, for (2, *S) blood fractions; blood beyond the table counts as its end."""
         x = np.clip(blood / self.most_blood_fraction, 0.0, 1.0)
-        ladder = x[:, None] ** np.arange(DEGREE + 1).reshape((-1,) + (1,) * (blood.ndim - 1))
-        powers = np.stack([ladder[0, i] * ladder[1, j] for i, j in POWERS])
-        light_v = np.exp(np.tensordot(self.coefficients, powers, axes=1))
+        light_v = np.exp(np.tensordot(self.coefficients, monomials(*x), axes=1))
         return self.dark_v.reshape((-1,) + (1,) * (blood.ndim - 1)) + light_v
 
     def slopes(self, blood: Array) -> tuple[Array, Array]:
@@ -172,8 +175,7 @@ def reading_table(scene: Scene, light: DetectedLight, most_blood: float, options
     per_fraction_v = np.concatenate([electronics.volts_per_fraction(led, diodes, stage) for led in scene.leds])
     volts = fraction * per_fraction_v[:, None]
     x, y = nodes.T / most_blood
-    design = np.stack([x**i * y**j for i, j in POWERS], 1)
-    coefficients = np.linalg.lstsq(design, np.log(volts).T, rcond=None)[0].T
+    coefficients = np.linalg.lstsq(monomials(x, y).T, np.log(volts).T, rcond=None)[0].T
     removed_v = unlit.amplified_v.max() if stage.ambient_rejection else 0.0
     return ReadingTable(
         ln_volts=dict(zip(names, coefficients, strict=True)),

@@ -205,9 +205,8 @@ class PhotonMapCache:
         """The layout with its "auto" resistors for the brightest light on any finger, beside [ambient] or a lamp."""
         if electronics.has_resistors(layout):
             return layout
-        photodiodes = layout.elements
         lit_a = [
-            brightest_current_a(light.mean(0), led, photodiodes, condition.point)
+            brightest_current_a(light.mean(0), led, layout.elements, condition.point)
             for i, condition in enumerate(self.conditions)
             for led, light in zip(layout.leds, self._light(layout, board, i), strict=True)
         ]
