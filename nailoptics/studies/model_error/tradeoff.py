@@ -259,7 +259,7 @@ def formulas(scene: Scene, base: PairedReadings) -> Iterator[Level]:
         blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, full.blood.rest_so2))
         reading, path_mm = read_replicates(base.transfer, i, mu_a, blood)
         mean = share @ blood / share.sum(1)
-        depths.append(path_mm @ ((ends[1] - ends[0]) * mean))
+        depths.append(path_mm @ (ends[1] - ends[0]) * mean)
         traced.append(reading[..., 1] / reading[..., 0] - 1)
     unit, stderr = base.largest_modulation
     for name, change in FORMULAS.items():
