@@ -219,8 +219,9 @@ def pressure_lines(body: Body) -> Lines:
 
 def spectral_lines(pressure_pa: Array, *, duration_s: float) -> Lines:
     """Frequencies and variances of a pressure that is sampled evenly over a duration."""
-    height = np.fft.rfft(pressure_pa)[1 : BEAT_SAMPLES // 2] / len(pressure_pa)
-    return np.arange(1, len(height) + 1) / duration_s, 2.0 * np.abs(height) ** 2
+    height, order = np.fft.rfft(pressure_pa)[1:] / len(pressure_pa), np.arange(1, len(pressure_pa) // 2 + 1)
+    # All but the Nyquist frequency stand for their negative, too.
+    return order / duration_s, np.where(2 * order < len(pressure_pa), 2.0, 1.0) * np.abs(height) ** 2
 
 
 @dataclass(frozen=True)

@@ -94,3 +94,16 @@ def test_a_further_wave_is_one_entry_of_the_list(monkeypatch):
     assert waves.waves_pressure(body, time_s, mean_pressure_pa=1e4) == pytest.approx(np.full(5, 1e4 + 7.0))
     assert [part.tolist() for part in waves.pressure_lines(body)] == [[0.7], [5.0]]
     assert waves.fastest_hz(body) == 0.7
+
+
+@pytest.mark.parametrize("duration_s", [10.0, 300.0])
+def test_lines_of_a_recording_hold_its_whole_variance(duration_s):
+    """The heart beats in a recording of minutes, too. Expected: its variance is the sum of its lines, as far up as
+    samples resolve it, also at the Nyquist frequency, of which there is one line and not a pair."""
+    time_s = np.arange(0.0, duration_s, 0.01)
+    pressure_pa = waves.cardiac_pressure(time_s, rate_per_min=70.0)
+    body = Body(recorded_time_s=tuple(time_s), recorded_arterial_pressure_pa=tuple(pressure_pa))
+    frequency_hz, variance_pa2 = waves.pressure_lines(body)
+    assert variance_pa2.sum() == pytest.approx(pressure_pa.var(), rel=0.03)
+    assert frequency_hz[np.argmax(variance_pa2)] == pytest.approx(70.0 / 60.0, rel=0.05)
+    assert waves.spectral_lines(np.array([1.0, -1.0, 1.0, -1.0]), duration_s=1.0)[1] == pytest.approx([0.0, 1.0])
