@@ -264,7 +264,8 @@ class BloodModel:
             return np.stack([inflow, within_pa - np.asarray(state.vein_pressure_pa)])
 
         def untouched(parameters: hemodynamics.Parameters) -> np.ndarray:
-            return flows(hemodynamics.steady_state(parameters, zones=self.zones), parameters)[..., None]
+            zones = self.without_shear().zones
+            return flows(hemodynamics.steady_state(parameters, zones=zones), parameters)[..., None]
 
         # What a wall that moves takes up or gives off does not flow through.
         ends = ("arterial_pressure_pa", "venous_pressure_pa")

@@ -161,3 +161,10 @@ def test_a_steady_flow_has_the_saturation_of_its_extraction() -> None:
     so2 = model.capillary_saturation(run, np.full((2, 11), 0.03))
     assert (flow > 1.1).all() and (now.capillary_diameter_m > 1.02 * rest.capillary_diameter_m).all()
     assert so2 == pytest.approx(np.repeat(0.97 - 0.08 / (2 * flow[:, None]), 11, axis=1), abs=1e-6)
+
+
+def test_a_touch_that_shears_has_a_balance_of_oxygen():
+    """Expected: the saturation of blood on which no shear acts, the proximal one's, is that without it; a touch of a
+    third pressure was refused."""
+    with_it, without = (blood_over_touch(scene_with(HELD + shear)).so2.values for shear in ("shear_n = 0.5\n", ""))
+    assert with_it[:, 0] == pytest.approx(without[:, 0]) and np.isfinite(with_it).all()
