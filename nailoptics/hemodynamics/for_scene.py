@@ -15,10 +15,10 @@ from ..scene import Blood, Body, Scene, Touch
 from ..statistics import covariance_root
 from ..variables import described, precision
 from .blood import Arterioles
-from .parameters import posture_pa, vessels, with_posture
+from .parameters import posture_pa, time_mean, vessels, with_posture
 from .respond import Model
 from .steady import linear_response, two_branches
-from .touch import Contact, TouchCourse, touch_course
+from .touch import TouchCourse, touch_course
 from .walls import build_walls
 from .waves import fastest_hz, pressure_lines, waves_pressure
 from .zones import capillary_zones
@@ -409,25 +409,21 @@ def rest_beat(scene: Scene) -> BloodBeat:
     return beat_at(scene, float(touch_course(scene.touch).force_n[0]))
 
 
+@lru_cache(64)
 def beat_at(scene: Scene, force_n: float) -> BloodBeat:
-    """A beat of the scene's heart alone, always alike, while a force is held where its touch presses.
+    """A beat of the scene's heart alone, always alike, in its posture (of a recorded one, the mean), once a force has
+    been held for long as its touch presses.
 
     Raises: InputError where the heart does not beat.
     """
-    rate = heart_rate_per_min(scene.body)
-    assert scene.body is not None and scene.body.heartbeat is not None
-    even = Body(heartbeat=scene.body.heartbeat.model_copy(update={"rate_variability": 0.0}))
-    held = Touch(
-        profile="hold",
-        force_n=force_n,
-        duration_s=60.0 / rate,
-        sample_rate_hz=SAMPLES_PER_BEAT * rate / 60.0,
-        **vars(Contact.of(scene.touch)),
-    )
-    return _beat(scene.model_copy(update={"touch": held, "body": even, "placement": None}))
-
-
-@lru_cache(64)
-def _beat(scene: Scene) -> BloodBeat:
-    beat = blood_over_touch(scene).isel(time=slice(0, SAMPLES_PER_BEAT))
+    rate, body = heart_rate_per_min(scene.body), scene.body
+    assert body is not None and body.heartbeat is not None
+    means = {name: time_mean(np.array(values), body) for name, values in body.recorded.items()}
+    posture = {name: getattr(body, name) for name in POSTURE} | means
+    even = Body(heartbeat=body.heartbeat.model_copy(update={"rate_variability": 0.0}), **posture)
+    model, time_s = blood_model(scene.model_copy(update={"body": even})), np.arange(SAMPLES_PER_BEAT + 1.0)
+    time_s *= 60.0 / rate / SAMPLES_PER_BEAT
+    held: dict[str, Any] = {"touch": Touch(), "force_n": np.full(2, force_n), "shear_n": None, "samples_s": time_s[:-1]}
+    held |= {"time_s": time_s[[0, -1]], "pressure_pa": np.repeat(model.touch.held_pa([force_n]), 2, axis=1)}
+    beat = replace(model, touch=replace(model.touch, **held)).over_touch()
     return BloodBeat(beat.time.values, beat.blood_fraction.values)

@@ -158,7 +158,7 @@ def vessels(scene: Scene) -> Parameters:
     if body is None:
         return constants
     if body.recorded_arterial_pressure_pa is not None:
-        return constants.replace(arterial_pressure_pa=_mean(np.array(body.recorded_arterial_pressure_pa), body))
+        return constants.replace(arterial_pressure_pa=time_mean(np.array(body.recorded_arterial_pressure_pa), body))
     stated_pa = body.heartbeat.mean_pressure_pa if body.heartbeat is not None else None
     return constants if stated_pa is None else constants.replace(arterial_pressure_pa=stated_pa)
 
@@ -187,7 +187,7 @@ def with_posture(parameters: Parameters, body: Body | None) -> Parameters:
     """The vessels under the pressures that the hand's height and the veins give them; of a recording, their means."""
     if body is None:
         return parameters
-    fall_pa, low_pa = (_mean(values, body) for values in posture_pa(parameters, body))
+    fall_pa, low_pa = (time_mean(values, body) for values in posture_pa(parameters, body))
     return parameters.replace(arterial_pressure_pa=parameters.arterial_pressure_pa - fall_pa, venous_pressure_pa=low_pa)
 
 
@@ -202,7 +202,7 @@ def posture_pa(parameters: Parameters, body: Body) -> tuple[np.ndarray, np.ndarr
     return fall_pa, np.maximum(low_pa - fall_pa, np.minimum(low_pa, 0.0))
 
 
-def _mean(values: np.ndarray, body: Body) -> float:
+def time_mean(values: np.ndarray, body: Body) -> float:
     """Mean over the time of a body's recording; of one value, that."""
     if values.ndim == 0 or body.recorded_time_s is None:
         return float(values)

@@ -9,7 +9,14 @@ from small_scenes import SMALL_FINGER_BEST
 import nailoptics as nail
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics import PAPER_ZONES
-from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, hold_end, rest_beat, steady_blood
+from nailoptics.hemodynamics.for_scene import (
+    beat_at,
+    blood_model,
+    blood_over_touch,
+    hold_end,
+    rest_beat,
+    steady_blood,
+)
 from nailoptics.hemodynamics.parameters import vessels
 from nailoptics.hemodynamics.touch import largest_force_n, touch_course
 from nailoptics.hemodynamics.waves import pressure_lines
@@ -316,6 +323,37 @@ def test_a_beat_is_from_the_least_blood_to_the_most():
     beat = rest_beat(scene_with("[body.heartbeat]\n"))
     least, most = beat.extremes.sum(1) + beat.resting.sum()
     assert (least, most) == pytest.approx((beat.blood_fraction.sum(0).min(), beat.blood_fraction.sum(0).max()))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[body]\nhand_height_m = 0.3\n",
+        "[body]\nvenous_pressure_pa = 3000.0\n",
+        "[touch]\ncreep = 0.3\ncreep_s = 0.5\n",
+        "[touch]\nforce_n = 0.8\nshear_n = 0.4\n",
+    ],
+)
+def test_a_beat_under_a_force_is_that_of_a_touch_that_is_held(text):
+    """Posture, creep and shear move the blood about which it beats, and its pulse. Expected: both zones' mean and pulse
+    once the touch has been held for long, and without these others."""
+    beats = SMALL_FINGER_BEST + "{}" + "[body.heartbeat]\nrate_variability = 0.0\n"
+    scene, plain = parse_scene(beats.format(text)), parse_scene(beats.format(""))
+    held = {"profile": "hold", "force_n": 0.8, "duration_s": 20.0, "sample_rate_hz": 64 * 70 / 60}
+    run = blood_over_touch(scene.with_({f"touch.{name}": value for name, value in held.items()}))
+    last = run.blood_fraction.values[:, -64:]
+    beat = beat_at(scene, 0.8)
+    assert beat.resting == pytest.approx(last.mean(1), rel=1e-3)
+    assert np.ptp(beat.pulse, axis=0) == pytest.approx(np.ptp(last, axis=1), rel=0.01)
+    assert np.abs(beat.resting - beat_at(plain, 0.8).resting).max() > 5e-4
+
+
+def test_a_beat_in_a_recorded_posture_is_that_of_its_mean():
+    heart = {"heartbeat": {}, "recorded_time_s": (0.0, 2.0, 4.0), "recorded_hand_height_m": (0.0, 0.2, 0.4)}
+    recorded, still = (
+        scene_with("").with_({"body": body}) for body in (heart, {"heartbeat": {}, "hand_height_m": 0.2})
+    )
+    assert beat_at(recorded, 0.5).blood_fraction == pytest.approx(beat_at(still, 0.5).blood_fraction)
 
 
 @pytest.mark.parametrize(
