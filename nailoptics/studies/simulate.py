@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..assets import read_toml
 from ..errors import InputError, unless_cut_off
-from ..hemodynamics.for_scene import blood_over_touch, hold_end
+from ..hemodynamics.for_scene import blood_model, blood_over_touch, hold_end
 from ..light import ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import FIT_SAMPLES, fit_reduced_optics
@@ -91,10 +91,11 @@ def _spread(
 ) -> xr.Dataset:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     scene, ends = transfer.scene, [0, hold_end(course)]
+    # These are the light's alone, and that of capillaries at rest where there are no arterioles beside them.
+    names = ["rest_blood_fraction", "pulp_blood_fraction", "so2"][blood_model(scene).arterioles is not None :]
 
     def states(varied: Scene) -> np.ndarray:
-        # Of the blood, these are the light's alone.
-        optical = {name: getattr(scene.blood, name) for name in ("rest_blood_fraction", "pulp_blood_fraction", "so2")}
+        optical = {name: getattr(scene.blood, name) for name in names}
         same = varied.blood.model_copy(update=optical) == scene.blood and varied.touch == scene.touch
         # Eq. (7): blood goes with the blood at rest.
         rest, usual = varied.blood.rest_blood_fraction, scene.blood.rest_blood_fraction
