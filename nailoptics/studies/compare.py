@@ -11,6 +11,7 @@ import xarray as xr
 
 from .. import tissue
 from ..errors import InputError, as_far_as_reached, unless_cut_off
+from ..hemodynamics.blood import saturation
 from ..hemodynamics.for_scene import steady_blood
 from ..hemodynamics.touch import largest_force_n
 from ..hemodynamics.zones import capillary_zones
@@ -40,7 +41,7 @@ class StateSweep:
     """States over which the models are evaluated; the first is where the predicted ones start from.
 
     setting : (t,) float. Force [N], blood fraction or saturation.
-    blood : (t, zones) float. so2 : (t,) float.
+    blood, so2 : (t, zones) float. Of each zone.
     """
 
     over: Over
@@ -119,21 +120,21 @@ def compare(
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
     """The steady force from 0 to the touch's largest, the blood fraction of all zones, or the saturation."""
-    so2, zones = scene.blood.rest_so2, optics.zones(scene).count
-    along, same_so2 = np.linspace(0, 1, POINTS), np.full(POINTS, so2)
+    along, every = np.linspace(0, 1, POINTS), np.ones((POINTS, optics.zones(scene).count))
     if over == "blood":
-        blood = along * LARGEST_BLOOD_FRACTION
-        return StateSweep(over, blood, np.repeat(blood[:, None], zones, 1), same_so2)
+        setting = along * LARGEST_BLOOD_FRACTION
+        blood = setting[:, None] * every
+        return StateSweep(over, setting, blood, saturation(scene.blood, blood))
     if over == "saturation":
-        saturation = 1 - along * (1 - LEAST_SO2)
-        return StateSweep(over, saturation, np.full((POINTS, zones), scene.blood.rest_blood_fraction), saturation)
+        setting = 1 - along * (1 - LEAST_SO2)
+        return StateSweep(over, setting, scene.blood.rest_blood_fraction * every, setting[:, None] * every)
     if over != "force":
         raise InputError(f'over = "{over}" is unknown; choose from {", ".join(OVER)}.')
     largest = largest_force_n(scene)
     if largest <= 0:
         raise InputError("touch: the force never leaves 0, so there is no range to compare over; give a force.")
-    force = along * largest
-    return StateSweep(over, force, steady_blood(scene, force), same_so2)
+    blood = steady_blood(scene, along * largest)
+    return StateSweep(over, along * largest, blood, saturation(scene.blood, blood))
 
 
 def _scattering_slopes(transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None) -> np.ndarray:
@@ -197,10 +198,10 @@ def _led_errors(
     scene = transfer.scene
     wavelength, share = optics.detected_spectrum(scene.leds[led], scene.elements)
     wavelength_nm, share = scene.leds[led].wavelength_nm, share / share.sum(1, keepdims=True)
-    blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0])))
+    blood = np.asarray(tissue.blood_mu_a_per_mm(wavelength, float(sweep.so2[0, 0])))
     reading, path_mm = read_replicates(transfer, led, _absorption(transfer, wavelength, sweep), blood)
     # One absorption for the whole line: that a line has many is an error of one path for all light.
-    over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[:, None])) @ share.T
+    over_line = np.asarray(tissue.blood_mu_a_per_mm(wavelength, sweep.so2[..., None])) @ share.T
     contrast = tissue.blood_scattering_contrast(wavelength_nm, bed_scattering=scene.fingertip.bed_scattering)
     denser = contrast * (sweep.blood - sweep.blood[0])
     rows = []
@@ -213,16 +214,16 @@ def _led_errors(
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]
             scattered, surer = (traced * np.exp(value * denser_here) for value in (slope, slope + error))
-            pair = TracedSweep(
-                int(bed), sweep.blood * over_line[:, j, None], path, traced, alone[bed], scattered, surer
-            )
+            mu_a = sweep.blood * over_line[..., j]
+            pair = TracedSweep(int(bed), mu_a, path, traced, alone[bed], scattered, surer)
             rows.append(formula_errors(pair, sweep))
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
 def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -> np.ndarray:
     """Absorption over the line in all states, then in those where only one zone's blood changes, zone by zone."""
-    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=sweep.blood, so2=sweep.so2)
+    so2 = sweep.so2[:, 0] if sweep.over == "saturation" else None  # or the scene's own, zone by zone
+    mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=sweep.blood, so2=so2)
     columns = np.arange(mu_a.shape[-1])
     alone = [np.where(columns == column, mu_a, mu_a[:1]) for column in optics.bed_columns(transfer.scene)]
     return np.concatenate([mu_a, *alone])

@@ -13,6 +13,7 @@ from shown import all_shown
 from nailoptics import cli, load_scene, tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.for_scene import steady_blood
 from nailoptics.light import Transfer, optics
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.light.transfer.series import GROUPS, read_replicates
@@ -105,6 +106,18 @@ def test_a_spread_of_paths_is_separated_from_truncation():
     )
     assert np.all(np.abs(computed - part)[1:] < 4 * error[1:]) and float(error[-1]) < 0.05 * abs(part[-1])
     assert np.abs(blood.part_error.sel(part="both_zones")).max() < 1e-8
+
+
+def test_blood_that_pools_is_arterial_to_light_and_formulas_alike():
+    """Of one path in one zone Beer-Lambert is exact, whatever the saturation. Expected: readings fall by the absorption
+    that the touch over time has, in which blood beyond that at rest is arterial."""
+    scene = prototype(wavelength_nm=660.0, fwhm_nm=0.0).with_({"blood.venous_so2": 0.86, "touch.proximal_share": 1.0})
+    result = judged(made_up(np.full(3000, 2.0), np.zeros(3000), scene=scene), "force").isel(sweep=0, led=0)
+    assert np.abs(result.error.sel(way="predicted", model="beer_lambert")).max() < 1e-5
+    blood = steady_blood(scene, result.setting.values)
+    mu_a = optics.absorption(scene, 660.0, blood_fraction=blood)[:, 0, optics.bed_columns(scene)[0]]
+    expected = np.exp(-2.0 * (mu_a - mu_a[0]))
+    assert (result.reading[0] / result.reading[0, 0]).values == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_other_zone_is_reported_and_known_paths_in_both_repair_it():
