@@ -220,16 +220,17 @@ class TouchCourse:
         on either side by pascal [N/Pa], (2,) each."""
         low_n, high_n = max(force_n - CONTACT_STEP_N, 0.0), force_n + CONTACT_STEP_N
         before, here, after = np.transpose(self.sides_pa([low_n, force_n, high_n]))
-        # A pressure that grows with force^(1/3) on an area that grows with force^(2/3).
-        grows = self.contact.contact_force_n
-        growth = 1.0 if grows is None else 3.0 * (high_n / grows) ** (2.0 / 3.0)
-        return here, (after - before) / (high_n - low_n), growth * 1e-6 * np.array(self.contact.side_areas_mm2())
+        per_n, areas_m2 = (after - before) / (high_n - low_n), 1e-6 * np.array(self.contact.side_areas_mm2())
+        # Both areas are larger by as much where they grow with the force, or one side alone carries it.
+        change = areas_m2 @ per_n
+        return here, per_n, areas_m2 / change if change > 0.0 else areas_m2
 
     def held_pa(self, force_n: ArrayLike) -> np.ndarray:
         """All pressures once each of the forces has been held for long, (M, n) float. [Pa]"""
         rows, most = list(self.sides_pa(force_n)), int(np.argmax(self.force_n))
         if self.shear_n is not None:
-            rows.append(self.pressure_pa[2, most] / self.force_n[most] * np.asarray(force_n, float))
+            shear_per_n = self.pressure_pa[2, most] / self.force_n[most] if self.force_n[most] > 0 else 0.0
+            rows.append(shear_per_n * np.asarray(force_n, float))
         return (1.0 - (self.touch.creep or 0.0)) * np.array(np.broadcast_arrays(*rows))
 
     def waveforms(self) -> list[Waveform]:

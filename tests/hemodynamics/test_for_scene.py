@@ -217,9 +217,23 @@ def test_the_local_contact_is_the_slope_of_the_pressures():
     scene = scene_with("[touch]\ncontact_force_n = 1.0\n")
     held, per_n, force_per_pa = blood_model(scene).touch.contact_at(2.0)
     assert held == pytest.approx(1e4 * np.cbrt([2.0, 2.0])) and per_n == pytest.approx(held / 6.0, rel=1e-3)
-    assert force_per_pa @ per_n == pytest.approx(1.0, rel=2e-3)
+    assert force_per_pa == pytest.approx(3.0 * 0.5e-4 * np.cbrt(4.0), rel=1e-3)
     plain = blood_model(scene_with("")).touch.contact_at(2.0)
     assert plain[0] == pytest.approx([2e4, 2e4]) and plain[2] @ plain[1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("force_n", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("grows", ["", "contact_force_n = 1.0\n"])
+def test_pressures_of_one_newton_more_make_it(force_n, grows):
+    """Where the distal side is reached at 0.6 N, below it by the proximal one alone, and whether areas grow or not."""
+    touch = blood_model(scene_with("[touch]\ndistal_onset_n = 0.6\n" + grows)).touch
+    _, per_n, force_per_pa = touch.contact_at(force_n)
+    assert force_per_pa @ per_n == pytest.approx(1.0)
+
+
+def test_a_touch_without_force_has_no_shear():
+    held_pa = blood_model(scene_with("[touch]\nforce_n = 0.0\nshear_n = 0.5\n")).touch.held_pa([0.0, 1.0])
+    assert held_pa == pytest.approx(np.array([[0.0, 1e4], [0.0, 1e4], [0.0, 0.0]]))
 
 
 def test_photodiodes_lie_above_their_own_zones():
