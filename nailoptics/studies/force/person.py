@@ -241,6 +241,8 @@ class NominalFinger:
     """Fraction of a distal pressure on the proximal capillaries; 0 in the paper's two zones."""
     pulp: Pulp
     vessels: Annotated[Parameters, AfterValidator(_plausible)]
+    proximal_area: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
+    """Area of a proximal touch over contact_area_cm2, that of a distal one."""
 
     def vessels_of(self, factors_ln: Array) -> dict[str, Array]:
         """The constants of the network by name, each S float, of factors whose logarithms (P, *S) are given."""
@@ -262,7 +264,7 @@ class NominalFinger:
             rest_m=solve_walls(walls, np.zeros((3, *shape)), *ends, tolerance=1e-12)[0],
             rest_blood=np.asarray(self.rest_blood_fraction * factor["rest_blood"]),
             area_cm2=np.asarray(self.contact_area_cm2 * factor["contact_area"]),
-            proximal_area=np.asarray(factor["proximal_area"]),
+            proximal_area=np.asarray(self.proximal_area * factor["proximal_area"]),
             distal_reach=np.asarray(self.distal_reach * factor["distal_reach"]),
             share=np.asarray(proximal / (proximal + 1.0 - self.proximal_share)),
             arterial_pa=arterial_pa,
@@ -274,17 +276,19 @@ class NominalFinger:
 
 
 def nominal_finger(scene: Scene) -> NominalFinger:
-    """The scene's finger, with the usual pulp where the scene states none."""
+    """The scene's finger, with the usual pulp where it states none; areas as stated, also of contacts that grow."""
     touch, pulp = scene.touch, USUAL_PULP
+    (proximal_mm2, _), (_, distal_mm2) = map(Contact.of(touch).side_areas_mm2, (1.0, 0.0))
     creep = pulp.creep if touch.creep is None else touch.creep
     recovery_s = pulp.recovery_s if touch.distal_relaxation_s is None else touch.distal_relaxation_s
     return NominalFinger(
         rest_blood_fraction=scene.blood.rest_blood_fraction,
-        contact_area_cm2=touch.contact_area_mm2 / MM2_PER_CM2,
+        contact_area_cm2=float(distal_mm2) / MM2_PER_CM2,
         proximal_share=touch.proximal_share,
         distal_reach=scene.blood.distal_reach or USUAL_DISTAL_REACH,
         pulp=Pulp(creep=creep, creep_s=touch.creep_s, recovery_s=recovery_s),
         vessels=vessels(scene),
+        proximal_area=float(proximal_mm2 / distal_mm2),
     )
 
 

@@ -10,9 +10,12 @@ from worn_prototype import PAPER_MM, PAPER_WIRED, Wired, computed_n, known_exact
 from nailoptics import load_scene, simulate
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.touch import Contact
 from nailoptics.scene import Scene
+from nailoptics.scene.touch import SHARES
 from nailoptics.studies.force import touch_error
 from nailoptics.studies.force.calibrate import open_table
+from nailoptics.studies.force.person import nominal_finger
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.force.scores import TOUCH_N
@@ -143,6 +146,17 @@ def test_the_bodys_noise_is_that_of_its_waves_and_motion(scene: Scene, touches: 
     body = scene.body.model_copy(update={"motion": None, "heartbeat": None})
     noise = scene_noise(body, touches.person)
     assert noise == replace(touches.noise, beat=None, led_drift_per_min=0.002, drift_per_min=0.0005)
+
+
+@pytest.mark.parametrize("site", ["proximal", "distal"])
+def test_touches_press_on_the_areas_that_the_scene_states(scene: Scene, site: str) -> None:
+    """Expected: the pressures of the scene's own touch of either side, to the last digit."""
+    stated = scene.with_(
+        {"touch.proximal_area_mm2": 25.0, "touch.distal_area_mm2": 40.0, "touch.proximal_share": SHARES[site]}
+    )
+    expected = np.array(Contact.of(stated.touch).pressures(0.5)) / 1e4
+    read = nominal_finger(stated).person().pressures_n_per_cm2(np.array([0.5]), np.array([SHARES[site]]))
+    assert read[:, 0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_finger_beyond_any_is_refused_in_a_line(scene: Scene) -> None:
