@@ -242,11 +242,11 @@ class DampedOscillator:
         return decay * np.array(rotation), float((1 - decay**2) * self.rms_pa**2)
 
 
-def slow_waves(frequency_hz: Array, variance_pa2: Array) -> list[DampedOscillator]:
-    """Oscillators for breathing and vasomotion, of the variance (n,) [Pa^2] at frequencies (n,) [Hz] in either band."""
+def slow_waves(frequency_hz: Array, variance_pa2: Array, of: Wave | None = None) -> list[DampedOscillator]:
+    """Oscillators of the variance (n,) [Pa^2] at frequencies (n,) [Hz] in the band of each slow wave, or all of one."""
     out = []
-    for wave in WAVES:
-        near = (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1])
+    for wave in (of,) if of else WAVES:
+        near = (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1]) | (wave is of)
         if wave.coherence_s is not None and (total := float(variance_pa2[near].sum())) > 0:
             middle_hz = float(frequency_hz[near] @ variance_pa2[near]) / total
             out.append(DampedOscillator(middle_hz, wave.coherence_s, total**0.5))

@@ -11,7 +11,7 @@ from nailoptics import load_scene, simulate
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.hemodynamics.touch import Contact
-from nailoptics.scene import Scene
+from nailoptics.scene import Body, Heartbeat, Scene
 from nailoptics.scene.touch import SHARES
 from nailoptics.studies.force import touch_error
 from nailoptics.studies.force.calibrate import open_table
@@ -146,6 +146,32 @@ def test_the_bodys_noise_is_that_of_its_waves_and_motion(scene: Scene, touches: 
     body = scene.body.model_copy(update={"motion": None, "heartbeat": None})
     noise = scene_noise(body, touches.person)
     assert noise == replace(touches.noise, beat=None, led_drift_per_min=0.002, drift_per_min=0.0005)
+
+
+@pytest.mark.parametrize(
+    ("body", "frequency_hz", "rms_pa"),
+    [
+        ({"breathing": {"rate_per_min": 36.0}}, 0.6, 600 / np.sqrt(2)),
+        ({"breathing": {"rate_per_min": 6.0}}, 0.1, 600 / np.sqrt(2)),
+        ({"vasomotion": {"band_hz": (0.5, 0.7)}}, 0.6, 600.0),
+        ({"vasomotion": {"band_hz": (0.01, 0.03)}}, 0.02, 600.0),
+    ],
+)
+def test_waves_that_the_scene_states_are_the_filters_wherever_they_lie(
+    touches: TouchError, body: dict[str, Any], frequency_hz: float, rms_pa: float
+) -> None:
+    """Bands tell waves of recordings apart, in which none is known; beyond them others were dropped."""
+    (wave,) = scene_noise(Body(**body), touches.person).waves
+    assert (wave.frequency_hz, wave.rms_pa) == pytest.approx((frequency_hz, rms_pa), rel=1e-3)
+
+
+def test_a_slow_heart_is_followed_by_its_own_rate(touches: TouchError) -> None:
+    """Expected: of 40 beats a minute the harmonics are those of 60, at a rate below the band of recordings' hearts."""
+    slow, usual = (
+        scene_noise(Body(heartbeat=Heartbeat(rate_per_min=rate)), touches.person).beat for rate in (40.0, 60.0)
+    )
+    assert slow is not None and usual is not None and slow.rate_hz == pytest.approx(2 / 3)
+    assert slow.rms_pa == pytest.approx(usual.rms_pa, rel=0.15)
 
 
 @pytest.mark.parametrize("site", ["proximal", "distal"])
