@@ -37,7 +37,7 @@ KICAD = Path(__file__).parents[1] / "scene" / "of_kicad"
 
 
 def explored_scene(name: str) -> Scene:
-    """With a wall, without a body; and with a body, whose board has no wall here."""
+    """With a wall, without a body; and with a body and a contact that grows, whose board has no wall here."""
     scene = load_scene(data_dir("scenes") / f"{name}.toml")
     if name == "placement":
         # As from a board's file, with its references.
@@ -46,7 +46,8 @@ def explored_scene(name: str) -> Scene:
             for kind, ref in (("leds", "D"), ("photodiodes", "U"))
         }
         board = scene.board.model_copy(update={"barrier": False})
-        scene = scene.model_copy(update={"board": board} | parts)
+        touch = scene.touch.model_copy(update={"contact_force_n": 2.0})
+        scene = scene.model_copy(update={"board": board, "touch": touch} | parts)
     return scene
 
 
@@ -280,7 +281,7 @@ def test_the_force_that_readings_resolve_is_that_of_place(unchanged: Any, explor
             for a, b, c, d in zip(light.tolist(), zone.tolist(), noise_v2.tolist(), limit.tolist(), strict=True)
         ]
         displayed = unchanged.evaluate(
-            """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.has_body,
+            """([rows, force, rest]) => forceResolution(rows, {body: tables.touch.has_body, force,
                 bloodPerPa: atForce(tables.touch.blood_per_pa, force).map((row) => row.map((x) => x * rest)),
                 waves: atForce(tables.touch.waves, force).map((row) => row.map((x) => x * rest * rest))}, 1)""",
             [given, force_n, scene.blood.rest_blood_fraction],

@@ -25,7 +25,7 @@ import xarray as xr
 from ...display import Displayed
 from ...errors import InputError, NotReachedError, as_far_as_reached
 from ...geometry import underside
-from ...hemodynamics.touch import touch_course
+from ...hemodynamics.touch import largest_force_n
 from ...light import ProgressCallback, optics
 from ...light.backend import choose_jit
 from ...light.board_map import Arrivals, BloodPoint, BoardTracer, blood_point
@@ -391,15 +391,13 @@ FORCES, LEAST_REACH_N = 33, 4.0
 
 @lru_cache(8)
 def touch_table(scene: Scene) -> dict[str, Any]:
-    """Blood of both zones over that at rest, its change with both pressures, and the body's noise, by force.
+    """Blood of both zones over that at rest, its and the force's change with both pressures, the body's noise.
 
     All blood goes with that at rest, so that each is per unit of it.
     """
-    touch = touch_course(scene.touch)
-    reach_n = max(LEAST_REACH_N, 1.25 * float(touch.force_n.max()))
+    reach_n = max(LEAST_REACH_N, 1.25 * largest_force_n(scene))
     force_n = reach_n * np.linspace(0.0, 1.0, FORCES) ** 1.5
     since_rest_s = boards.rules(scene).since_rest_s
-    _, per_n, force_per_pa = touch.contact_at(1.0)
     points = [operating_point(scene, float(force), since_rest_s=since_rest_s) for force in force_n]
     rest = scene.blood.rest_blood_fraction
     bodies = [p.body or PhysiologicalNoise(np.zeros((2, 2)), np.zeros((0, 0)), 0.0) for p in points]
@@ -408,8 +406,7 @@ def touch_table(scene: Scene) -> dict[str, Any]:
         "blood": np.array([p.blood_fraction for p in points]) / rest,
         "blood_per_pa": np.array([p.blood_per_pa for p in points]) / rest,
         "waves": np.array([body.blood @ body.blood.T for body in bodies]) / rest**2,
-        "force_per_pa": force_per_pa,
-        "pressure_per_n": per_n,
+        "force_per_pa": np.array([p.force_per_pa for p in points]),
         "prior_pa": PRIOR_PA,
         "has_body": points[0].body is not None,
         "led_drift": bodies[0].led_drift,

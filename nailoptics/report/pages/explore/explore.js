@@ -193,7 +193,7 @@ function stage(kind, lit, ambient, ohm) {
  * point : blood per Pa (zone, pressure), waves' covariance of the blood; null where the body is left out; the finger's touch.
  */
 function forceResolution(readings, point, ledCount) {
-  const { body, touch = tables.touch } = point, extra = body ? 2 + ledCount + 1 : 0, n = 2 + extra;
+  const { body, force, touch = tables.touch } = point, extra = body ? 2 + ledCount + 1 : 0, n = 2 + extra;
   const total = Array.from({ length: n }, () => new Float64Array(n)), waves = body ? root2(point.waves) : null;
   for (const one of readings) {
     if (one.saturated) continue;
@@ -216,7 +216,7 @@ function forceResolution(readings, point, ledCount) {
     }
   }
   const prior = touch.prior_pa ** -2, one = total[0][0] + prior, two = total[1][1] + prior, both = total[0][1];
-  const [a, b] = touch.force_per_pa;
+  const [a, b] = atForce(touch.force_per_pa, force);
   return Math.sqrt((a * a * two - 2 * a * b * both + b * b * one) / (one * two - both * both));
 }
 
@@ -352,7 +352,7 @@ function resolve(rows, force, rest, ledCount, { touch } = ownFinger) {
   const waves = atForce(touch.waves, force).map((row) => row.map((x) => x * rest * rest));
   const resolutions = {};
   for (const [name, body] of [["throughBody", touch.has_body], ["electronics", false]]) {
-    const point = { bloodPerPa, waves, body, touch };
+    const point = { bloodPerPa, waves, body, force, touch };
     const value = forceResolution(usable, point, ledCount);
     const left = Array.from({ length: blockCount }, (_, k) => Math.log(forceResolution(usable.map((row) => ({
       ...row, light: row.light * row.without[0][k], zone: row.zone.map((x, q) => x * row.without[q + 1][k]),

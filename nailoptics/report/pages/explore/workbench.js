@@ -3,8 +3,8 @@
 const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0, dragging: false, other: null, own: {} };
 const caches = new Map();
-/** Whether a force resolution of a finger [N] is below half of the prior's standard deviation, above which it is no information. */
-const isKnown = (value, { touch } = ownFinger) => value < 0.5 * touch.prior_pa * Math.hypot(...touch.force_per_pa);
+/** Whether a resolution of a force on a finger [N] is below half of the prior's standard deviation, above which it is no information. */
+const isKnown = (value, { touch } = ownFinger, force = workbench.layout.force) => value < 0.5 * touch.prior_pa * Math.hypot(...atForce(touch.force_per_pa, force));
 const resolutionOf = (result) => (tables.touch.has_body ? result.throughBody : result.electronics);
 
 // ---- words and numbers
@@ -425,8 +425,8 @@ function drawPlots() {
     const scaled = atForce(tables.touch.blood_per_pa, force).map((x) => x.map((y) => y * layout.rest));
     const waves = atForce(tables.touch.waves, force).map((x) => x.map((y) => y * layout.rest ** 2));
     for (const [name, body] of [["body", tables.touch.has_body], ["electronics", false]]) {
-      const value = forceResolution(there, { bloodPerPa: scaled, waves, body }, layout.leds.length);
-      resolutions[name].push(isKnown(value) ? 1e3 * value : null);
+      const value = forceResolution(there, { bloodPerPa: scaled, waves, body, force }, layout.leds.length);
+      resolutions[name].push(isKnown(value, ownFinger, force) ? 1e3 * value : null);
     }
   }
   const lines = [{ label: "electronics alone", stroke: read("--diode"), width: 2, dash: tables.touch.has_body ? [6, 4] : [], points: { show: false } }], data = [forces, resolutions.electronics];
@@ -658,7 +658,7 @@ function drawFixed() {
     `Beside photon noise, readings have an rms error of ${(100 * tables.kernelError).toFixed(1)} %, changes of ${(100 * tables.kernelChangeError).toFixed(1)} % of the sum of both zones' absolute contributions, and the force resolution of ${(100 * tables.kernelResolutionError).toFixed(1)} %, by interpolation between the table's nodes and the few percent of light that photodiodes absorb and a bare board reflects. The stated errors include this.`,
     "Parts are taken to be flush with the board's underside. Ambient light is computed with the scene's own photodiode and cover.",
   ];
-  const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i]));
+  const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i], forceN));
   ranked.cells = ranked.cells.map(([number]) => [number === "None" ? "none" : String(+Number(number).toPrecision(2))]);
   $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading${ranked.cells.some(([number]) => number !== "none") ? `: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N` : ""}. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables: the errors are mostly common to them. On the prototype nine tenths of the photons' part cancel in the ratio of two people's readings, and two thirds in that of their changes.`;
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
