@@ -181,12 +181,11 @@ def evaluate(coefficients: ArrayLike, ratio: ArrayLike) -> Array:
 def saturation_of(ratio: ArrayLike, so2: Array, curve: Array) -> Array:
     """The saturation at which a curve has a ratio of ratios, extrapolated beyond its ends. [parts of 1]
 
-    so2, curve : (n,) float. Saturations that rise, and ratios there that fall.
+    so2, curve : (n,) float. Saturations, and ratios there that rise or fall with them throughout.
     """
     from scipy.interpolate import interp1d
 
-    at = interp1d(curve[::-1], so2[::-1], fill_value="extrapolate", assume_sorted=True)
-    return np.asarray(at(ratio))
+    return np.asarray(interp1d(curve, so2, fill_value="extrapolate")(ratio))
 
 
 def literature_bias(ratio: Array, so2: float) -> Array:

@@ -87,6 +87,9 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     spo2, error = np.zeros((2, *estimates["ratio"].shape))
     for j, name in enumerate(recording.photodiodes):
         so2, curve = result.so2.values, result.sel(photodiode=name)
+        if np.ptp(np.sign(np.diff(curve.ratio))) > 0:
+            why = "both rises and falls with saturation; take LEDs of 660 and 940 nm, or leave the photodiode out."
+            raise InputError(f"{recording.name}: the ratio of ratios of photodiode {name!r} {why}")
         value = saturation_of(estimates["ratio"][j], so2, curve.ratio.values)
         slope = np.abs(np.interp(value, so2, np.gradient(so2, curve.ratio.values)))
         of_curve = np.interp(value, so2, curve.ratio_stderr.values)

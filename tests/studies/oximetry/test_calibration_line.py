@@ -43,6 +43,13 @@ def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
     assert evaluate((110.0, -25.0), 0.52) == 97.0
 
 
+def test_a_curve_that_rises_with_saturation_is_read_as_well():
+    """Rationale: of 530 and 660 nm light the ratio of ratios rises. Expected: each saturation from its own ratio."""
+    curve = SO2**2
+    assert np.allclose(saturation_of(curve, SO2, curve), SO2)
+    assert saturation_of(1.02, SO2, curve) == pytest.approx(1.01, abs=1e-3)
+
+
 def test_what_both_lines_miss_is_the_nearer_ones_error():
     assert abs(literature_bias(np.array([0.52]), 0.97)[0]) < 1e-9
     assert abs(literature_bias(np.array([(97.0 - MEASURED[0]) / MEASURED[1]]), 0.97)[0]) < 1e-9
