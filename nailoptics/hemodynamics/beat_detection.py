@@ -113,11 +113,16 @@ def resampled(time_s: Array, signal: Array, name: str) -> tuple[Array, Array, fl
     return even_s, np.interp(even_s, time_s[there], signal[there]), rate_hz
 
 
-def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0], high_hz: float = BAND_HZ[1]) -> Array:
+def upper_hz(rate_hz: float) -> float:
+    """Upper edge of the band of samples of this rate, below half of it. [Hz]"""
+    return min(BAND_HZ[1], 0.45 * rate_hz)
+
+
+def band(values: Array, rate_hz: float, low_hz: float = BAND_HZ[0]) -> Array:
     """Evenly sampled values, (..., T) float, after a zero-phase Butterworth band-pass along the last axis."""
     from scipy import signal
 
-    filtered = signal.butter(2, (low_hz, min(high_hz, 0.45 * rate_hz)), btype="bandpass", fs=rate_hz, output="sos")
+    filtered = signal.butter(2, (low_hz, upper_hz(rate_hz)), btype="bandpass", fs=rate_hz, output="sos")
     pad = min(values.shape[-1] - 1, int(3 * rate_hz / low_hz))
     return np.asarray(signal.sosfiltfilt(filtered, values, axis=-1, padtype="odd", padlen=pad))
 

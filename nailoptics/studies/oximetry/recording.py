@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ...errors import InputError
-from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled
+from ...hemodynamics.beat_detection import BAND_HZ, LEAST_BEATS, Beats, Marks, band, find_beats, resampled, upper_hz
 from ...scene import Oximeter, Scene
 from ...scene.electronics import DARK
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
@@ -141,8 +141,8 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     even_s, _, rate_hz = resampled(recording.time_s, logarithm[0], name)
     both = np.stack([resampled(recording.time_s, reading, name)[1][: len(even_s)] for reading in logarithm])
     beats = find_beats(even_s, both[1], name)
-    low_hz, high_hz = max(BAND_HZ[0], 0.6 * beats.rate_per_min / 60.0), BAND_HZ[1]
-    pulse = band(both, rate_hz, low_hz, high_hz)
+    low_hz = max(BAND_HZ[0], 0.6 * beats.rate_per_min / 60.0)
+    pulse = band(both, rate_hz, low_hz)
     moved = _motion(recording, j, even_s, pulse)
     moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
     noise = _noise_density(both, rate_hz)
@@ -151,7 +151,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     if length_s > AVERAGE_S:
         centres = even_s[0] + AVERAGE_S / 2 + np.arange(int((length_s - AVERAGE_S) / STEP_S) + 1) * STEP_S
     # Filtered noise is correlated: so many values of a sample are independent.
-    independent = 2 * (high_hz - low_hz) / rate_hz
+    independent = 2 * (upper_hz(rate_hz) - low_hz) / rate_hz
     estimates = [_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres]
     return centres, {key: np.array([estimate[key] for estimate in estimates]) for key in estimates[0]}
 
