@@ -145,7 +145,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     pulse = band(both, rate_hz, low_hz)
     moved = _motion(recording, j, even_s, pulse)
     moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
-    noise = _noise_density(both, rate_hz)
+    noise = _noise_covariance(both, rate_hz)
     length_s = float(even_s[-1] - even_s[0])
     centres = np.array([(even_s[0] + even_s[-1]) / 2])
     if length_s > AVERAGE_S:
@@ -168,7 +168,7 @@ def _window(
     out = {"motion": float(moved[inside].mean()), "rate_per_min": beats.rate_at(centre_s, AVERAGE_S)}
     if still.sum() < LEAST_STILL * inside.sum():
         return out | dict.fromkeys(WHILE_STILL, np.nan)
-    ratio, stderr = slope_of_two(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
+    ratio, stderr = deming_slope(pulse[0, still], pulse[1, still], noise, values=independent * still.sum())
     # A pulse's height from the middle of its beats' own.
     heights = [
         np.ptp(pulse[:, window], axis=1)
@@ -179,40 +179,44 @@ def _window(
     return out | dict(zip(WHILE_STILL, (ratio, stderr, *index), strict=True))
 
 
-def slope_of_two(red: Array, infrared: Array, noise: Array, *, values: float) -> tuple[float, float]:
+def deming_slope(red: Array, infrared: Array, noise: Array, *, values: float) -> tuple[float, float]:
     """Slope of red over infrared and its standard error, where both have noise.
 
     red, infrared : (n,) float, of mean 0 or nearly.
-    noise : (2,) float. Variance of their noise, in any unit: its ratio keeps the slope unbiased (Deming).
+    noise : (2, 2) float. Covariance of their noise, in any unit, which keeps the slope unbiased.
     values : how many of them are independent, as filtered noise is correlated.
 
     References: Fuller 1987, Measurement Error Models, ch. 1.3.
     """
-    balance = float(noise[0] / noise[1]) if noise.min() > 0 else 1.0
+    # Less its part of infrared's, red's noise is independent of that.
+    balance, shared = (noise[0] / noise[1, 1]).tolist()
+    red, balance = red - shared * infrared, max(balance - shared**2, 0.0)
     yy, xx, xy = float(np.mean(red**2)), float(np.mean(infrared**2)), float(np.mean(red * infrared))
     difference = yy - balance * xx
-    ratio = (difference + np.sqrt(difference**2 + 4 * balance * xy**2)) / (2 * xy) if xy > 0 else np.nan
+    ratio = (difference + np.sqrt(difference**2 + 4 * balance * xy**2)) / (2 * xy) if xy != 0 else np.nan
     left = float(np.mean((red - ratio * infrared) ** 2)) * values / max(values - 1, 1)
-    pulsating = max(xx - left / (balance + ratio**2), 0.0) if np.isfinite(ratio) else 0.0
+    pulsating = max(xx - left / (balance + ratio**2), 0.0) if ratio > -shared else 0.0
     if pulsating <= 0.1 * xx:
         return np.nan, np.nan
     # Of a slope between two noisy values the error of the values themselves adds (Fuller's second term).
     residual = left / (balance + ratio**2)
     variance = (left * pulsating + balance * residual**2) / (values * pulsating**2)
-    return float(ratio), float(np.sqrt(variance))
+    return float(ratio + shared), float(np.sqrt(variance))
 
 
-def _noise_density(both: Array, rate_hz: float) -> Array:
-    """Median spectral density of each LED's noise, (2,) float, from what lies above all pulses; 1 if nothing does."""
+def _noise_covariance(both: Array, rate_hz: float) -> Array:
+    """Covariance of both LEDs' noise, (2, 2) float in any unit, from what lies above all pulses; 1 if nothing does."""
     from scipy.signal import periodogram
 
     top_hz = 0.5 * rate_hz
     if top_hz < 1.3 * NOISE_FROM_HZ:
-        return np.ones(2)
-    frequency, density = periodogram(both, rate_hz)
+        return np.eye(2)
+    frequency, density = periodogram([*both, both[0] + both[1], both[0] - both[1]], rate_hz)
     above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
     # Motion's few lines do not move the median.
-    return np.asarray(np.maximum(np.median(above, axis=1), np.finfo(float).tiny))
+    red, infrared, total, difference = np.maximum(np.median(above, axis=1), np.finfo(float).tiny)
+    shared = 0.25 * (total - difference)
+    return np.array([[red, shared], [shared, infrared]])
 
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:

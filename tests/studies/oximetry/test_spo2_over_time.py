@@ -12,7 +12,7 @@ from nailoptics.errors import InputError
 from nailoptics.hemodynamics import cardiac_pressure
 from nailoptics.report.pages.oximeter import recording_summary
 from nailoptics.scene.importers.sensor_recordings import OximeterRecording, oximeter_csv, read_oximeter_recording
-from nailoptics.studies.oximetry.recording import read_for, slope_of_two, spo2_csv, spo2_over_time
+from nailoptics.studies.oximetry.recording import deming_slope, read_for, spo2_csv, spo2_over_time
 from nailoptics.variables import variable
 
 SCENE = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
@@ -52,7 +52,7 @@ def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
     variance = np.array([(2 * noise) ** 2, noise**2])
     slopes, errors = np.transpose(
         [
-            slope_of_two(*((ratio, 1.0) * pulse[:, None] + drawn).T, variance, values=60)
+            deming_slope(*((ratio, 1.0) * pulse[:, None] + drawn).T, np.diag(variance), values=60)
             for drawn in np.sqrt(variance) * rng.standard_normal((2000, 60, 2))
         ]
     )
@@ -73,6 +73,17 @@ def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
         stated.append(estimates.ratio_stderr.values)
     assert np.shape(off) == (20, 2, 4)
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.sqrt(np.mean(np.square(off)) * 4 / 3), rel=0.15)
+
+
+def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
+    """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 % within
+    1 % in the mean of ten recordings, on both photodiodes, where taken for independent they give 87 and 81 %."""
+    estimates = []
+    for seed in range(10):
+        made, drawn = recorded(0.9, seed=seed, noise=2.4e-4), np.random.default_rng(100 + seed)
+        dark_v = made.dark_v + 8e-4 * drawn.standard_normal(made.dark_v.shape)
+        estimates.append(spo2_over_time(replace(made, dark_v=dark_v), KNOWN, SCENE).spo2.values)
+    assert np.mean(estimates, axis=(0, 2)) == pytest.approx(90.0, abs=1.0)
 
 
 @pytest.mark.long
