@@ -62,8 +62,8 @@ def test_the_error_of_a_slope_is_its_scatter_where_both_have_noise(noise):
 
 
 def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
-    """Rationale: at 10 Hz the band of a pulse ends at 4.5 Hz, and fewer samples are independent. Expected: stated within
-    15 % of the scatter in 20 recordings of four windows that do not overlap, on both photodiodes."""
+    """Rationale: at 10 Hz the band of a pulse ends at 4.5 Hz, and fewer samples are independent. Expected: stated
+    within 15 % of the scatter in 20 recordings of four windows that do not overlap, on both photodiodes."""
     off, stated = [], []
     for seed in range(20):
         made = recorded(0.9, seed=seed, noise=3e-4)
@@ -76,8 +76,8 @@ def test_the_error_of_a_slow_recordings_ratio_is_its_scatter():
 
 
 def test_noise_of_a_dark_slot_does_not_bias_the_saturation():
-    """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 % within
-    1 % in the mean of ten recordings, on both photodiodes, where taken for independent they give 87 and 81 %."""
+    """Rationale: one dark reading is taken from red and infrared, whose noises are then correlated. Expected: 90 %
+    within 1 % in the mean of ten recordings, on both photodiodes, where taken for independent they give 87 and 81 %."""
     estimates = []
     for seed in range(10):
         made, drawn = recorded(0.9, seed=seed, noise=2.4e-4), np.random.default_rng(100 + seed)
