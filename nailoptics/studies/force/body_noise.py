@@ -110,28 +110,33 @@ def estimate_noise(
 
 def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -> tuple[Array, Array, Array]:
     """MAP estimate (ridge regression) by sample, from residuals (R, T), of the arterial pressure with the LEDs' light
-    fixed, as none follows the heart (T,) [Pa], of each LED's light beside it (L, T) [1]; and residuals of both (R, T).
+    fixed, as none follows the heart (T,) [Pa], of each LED's light beside it (L, T) [1], interpolated where there is no
+    reading at all; and residuals of both (R, T), NaN in gaps.
 
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
     """
-    filled = np.where(np.isfinite(residual), residual, 0.0)
+    valid = np.isfinite(residual)
     design = np.concatenate([response.T[:, :, None], np.broadcast_to(leds, (response.shape[1], *leds.shape))], axis=2)
-    weighted = design / noise_v2[:, None]
+    weighted = design / noise_v2[:, None] * valid.T[..., None]
     normal = np.einsum("trp,trq->tpq", weighted, design)
-    strength = normal[:, 0, 0]
+    strength, usual = normal[:, 0, 0], np.median(normal[valid.any(0), 0, 0])
     # Where a touch all but shuts the vessels, readings hardly depend on the arterial pressure, which is taken as 0.
-    normal[:, 0, 0] += np.where(strength > 0.01 * np.median(strength), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
+    normal[:, 0, 0] += np.where(strength > 0.01 * usual, PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
-    rhs = np.einsum("trp,rt->tp", weighted, filled)
+    rhs = np.einsum("trp,rt->tp", weighted, np.nan_to_num(residual))
     parts = np.linalg.solve(normal, rhs[..., None])[..., 0]
-    return rhs[:, 0] / normal[:, 0, 0], parts[:, 1:].T, filled - np.einsum("trp,tp->rt", design, parts)
+    unexplained = residual - np.einsum("trp,tp->rt", design, parts)
+    parts[:, 0], seen = rhs[:, 0] / normal[:, 0, 0], np.flatnonzero(valid.any(0))
+    parts = np.stack([np.interp(np.arange(len(parts)), seen, part) for part in parts[seen].T])
+    return parts[0], parts[1:], unexplained
 
 
 def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:
     """Mean variances that random walks (N, T) gain in a minute, from each rest to the next, (rests - 1,) float."""
     rests = [slice(start, stop) for start, stop in runs(untouched) if stop - start > 1]
-    means = np.array([drifting[:, rest].mean(1) for rest in rests]).reshape(len(rests), len(drifting))
+    known = np.ma.masked_invalid(drifting)
+    means = np.array([known[:, rest].mean(1).filled(0.0) for rest in rests]).reshape(len(rests), len(drifting))
     return np.asarray((np.diff(means, axis=0) ** 2).mean(1) * 60.0 / np.diff([time_s[rest].mean() for rest in rests]))
 
 

@@ -49,6 +49,26 @@ def test_a_beat_that_the_vessels_do_not_explain_is_still_the_arterial_pressures(
     assert result == pytest.approx(nearest_pa * beat, rel=0.01, abs=1.0)
 
 
+@pytest.mark.parametrize("gaps", ["samples", "turns"])
+def test_gaps_leave_pressure_and_residuals_as_they_are(gaps: str) -> None:
+    """Rationale: a gap is no residual of 0. Expected: the pressure's height where every third sample is empty and where
+    two groups of readings are recorded in turn, and residuals of the readings' noise."""
+    rng, count = np.random.default_rng(3), 3000
+    response = np.array([3.0, 2.0, 1.0, 0.5, 0.5, 1.0, 2.0, 3.0])[:, None] * 1e-6 * np.ones(count)
+    pressure = 600.0 * np.sin(2 * np.pi * 1.1 * STEP_S * np.arange(count))
+    residual = response * pressure + 1e-5 * rng.normal(size=response.shape)
+    if gaps == "samples":
+        residual[:, 1::3] = np.nan
+    else:
+        residual[::2, ::2], residual[1::2, 1::2] = np.nan, np.nan
+    result, light, left = _decompose(response, np.ones((8, 1)), residual, np.full(8, 1e-10))
+    assert result == pytest.approx(pressure, abs=60.0) and np.std(light) < 1e-4
+    assert np.array_equal(np.isnan(left), np.isnan(residual)) and 0.5e-5 < np.nanstd(left) < 1e-5
+    rests = np.mod(np.arange(count), 500) < 50
+    walk = 1e-3 * np.arange(count) + np.where(np.isnan(residual), np.nan, 0.0)
+    assert _random_walk_variance(walk, STEP_S * np.arange(count), rests) == pytest.approx(1.5, rel=0.01)
+
+
 def test_a_moment_of_far_more_effect_leaves_the_pressure_at_other_times():
     """Rationale: vessels that snap shut follow the arterial pressure for an instant two hundred times as much."""
     rng, count = np.random.default_rng(3), 2000
