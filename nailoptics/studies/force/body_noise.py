@@ -76,13 +76,14 @@ def estimate_noise(
     """
     from scipy.signal import welch
 
-    white_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
+    # As a first guess the pressure is in it.
+    first_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
-    spectra, reading_drift2, led_drift2, rates_hz = [], [], [], []
+    white_v, spectra, reading_drift2, led_drift2, rates_hz = [], [], [], [], []
     for recording, residual in zip(recordings, residual_v, strict=True):
         time_s, force_n = recording.time_s, np.asarray(recording.force_n)
         response = arterial_response(person, table, gain, recording)
-        pressure_pa, light, unexplained = _decompose(response, leds, residual, white_v**2 + (1e-3 * rest_v) ** 2)
+        pressure_pa, light, unexplained = _decompose(response, leds, residual, first_v**2 + (1e-3 * rest_v) ** 2)
         # What follows the force is the model's misfit, not the body's.
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
         pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
@@ -91,8 +92,10 @@ def estimate_noise(
         spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
         with suppress(InputError):  # no heartbeat in it
             rates_hz.append(beats_per_second(time_s, pressure_pa))
-        # A reading's own drift lies where neither pressure nor LED took it along, in fewer degrees of freedom.
-        share = len(unexplained) / max(len(unexplained) - 1 - leds.shape[1], 1)
+        # A reading's own noise and drift lie where neither pressure nor LED took it along, in fewer degrees of freedom.
+        readings = np.isfinite(residual).sum() / np.isfinite(residual).any(0).sum()
+        share = readings / max(readings - 1 - leds.shape[1], 1)
+        white_v.append(np.sqrt(share) * _white(unexplained))
         untouched = force_n < REST_FORCE_N
         reading_drift2.append(share * _random_walk_variance(unexplained / rest_v[:, None], time_s, untouched))
         led_drift2.append(_random_walk_variance(light, time_s, untouched))
@@ -100,7 +103,7 @@ def estimate_noise(
     power = np.mean([np.interp(frequency, *spectrum) for spectrum in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
     waves = slow_waves(frequency, power * (frequency[1] - frequency[0]))
-    return white_v, Noise(
+    return np.maximum(np.median(white_v, axis=0), gain * table.noise_v), Noise(
         drift_per_min=_drift(reading_drift2, USUAL_DRIFT),
         led_drift_per_min=_drift(led_drift2, USUAL_LED_DRIFT),
         waves=tuple(_before_vessels(person, wave) for wave in waves),

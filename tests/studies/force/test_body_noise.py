@@ -1,11 +1,12 @@
 """What is learned of a body from residuals: drift of readings apart from that of their LED, the rate of the heart."""
 
+import made_sensor
 import numpy as np
 import pytest
 
 from nailoptics import hemodynamics
 from nailoptics.hemodynamics.beat_detection import beats_per_second
-from nailoptics.studies.force.body_noise import _decompose, _heartbeat, _random_walk_variance
+from nailoptics.studies.force.body_noise import _decompose, _heartbeat, _random_walk_variance, estimate_noise
 
 STEP_S = 0.02
 
@@ -67,6 +68,25 @@ def test_gaps_leave_pressure_and_residuals_as_they_are(gaps: str) -> None:
     rests = np.mod(np.arange(count), 500) < 50
     walk = 1e-3 * np.arange(count) + np.where(np.isnan(residual), np.nan, 0.0)
     assert _random_walk_variance(walk, STEP_S * np.arange(count), rests) == pytest.approx(1.5, rel=0.01)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_white_noise_is_without_the_heartbeat(every: int) -> None:
+    """Rationale: a beat moves readings from sample to sample too, most at 25 Hz. Expected: the readings' own."""
+    recording, table = made_sensor.record_touches(seed=1), made_sensor.table()
+    recording = recording.select(np.arange(0, len(recording.time_s), every))
+    person, beat = made_sensor.nominal_finger(hemodynamics.parameters("best")).person(), {"pulse_pressure_pa": 2e3}
+    pressure_n_per_cm2 = person.pressures_n_per_cm2(np.asarray(recording.force_n), np.asarray(recording.site))
+    moving_pa = person.arterial_pa + hemodynamics.cardiac_pressure(
+        recording.time_s, mean_pressure_pa=0.0, seed=4, **beat
+    )
+    still, moving = (
+        table.volts(person.blood(person.diameters_over(recording.time_s, pressure_n_per_cm2, arterial_pa=arterial_pa)))
+        for arterial_pa in (np.full(moving_pa.shape, person.arterial_pa), moving_pa)
+    )
+    residual = moving - still + table.noise_v[:, None] * np.random.default_rng(5).normal(size=still.shape)
+    noise_v, _ = estimate_noise(person, table, np.full(8, 0.5), [recording], [residual], still[:, 0])
+    assert noise_v == pytest.approx(table.noise_v, rel=0.2)
 
 
 def test_a_moment_of_far_more_effect_leaves_the_pressure_at_other_times():
