@@ -204,9 +204,9 @@ class Fit:
         """Update variance, weights and autocorrelation time from the residuals at some factors."""
         residual = self._linear_fit(self._columns(tuple(free_ln)))[1][:, 0]
         samples = residual.shape[1]
-        self.variance = (self.weight * residual**2).sum(1) / samples + self.table.noise_v**2
+        self.variance = (self.weight * residual**2).sum(1) / self.valid.sum(1) + self.table.noise_v**2
         white = residual / np.sqrt(self.variance)[:, None]
-        rms = np.sqrt((white**2).mean(0))
+        rms = np.sqrt((white**2).sum(0) / np.maximum(self.valid.sum(0), 1))
         self.weight = np.minimum(1.0, HUBER / np.maximum(rms, 1e-12))
         # Integrated autocorrelation time, up to the first zero crossing.
         power = np.abs(np.fft.rfft(white, 2 * samples)) ** 2

@@ -182,6 +182,19 @@ def test_factors_at_a_bound_of_the_search_are_a_warning() -> None:
         )
 
 
+def test_a_readings_gaps_leave_its_residual_variance() -> None:
+    """Rationale: a gap is no residual of 0. Expected: the variance of a reading that every other quarter of a second is
+    empty, which is that of what was recorded."""
+    recording, vessels = made_sensor.record_touches(seed=1), hemodynamics.parameters("best")
+    volts, free = recording.volts.copy(), np.isin(NAMES, ["contact_area", "rest_blood"])
+    # Groups of three samples are averaged.
+    volts[0, np.arange(volts.shape[1]) // 12 % 2 == 1] = np.nan
+    fit = Fit([replace(recording, volts=volts)], made_sensor.table(), nominal_finger(vessels), free=free)
+    fit._reweight(np.zeros(2))
+    residual_v = fit._linear_fit(fit._columns((0.0, 0.0)))[1][0, 0, fit.valid[0]]
+    assert fit.variance[0] == pytest.approx(np.mean(residual_v**2) + made_sensor.table().noise_v[0] ** 2, rel=0.05)
+
+
 def test_a_prediction_says_how_wide_its_intervals_of_touches_are(subject: Subject, table: ReadingTable) -> None:
     estimated = predict(subject, _record(table, _steps(), "proximal", seed=8, pulse_pa=500.0))
     summary, touching = prediction_summary(estimated), (estimated.known_force_n >= 0.15).values
