@@ -78,7 +78,7 @@ def fitted_ohm(current_a: ArrayLike, amplifier: Electronics) -> Array:
     # A relative 1e-9 lets a resistor be its own fit, whatever the rounding.
     most = most_v / np.maximum(current_a, most_v / MOST_OHM) * (1 + 1e-9)
     step = 10.0 ** np.floor(np.log10(most) - 1)
-    return np.asarray(E24[np.searchsorted(E24, most / step, side="right") - 1] * step)
+    return np.asarray(E24[np.searchsorted(E24, np.maximum(most / step, 10.0), side="right") - 1] * step)
 
 
 def stage_ohm(photodiodes: Photodiodes, amplifier: Electronics, *, largest_a: Array | float | None = None) -> Array:

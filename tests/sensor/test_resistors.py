@@ -43,6 +43,14 @@ def test_a_fitted_resistor_is_the_largest_of_e24_with_the_headroom(headroom):
     assert (series[place + 1] * current_a * headroom > electronics.limit_v(stage) * (1 - 1e-6)).all()
 
 
+def test_a_current_that_fits_hardly_less_than_a_power_of_ten_has_that() -> None:
+    """Rationale: the logarithm rounds up to it. Expected: the power, and nowhere near it ten times as much."""
+    stage = Electronics(feedback_ohm="auto", headroom=1.0)
+    exact_a = electronics.limit_v(stage) / 1e4 * (1 + 1e-9)
+    current_a = exact_a * (1 + 2.0**-52 * np.arange(-40, 41))
+    assert {*np.round(electronics.fitted_ohm(current_a, stage), 6)} <= {9100.0, 10000.0}
+
+
 def test_hardly_any_light_has_the_largest_resistor_that_is_sold():
     assert electronics.fitted_ohm([0.0, 1e-12, 1e-9], AUTO).tolist() == 3 * [electronics.MOST_OHM]
 

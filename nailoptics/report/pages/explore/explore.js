@@ -163,7 +163,7 @@ function touched(finger, force, rest, so2) {
 function fittedOhm(largestA) {
   const { headroom, mostOhm, e24, limitV } = tables.stage, most = Math.min(mostOhm, limitV / headroom / largestA) * (1 + 1e-9);
   const step = 10 ** (Math.floor(Math.log10(most)) - 1);
-  return e24.findLast((x) => x * step <= most) * step;
+  return e24.findLast((x) => x <= Math.max(most / step, 10)) * step;
 }
 
 /** Noise variance of one reading, by its causes and their sum [V^2], at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
