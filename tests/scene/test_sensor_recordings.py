@@ -55,8 +55,9 @@ def test_a_recording_is_read_with_its_gaps_and_sites_and_written_again(tmp_path:
         ("time_s;a\n0;1\n1;2\n", "has semicolons between columns"),
         ("time_s,a\n0,0,1\n1,0,2\n", "line 2: has 3 cells for 2 columns; write numbers with a decimal point"),
         ("time_s,,a\n0,1,2\n1,2,3\n", "column 2 has no title"),
-        ("time_s,a\n0,1\n20,2\n40,1\n", "in steps of 20; give it in seconds"),
-        ("time_s,a\n0,1\n1e-9,2\n", "in steps of 1e-09; give it in seconds"),
+        ("time_s,a\n0,1\n20,2\n40,1\n", "in steps of 20 (0.05 Hz); record at 12.5 to 100000 Hz, with times in seconds"),
+        ("time_s,a\n0,1\n0.1,2\n0.2,1\n", "in steps of 0.1 (10 Hz); record at 12.5"),
+        ("time_s,a\n0,1\n1e-9,2\n", "in steps of 1e-09 (1e+09 Hz); record at 12.5 to 100000 Hz, with times in"),
         ("time_s,a\n1e12,1\n1.000000000001e12,2\n", "line 2: time_s = 1e+12 must lie in -1e+10 to 1e+10 s"),
         ("time_s,site,a\n0,left,1\n1,even,2\n", "line 2: site = 'left' is unknown; choose from proximal, distal, even"),
     ],
@@ -69,8 +70,8 @@ def test_what_is_no_recording_is_said_in_one_line(tmp_path: Path, text: str, mes
 
 
 def test_a_recording_prints_itself_in_a_line(tmp_path: Path) -> None:
-    read = _read(tmp_path, "time_s,force_n,a\n0,0,1\n1,1.5,2\n")
-    assert repr(read).endswith("recording.csv: 1 readings, 2 samples in 1 s>")
+    read = _read(tmp_path, "time_s,force_n,a\n0,0,1\n0.08,1.5,2\n")
+    assert repr(read).endswith("recording.csv: 1 readings, 2 samples in 0.08 s>")
 
 
 def test_times_of_a_clock_keep_all_their_digits(tmp_path: Path) -> None:

@@ -42,8 +42,8 @@ STDIN = "stdin"
 # Millivolts and a converter's counts lie far above any voltage of a photodiode's stage.
 MOST_VOLTS = 50.0
 NOT_VOLTS = "looks like millivolts or a converter's counts; convert it to volts"
-# Samples of a touch lie so far apart, usually: what is outside is not a time in seconds. [s]
-LEAST_STEP_S, MOST_STEP_S = 1e-5, 5.0
+# Samples lie so far apart, usually: less is not a time in seconds, and from 0.1 on the force's filter diverges. [s]
+LEAST_STEP_S, MOST_STEP_S = 1e-5, 0.08
 
 
 def with_recording(
@@ -128,10 +128,11 @@ class Recording:
         return f"<Recording {self.name}: {len(self.names)} readings, {samples}>"
 
     def with_readings(self, names: Sequence[str]) -> "Recording":
-        """The recording with its readings in this order; raises InputError unless it has just these, in volts."""
+        """The recording with its readings in this order; raises InputError for others, other units and slow ones."""
         check_known(self.names, names, self.name)
         order = [self.names.index(name) for name in names]
         check_volts(self.volts, self.names, self.name)
+        check_rate(self.time_s, self.name)
         return replace(self, names=tuple(names), volts=self.volts[order])
 
     def select(self, samples: slice | NDArray[Any]) -> "Recording":
@@ -156,13 +157,8 @@ def read_sensor_recording(path: str | Path) -> Recording:
     readings = reading_columns(header)
     titles = ["time_s", *(title for title in ("force_n", "site") if title in header), *readings]
     columns = _numbers(rows, header, titles, name, codes={"site": SITES})
-    time_s = columns["time_s"]
-    step_s = float(np.median(np.diff(time_s)))
-    if not LEAST_STEP_S <= step_s <= MOST_STEP_S:
-        why = f"give it in seconds, {LEAST_STEP_S:g} to {MOST_STEP_S:g} from sample to sample."
-        raise InputError(f"{name}: time_s rises in steps of {step_s:g}; {why}")
     volts = np.array([columns[title] for title in readings])
-    return Recording(name, readings, time_s, volts, columns.get("force_n"), columns.get("site"))
+    return Recording(name, readings, columns["time_s"], volts, columns.get("force_n"), columns.get("site"))
 
 
 def _table(
@@ -220,6 +216,14 @@ def check_known(titles: Sequence[str], names: Sequence[str], label: str) -> None
     if unknown:
         why = "rename it or leave it out."
         raise InputError(f"{label}: column {unknown[0]!r} is not a reading of this board ({', '.join(names)}); {why}")
+
+
+def check_rate(time_s: ArrayLike, label: str) -> None:
+    """Raise InputError for times [s] that usually lie too far apart to follow a touch."""
+    step_s = float(np.median(np.diff(time_s)))
+    if not LEAST_STEP_S <= step_s <= MOST_STEP_S + 1e-6:
+        why = f"record at {1 / MOST_STEP_S:g} to {1 / LEAST_STEP_S:g} Hz, with times in seconds."
+        raise InputError(f"{label}: time_s rises in steps of {step_s:g} ({1 / step_s:.3g} Hz); {why}")
 
 
 def check_volts(volts: Array, names: Sequence[str], label: str) -> None:

@@ -27,6 +27,8 @@ from .subject import Subject, load_subject, parse_subject
 MOST_OUTLIERS, OVER_CALIBRATION, MOST_CHI2 = 0.03, 2.0, 1.5
 # A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
 LATEST_S = 1.0
+# So many samples that come one by one tell their rate.
+FIRST_SAMPLES = 10
 # Patterns of a misfit are named where they explain this fraction of it.
 EXPLAINED = 0.8
 
@@ -49,7 +51,7 @@ def predict(
     pressure, normalized innovation squared (NIS), outlier, the regressions' forces; its attributes hold what
     `prediction_summary` prints.
 
-    Raises: InputError for readings of another board, or thresholds out of order.
+    Raises: InputError for readings of another board, below 12.5 Hz, or thresholds out of order.
     """
     if not 0 < release_n < press_n < np.inf:
         raise InputError(f"release = {release_n:g} N must lie above 0 and below press = {press_n:g} N.")
@@ -114,9 +116,9 @@ def predict_live(
     samples : time [s] and volts of each reading by its name; NaN is a gap. Times rise; the finger is untouched at
         first, and again after a gap of 5 s. Forces are NaN before the first reading, and the first after such a gap.
 
-    Raises: InputError for volts of other readings, or times out of order.
+    Raises: InputError for volts of other readings, times out of order, or too few samples in a second.
     """
-    subject, last_s = _subject(subject), None
+    subject, last_s, first_s = _subject(subject), None, []
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
     for sample in samples:
         try:
@@ -129,6 +131,8 @@ def predict_live(
             raise InputError(f"sample {sample!r:.100}: give a time in s and numbers in V, as {example}.") from None
         if last_s is not None and not time_s > last_s:
             raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
+        if len(first_s) < FIRST_SAMPLES and len(first_s := [*first_s, time_s]) == FIRST_SAMPLES:
+            sensor_recordings.check_rate(first_s, where)
         if np.nanmax(np.abs(volts), initial=0.0) > sensor_recordings.MOST_VOLTS:
             raise InputError(f"{where} {sensor_recordings.NOT_VOLTS}.")
         # A converter at its limit holds no information.

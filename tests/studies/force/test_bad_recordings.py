@@ -99,7 +99,10 @@ EITHER = [
     (_column(FIRST, lambda cell, k: str(int(13107 * float(cell)))), "looks like millivolts or a converter's counts"),
     (_column(FIRST, lambda cell, k: str(1e3 * float(cell))), "looks like millivolts or a converter's counts"),
     (_column("time_s", lambda cell, k: "0.1" if k == 9 else cell), "line 11: time_s = 0.1 does not come after"),
-    (_column("time_s", lambda cell, k: str(20 * k)), "in steps of 20; give it in seconds"),
+    (
+        _column("time_s", lambda cell, k: str(20 * k)),
+        "in steps of 20 (0.05 Hz); record at 12.5 to 100000 Hz, with times in seconds",
+    ),
     (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
     (
         _column("force_n", lambda cell, k: "250" if k == 9 else cell),
@@ -150,7 +153,7 @@ CALIBRATING = [
         "no proximal touch was recorded by the column site (without one, by the scene's touch)",
     ),
     (lambda text: text, "2 touches were recorded; record 8 or more"),
-    (_column("time_s", lambda cell, k: str(2.0 * k)), "samples lie 2 s apart; record at 2 Hz or faster"),
+    (_column("time_s", lambda cell, k: str(2.0 * k)), "time_s rises in steps of 2 (0.5 Hz); record at 12.5"),
     (_column("time_s", lambda cell, k: str(float(cell) + 3600.0 * (k > 200))), "nothing was recorded for 3.6e+03 s"),
     (_column("time_s", lambda cell, k: str(float(cell) + 50.0 * (k > 200))), "record at an even rate"),
     (_column(FIRST, lambda cell, k: cell if k % 100 == 0 else ""), "has 4 of 400 samples, 2 of them without a touch"),

@@ -57,7 +57,7 @@ def recorded(scene: Scene, *, site: str, peaks_n: tuple[float, ...], seed: int) 
     time_s = np.append(0.0, 3.0 + np.arange(4 * len(peaks_n) + 1))
     force_n = np.append([0.0, 0.0], np.array([[0.5, 1.0, 0.5, 0.0]]) * np.array(peaks_n)[:, None])
     given = {"recorded_time_s": tuple(time_s), "recorded_force_n": tuple(force_n), "site": site}
-    own = {"creep": 0.0, "distal_relaxation_s": 1e-3, "sample_rate_hz": 10.0, "profile": "recorded"}
+    own = {"creep": 0.0, "distal_relaxation_s": 1e-3, "sample_rate_hz": 12.5, "profile": "recorded"}
     touched = scene.model_copy(update={"touch": Touch.model_validate(given | own)})
     result = simulated(touched, blood_over_touch(touched, rtol=1e-4), seed=seed)
     return record(result.assign_attrs(scene=to_toml(touched)), seed=seed)

@@ -51,6 +51,22 @@ def test_lines_are_answered_as_a_file_is_and_one_by_one(subject: Subject, folder
     assert [*estimated, *list(live(subject, lines))[2:]] == list(csv_rows(predict(subject, folder / "part.csv")))
 
 
+def test_samples_too_slow_for_the_filter_are_refused_whichever_way_they_come(subject: Subject, folder: Path) -> None:
+    """Rationale: at 10 Hz it restarts in each touch, and reads a held one as rest. Expected: refused as a recording,
+    and line by line at the tenth sample; at 12.5 Hz, and with pauses, they are read."""
+    touch = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3).select(np.arange(0, 200, 4))
+    slow, paused_s = replace(touch, time_s=1.25 * touch.time_s), touch.time_s + 0.3 * (np.arange(50) // 5)
+    with pytest.raises(InputError, match=r"in steps of 0.1 \(10 Hz\); record at 12.5 to 100000 Hz"):
+        predict(subject, slow)
+    answers = live(subject, recording_csv(slow).splitlines(keepends=True))
+    assert len([next(answers) for _ in range(10)]) == 10
+    with pytest.raises(InputError, match=r"sample at time_s = 0.9: time_s rises in steps of 0.1 \(10 Hz\)"):
+        next(answers)
+    for read in (touch, replace(touch, time_s=paused_s)):
+        assert len(list(live(subject, recording_csv(read).splitlines(keepends=True)))) == 51
+        assert predict(subject, read).sizes["time"] == 50
+
+
 def test_samples_in_python_are_answered_as_a_recording_is_and_one_by_one(subject: Subject) -> None:
     """Expected: with gaps, too, the forces of `predict`; no sample is taken before the one before it is answered."""
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
