@@ -76,7 +76,6 @@ def estimate_noise(
     """
     from scipy.signal import welch
 
-    # As a first guess the pressure is in it.
     first_v = np.maximum(np.median([_white(residuals) for residuals in residual_v], axis=0), gain * table.noise_v)
     leds = table.same_led() * rest_v[:, None]
     white_v, spectra, reading_drift2, led_drift2, rates_hz = [], [], [], [], []
@@ -93,8 +92,7 @@ def estimate_noise(
         with suppress(InputError):  # no heartbeat in it
             rates_hz.append(beats_per_second(time_s, pressure_pa))
         # A reading's own noise and drift lie where neither pressure nor LED took it along, in fewer degrees of freedom.
-        readings = np.isfinite(residual).sum() / np.isfinite(residual).any(0).sum()
-        share = readings / max(readings - 1 - leds.shape[1], 1)
+        share = len(unexplained) / max(len(unexplained) - 1 - leds.shape[1], 1)
         white_v.append(np.sqrt(share) * _white(unexplained))
         untouched = force_n < REST_FORCE_N
         reading_drift2.append(share * _random_walk_variance(unexplained / rest_v[:, None], time_s, untouched))
@@ -118,19 +116,21 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
 
     response : (R, T) float, of every reading to the pressure. leds : (R, L) float, to the light. noise_v2 : (R,) float.
     """
-    valid = np.isfinite(residual)
+    valid, seen = np.isfinite(residual), np.flatnonzero(np.isfinite(residual).any(0))
     design = np.concatenate([response.T[:, :, None], np.broadcast_to(leds, (response.shape[1], *leds.shape))], axis=2)
     weighted = design / noise_v2[:, None] * valid.T[..., None]
     normal = np.einsum("trp,trq->tpq", weighted, design)
-    strength, usual = normal[:, 0, 0], np.median(normal[valid.any(0), 0, 0])
+    strength = normal[:, 0, 0]
     # Where a touch all but shuts the vessels, readings hardly depend on the arterial pressure, which is taken as 0.
-    normal[:, 0, 0] += np.where(strength > 0.01 * usual, PRESSURE_SPREAD_PA**-2, 1e9 * strength.max())
+    normal[:, 0, 0] += np.where(
+        strength > 0.01 * np.median(strength[seen]), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max()
+    )
     light = np.arange(1, design.shape[2])
     normal[:, light, light] += LIGHT_SPREAD**-2
     rhs = np.einsum("trp,rt->tp", weighted, np.nan_to_num(residual))
     parts = np.linalg.solve(normal, rhs[..., None])[..., 0]
     unexplained = residual - np.einsum("trp,tp->rt", design, parts)
-    parts[:, 0], seen = rhs[:, 0] / normal[:, 0, 0], np.flatnonzero(valid.any(0))
+    parts[:, 0] = rhs[:, 0] / normal[:, 0, 0]
     parts = np.stack([np.interp(np.arange(len(parts)), seen, part) for part in parts[seen].T])
     return parts[0], parts[1:], unexplained
 
@@ -138,8 +138,7 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
 def _random_walk_variance(drifting: Array, time_s: Array, untouched: NDArray[np.bool_]) -> Array:
     """Mean variances that random walks (N, T) gain in a minute, from each rest to the next, (rests - 1,) float."""
     rests = [slice(start, stop) for start, stop in runs(untouched) if stop - start > 1]
-    known = np.ma.masked_invalid(drifting)
-    means = np.array([known[:, rest].mean(1).filled(0.0) for rest in rests]).reshape(len(rests), len(drifting))
+    means = np.array([np.ma.masked_invalid(drifting[:, rest]).mean(1) for rest in rests]).reshape(-1, len(drifting))
     return np.asarray((np.diff(means, axis=0) ** 2).mean(1) * 60.0 / np.diff([time_s[rest].mean() for rest in rests]))
 
 

@@ -196,14 +196,12 @@ def _dataset(recordings: Sequence[Recording], fitted: Fitted) -> xr.Dataset:
     return xr.Dataset(data, {"reading": list(every.names)})
 
 
-# Least rest before the first touch of a recording [s], and its largest force, at least and at most [N].
-REST_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 0.2, 20.0
+# Least rest before the first touch of a recording, its longest pause [s], and its largest force, at least and most [N].
+REST_S, LONGEST_PAUSE_S, LEAST_TOUCH_N, MOST_TOUCH_N = 1.0, 60.0, 0.2, 20.0
 # A touch reaches this force before the finger rests again [N]
 TOUCHED_N = 0.1
 # Rates of all recordings, of each in so many parts, differ by less than this part.
 RATE_PARTS, SAME_RATE = 5, 0.2
-# Longest pause. [s]
-LONGEST_PAUSE_S = 60.0
 # Least number of a reading's samples at rest, least valid fraction of all, and most that is saturated.
 LEAST_AT_REST, LEAST_PART, MOST_SATURATED = 10, 0.1, 0.01
 # A side lacks what it has less of than this fraction of the protocol's.

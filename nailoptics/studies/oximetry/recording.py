@@ -88,8 +88,9 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     for j, name in enumerate(recording.photodiodes):
         so2, curve = result.so2.values, result.sel(photodiode=name)
         if np.ptp(np.sign(np.diff(curve.ratio))) > 0:
-            why = "both rises and falls with saturation; take LEDs of 660 and 940 nm, or leave the photodiode out."
-            raise InputError(f"{recording.name}: the ratio of ratios of photodiode {name!r} {why}")
+            raise InputError(
+                f"{recording.name}: R of photodiode {name!r} both rises and falls with SpO2; leave it out."
+            )
         value = saturation_of(estimates["ratio"][j], so2, curve.ratio.values)
         slope = np.abs(np.interp(value, so2, np.gradient(so2, curve.ratio.values)))
         of_curve = np.interp(value, so2, curve.ratio_stderr.values)
@@ -183,12 +184,11 @@ def deming_slope(red: Array, infrared: Array, noise: Array, *, values: float) ->
     """Slope of red over infrared and its standard error, where both have noise.
 
     red, infrared : (n,) float, of mean 0 or nearly.
-    noise : (2, 2) float. Covariance of their noise, in any unit, which keeps the slope unbiased.
+    noise : (2, 2) float. Covariance of their noise, in any unit. Less what it shares, red's noise is independent.
     values : how many of them are independent, as filtered noise is correlated.
 
     References: Fuller 1987, Measurement Error Models, ch. 1.3.
     """
-    # Less its part of infrared's, red's noise is independent of that.
     balance, shared = (noise[0] / noise[1, 1]).tolist()
     red, balance = red - shared * infrared, max(balance - shared**2, 0.0)
     yy, xx, xy = float(np.mean(red**2)), float(np.mean(infrared**2)), float(np.mean(red * infrared))
@@ -215,8 +215,7 @@ def _noise_covariance(both: Array, rate_hz: float) -> Array:
     above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
     # Motion's few lines do not move the median.
     red, infrared, total, difference = np.maximum(np.median(above, axis=1), np.finfo(float).tiny)
-    shared = 0.25 * (total - difference)
-    return np.array([[red, shared], [shared, infrared]])
+    return np.array([[red, shared := 0.25 * (total - difference)], [shared, infrared]])
 
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:

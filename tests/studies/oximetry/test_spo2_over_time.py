@@ -224,7 +224,7 @@ def test_what_tells_nothing_is_refused_in_one_line():
 def test_a_curve_with_two_saturations_for_a_ratio_is_refused_in_one_line():
     """Expected: the photodiode is named whose ratio of ratios falls and rises again."""
     turning = KNOWN.assign(ratio=KNOWN.ratio.where(KNOWN.photodiode != "axis.3", 1.0 + (KNOWN.so2 - 0.75) ** 2))
-    with pytest.raises(InputError, match="of photodiode 'axis.3' both rises and falls with saturation") as error:
+    with pytest.raises(InputError, match="R of photodiode 'axis.3' both rises and falls with SpO2") as error:
         spo2_over_time(recorded(0.9, seed=2), turning, SCENE)
     assert "\n" not in str(error.value)
 
