@@ -16,6 +16,7 @@ from ...errors import InputError
 from ...io import plain_cell
 from ...scene import Placement, parse_scene
 from ...sensor.ambient import sources_of
+from ...statistics import quotient
 from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
 from ...studies.placement.result import ROUGH, budgets as budgets_of, chosen, gains, kicad_parts, outline, rows
@@ -305,8 +306,8 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
         reading = result.sel(led=led).isel(best_photodiode=i)
         volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
         line = {"Photodiode": name, "Output [V]": estimated(reading, "predicted_volts")}
-        line["Full scale / reading"] = significant(result.attrs["adc_range_v"] / volts)
-        line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(volts / noise_v)}
+        line["Full scale / reading"] = significant(float(quotient(result.attrs["adc_range_v"], volts)))
+        line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(float(quotient(volts, noise_v)))}
         line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
         # A hundredth of the bed's volume, in millivolts.
         for k, zone in enumerate(("Proximal", "Distal")):
@@ -321,8 +322,9 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
 
 def _ambient(result: xr.Dataset) -> list[dict[str, str]]:
     """Sun and lamp, with and without the cover, beside no light at all."""
-    none = (0.0, result.predicted_volts.max(), result.predicted_noise_v.max(), result.finger_resolution_n[0, 0])
-    lights = {"none": none}
+    # By the trace to which light from outside is added.
+    unlit = (result.attrs[f"checked_{name}"] for name in ("most_volts", "most_noise_v", "resolution_n"))
+    lights: dict[str, tuple[Any, ...]] = {"none": (0.0, *unlit)}
     for cover, source in product(result.cover.values, sources_of(chosen(result))):
         at = result.sel(cover=cover, ambient=source.kind)
         most = (at.ambient_high_a.max(), at.ambient_volts.max(), at.ambient_noise_v.max(), at.ambient_resolution_n)

@@ -93,6 +93,8 @@ def verify_layout(layout: CandidateLayout, cache: PhotonMapCache, *, max_seconds
     resolution = force_resolution_n(total_information(read), point)
     error = resolution_stderr_n(resolution)
     attributes = {"checked_resolution_n": float(resolution[0]), "checked_resolution_n_stderr": float(error)}
+    unlit = {"volts": np.max([r.amplified_v[0] for r in read]), "noise_v": np.max([r.noise_v[0] for r in read])}
+    attributes |= {f"checked_most_{name}": float(most) for name, most in unlit.items()}
     coordinates = {"led": [led.name for led in scene.leds], "best_photodiode": list(scene.layout.photodiode_names)}
     coordinates |= {"cover": list(COVERS), "ambient": [source.kind for source in sources_of(scene)]}
     return xr.Dataset(data, coords=coordinates, attrs=attributes)

@@ -20,7 +20,15 @@ from nailoptics.light.board_map import Arrivals, BoardTracer, PhotonMap
 from nailoptics.light.tracing import StageProgress
 from nailoptics.light.tracing.store import LightStore
 from nailoptics.light.walk.finger import FingerTracer
-from nailoptics.report.pages.placement import PLACEMENT, _change, _tolerance_rows, _tolerances
+from nailoptics.report.numbers import significant
+from nailoptics.report.pages.placement import (
+    PLACEMENT,
+    _ambient,
+    _change,
+    _photodiodes,
+    _tolerance_rows,
+    _tolerances,
+)
 from nailoptics.scene import Candidate, FingerCase, Placement, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.positions import read_positions
@@ -218,6 +226,27 @@ def test_the_cover_keeps_half_of_the_ambient_light_out(computed):
     assert bool((computed.ambient_a_stderr > 1e-3 * computed.ambient_a).all())
     dark = computed.attrs["checked_resolution_n"]
     assert dark <= float(computed.ambient_resolution_n.sel(cover="covered", ambient="lamp")) < 1.2 * dark
+
+
+def test_light_from_outside_is_listed_beside_the_same_trace_without_it(computed):
+    """Expected: no lamp improves a sensor, by the photon noise of two traces, in volts, noise and resolution."""
+    none, *_ = _ambient(computed)
+    dark, most_v = computed.attrs["checked_resolution_n"], computed.attrs["checked_most_volts"]
+    assert none["Resolution [mN]"] == significant(1e3 * dark) and none["Output at most [V]"] == significant(most_v)
+    most_noise_v, largest = computed.attrs["checked_most_noise_v"], computed.max("best_photodiode")
+    assert bool((computed.ambient_resolution_n >= dark).all()) and bool((largest.ambient_volts >= most_v).all())
+    assert bool((largest.ambient_noise_v >= most_noise_v).all())
+
+
+def test_a_photodiode_that_no_light_reaches_has_a_row(computed):
+    """Expected: without dark current, too, a line that says so, and no number."""
+    dark = computed.copy(deep=True)
+    for name in ("predicted_volts", "predicted_noise_v"):
+        dark[name][{"best_photodiode": 0}] = 0.0
+    dark["predicted_volts_stderr"][{"best_photodiode": 0}] = np.nan
+    first, second, *_ = _photodiodes(dark)
+    assert first["Output [V]"] == "too few photons" and first["SNR"] == "–" and second["SNR"] != "–"
+    assert first.keys() == second.keys()
 
 
 def test_a_turned_photodiode_lies_across_and_comes_back_turned(scene, tmp_path):
