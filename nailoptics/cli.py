@@ -626,7 +626,7 @@ def oximeter(
 ) -> None:
     """Simulate a pulse oximeter: R against saturation, SpO2 with its error and biases; or evaluate a recording.
 
-    The relative error that is requested is that of R on the best photodiode. Writes oximeter.nc, oximeter.html and
+    The relative error that is requested is that of R where it is least. Writes oximeter.nc, oximeter.html and
     oximeter.png, and of a recording oxygen.nc, oxygen.csv and oxygen.html. A recording has time_s and columns
     LED:PHOTODIODE in volts; or red, infrared and ambient counts.
 

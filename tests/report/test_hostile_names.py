@@ -94,7 +94,7 @@ def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     result = xr.Dataset(
         {"spo2_stderr_by_cause": (("photodiode", "cause"), np.ones((1, 1)))}
         | {"volts": (("led", "photodiode", "beat_time"), np.ones((1, 1, 2)))}
-        | {key: ("photodiode", np.ones(1)) for key in ("spo2_stderr", "spo2_stderr_beat")},
+        | {key: ("photodiode", np.ones(1)) for key in ("spo2_stderr", "spo2_stderr_beat", "spo2_simulation_stderr")},
         coords={"led": [name], "photodiode": [name], "cause": [name]},
     )
     assert_text_alone(html.table(oximeter._errors(result)), name)

@@ -30,7 +30,7 @@ def oximeter_page(result: xr.Dataset) -> str:
         warnings=result.attrs["warnings"],
         cards=[
             (f"{significant(a, 4)} − {significant(-b, 3)} R", f"SpO2 in percent, {result.attrs['best']}"),
-            (f"{significant(float(best.spo2_stderr), 2)} %", "standard error of SpO2 over 8 s"),
+            (f"{significant(float(best.spo2_stderr), 2)} %", "standard error of SpO2 over 8 s, by the sensor's noise"),
             (f"{red} and {infrared}", "perfusion index, red and infrared"),
         ],
         body=[
@@ -57,12 +57,13 @@ def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
 
 
 def _errors(result: xr.Dataset) -> list[dict[str, str]]:
-    """Level of each LED's reading, and the standard errors of SpO2 by their causes."""
+    """Level of each LED's reading, and the standard errors of SpO2 by the causes of noise, and by the trace."""
     heads = [f"{led} [V]" for led in result.led.values] + [f"{cause} [%]" for cause in result.cause.values]
-    heads, rows = ["Photodiode", *heads, "All, 8 s [%]", "All, one beat [%]"], []
+    heads, rows = ["Photodiode", *heads, "Noise, 8 s [%]", "Noise, one beat [%]", "Simulation error [%]"], []
     for name in result.photodiode.values:
         at = result.sel(photodiode=name)
         values = [*at.volts.values.mean(-1), *at.spo2_stderr_by_cause.values, at.spo2_stderr, at.spo2_stderr_beat]
+        values.append(at.spo2_simulation_stderr)
         rows.append(dict(zip(heads, [name, *(significant(float(value), 2) for value in values)], strict=True)))
     return rows
 
@@ -184,7 +185,7 @@ def oximeter_summary(result: xr.Dataset) -> dict[str, Any]:
     for name in result.photodiode.values:
         data = result.sel(photodiode=name)
         row = plain(data, "so2", "ratio", "ratio_stderr", "path_ratio", "path_ratio_stderr", "spo2_stderr")
-        row |= plain(data, "spo2_stderr_beat", "saturated")
+        row |= plain(data, "spo2_stderr_beat", "spo2_simulation_stderr", "saturated")
         row["ratio_at_rest"] = {"so2": float(result.attrs["so2"])} | with_stderr(data, "ratio_at_rest")
         line = ("intercept", "slope", "intercept_stderr", "slope_stderr")
         row["fit"] = dict(zip(line, [*data.linear.values.tolist(), *data.linear_stderr.values.tolist()], strict=True))
@@ -226,11 +227,12 @@ def _median(values: np.ndarray) -> float | None:
 def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """An oximeter's calibration and its error, photodiode by photodiode."""
     rows = zip(_calibrations(result), _errors(result), strict=True)
-    shown = ("Photodiode", "Intercept", "Slope", f"R({result.attrs['so2']:g})", "Path ratio", "All, 8 s [%]")
+    shown = ("Photodiode", "Intercept", "Slope", f"R({result.attrs['so2']:g})", "Path ratio", "Noise, 8 s [%]")
+    shown = *shown, "Simulation error [%]"
     lines = aligned([{head: (line | error)[head] for head in shown} for line, error in rows])
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
-    lines.append(f"best photodiode: {summary['best']}; perfusion index {index}")
+    lines.append(f"best photodiode, by its noise: {summary['best']}; perfusion index {index}")
     for name, curve in best["disturbances"].items():
         worst = max(curve["spo2_off"], key=abs)
         lines.append(f"  {name} from {curve['values'][0]:g} to {curve['values'][-1]:g}: bias at most {worst:+.2f} %")

@@ -144,8 +144,8 @@ _LEAKAGE = 52
 def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
     """R against saturation for every photodiode of a two-LED scene, from one trace per wavelength.
 
-    relative_error, of the scene or as requested, is that of the ratio of ratios on the photodiode that knows the
-    saturation best.
+    relative_error, of the scene or as requested, is that of the ratio of ratios on the photodiode where that is least.
+    The best photodiode is that with the least error of SpO2 by the sensor's noise.
 
     Returns: Dataset over photodiode, led (red, infrared), so2 and beat_time: ratio, perfusion index, calibrations,
     errors of SpO2 by cause for a beat and for 8 s, volts over a beat, paths, and curves of what disturbs, each estimate
@@ -204,10 +204,11 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         "photodiode": list(transfer.photodiodes),
         "led": [scene.leds[i].name for i in leds],
         "so2": SO2,
-        "cause": [*CAUSES, "trace"],
+        "cause": [*CAUSES],
     }
-    # A photodiode that sees no light has no error.
-    best = str(transfer.photodiodes[int(np.nan_to_num(data["spo2_stderr"][1], nan=np.inf).argmin())])
+    # A photodiode that sees no light has no error. More photons do not change which has the least noise.
+    noise = np.where(np.isfinite(data["spo2_simulation_stderr"][1]), data["spo2_stderr"][1], np.nan)
+    best = str(transfer.photodiodes[int(np.nan_to_num(noise, nan=np.inf).argmin())])
     about = {
         "title": "nailoptics: oxygen from volts",
         "seed": options.seed,
@@ -259,7 +260,7 @@ def _volts(transfer: Transfer, leds: tuple[int, int], beat: BloodBeat, front_end
 def _error_variables(
     oximeter: CalibratedOximeter, slope: Array, front_end: SampledFrontEnd, volts: Variables
 ) -> Variables:
-    """Error of SpO2 by its cause, for one beat and for 8 s. [percent]
+    """Error of SpO2 by the sensor's noise and its causes, for one beat and for 8 s, and by the trace. [percent]
 
     slope : (photodiodes,) float. Of SpO2 over R. [percent]
     """
@@ -274,9 +275,9 @@ def _error_variables(
     for end, seconds in (("_beat", 60.0 / heart_rate_per_min(scene.body)), ("", AVERAGE_S)):
         how = {"shape_rms": shape, "frames": seconds * frame_hz}
         by_noise = [ratio_stderr(ratio, index, level_v, of_cause, **how) for of_cause in noise_v2]
-        by_cause = slope * np.stack([*by_noise, jackknife(nominal.ratio[..., 0])])
+        by_cause = slope * np.stack(by_noise)
         data |= {f"spo2_stderr{end}_by_cause": by_cause, f"spo2_stderr{end}": np.linalg.norm(by_cause, axis=0)}
-    return described(__package__, **data)
+    return described(__package__, spo2_simulation_stderr=slope * jackknife(nominal.ratio[..., 0]), **data)
 
 
 def _warnings(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, path_ratio: Array) -> list[str]:

@@ -64,7 +64,7 @@ def trace_for_ratio(
         left_s = None if limit_s is None else limit_s - (time.perf_counter() - begin)
         if unmet or (left_s is not None and left_s <= 0):
             reached = f"{per_led} photons for each LED with a relative error of {error:.3g}"
-            why = f"the trace ended at {reached} of the best photodiode's ratio of ratios, {target:g} requested"
+            why = f"the trace ended at {reached} of the ratio of ratios where it is least, {target:g} requested"
             interrupted = bool(unmet and unmet.interrupted)
             raise NotReachedError(f"{why}; allow more time or require less.", result=light, interrupted=interrupted)
 

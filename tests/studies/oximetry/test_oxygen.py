@@ -65,6 +65,11 @@ def test_the_shipped_oximeter_is_one(computed, tmp_path):
         assert 0.9 < one["path_ratio"] < 1.8 and one["spo2_stderr_beat"] >= one["spo2_stderr"] > 0
         assert not one["saturated"]
         assert {"touch_force_n", "rest_blood_fraction", "sunlight_lux"} <= set(one["disturbances"])
+    # By the sensor's noise, not by how many photons were traced.
+    assert {*best["spo2_stderr_by_cause"]} == {"electronics", "converter", "ambient light"}
+    assert best["spo2_stderr"] == min(one["spo2_stderr"] for one in printed["readings"].values())
+    assert best["spo2_stderr"] == pytest.approx(np.linalg.norm([*best["spo2_stderr_by_cause"].values()]))
+    assert best["spo2_simulation_stderr"] == pytest.approx(abs(fit["slope"]) * rest["stderr"])
     assert printed.pop("cut_off") is None and "null" not in to_json(printed)
     write_dataset(computed, tmp_path / "oximeter.nc")
     all_shown(computed)
