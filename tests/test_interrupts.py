@@ -1,5 +1,6 @@
 """Ctrl-C, a real one: whatever a command does, it ends soon, and what it says of what is kept is true."""
 
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from interrupted import ENVIRONMENT, Interrupting, interrupted_at
 from small_scenes import SMALL_FINGER_BEST
 
 from nailoptics.report.pages.simulate import SIMULATION
+from nailoptics.scene.priors import shipped_priors
 from nailoptics.studies.colour import nail_colour
 from nailoptics.studies.colour.reflectance import NODES
 from nailoptics.studies.exploration import explore, pair_table
@@ -90,6 +92,24 @@ def test_an_interrupt_between_two_results_leaves_the_first_whole(folder, interru
     ended = interrupting.at("nailoptics.report.pages.simulate:document", *SIMULATE)
     assert ended.code == 130 and written(folder / "out") == {SIMULATION.files[0]} and ended.said[-1] == COMPLETE
     assert xr.load_dataset(folder / "out" / SIMULATION.files[0]).sizes["time"] > 0
+
+
+@pytest.mark.jit
+def test_the_priors_of_a_simulation_end_within_a_batch(folder, interrupting, coarse_cells, store):
+    """The first trace is the scene's, the second its twin of few photons; expected: of two priors that need traces of
+    their own the first is kept, the second is left out, and the page does not blame the scene for that."""
+    unknown = ("finger.plate_scattering", "finger.bed_scattering", "blood.so2")
+    known = [prior.field for prior in shipped_priors() if prior.field not in unknown]
+    Path("finger.toml").write_text(SMALL_FINGER_BEST + f"[priors]\nknown = {json.dumps(known)}\n")
+    traced = "nailoptics.light.tracing.trace_scene:LedSource.batch"
+    ended = interrupting.at(traced, *SIMULATE, call=5)
+    assert (ended.code, ended.later) == (3, 0) and written(folder / "out") == set(SIMULATION.files)
+    assert ended.said[-1] == "nailoptics: interrupted; priors not traced: bed scattering. What was reached is in out."
+    result = xr.load_dataset(folder / "out" / SIMULATION.files[0])
+    how = dict(zip(result.prior_field.values.tolist(), result.prior_how.values.tolist(), strict=True))
+    assert how == dict(zip(unknown, ("retraced", "not traced", "reweighted"), strict=True))
+    assert "which this run has not made: bed scattering." in ended.out and "own_traces" not in ended.out
+    assert interrupting.at(traced, *SIMULATE, call=2).code == 3
 
 
 @pytest.mark.jit

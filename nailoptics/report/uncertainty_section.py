@@ -50,7 +50,7 @@ def _conclusions(result: xr.Dataset, rows: list[dict[str, Any]]) -> list[str]:
     traced = [row for row in rows if row["how"] != "not traced"]
     lines = (_of_layouts if "best_stays_best_at" in result else _of_readings)(result, traced)
     if left := [row["name"] for row in rows if row["how"] == "not traced"]:
-        lines.append(TEXTS["not_included"].format(", ".join(left)))
+        lines.append(TEXTS["cut_off" if result.attrs.get("cut_off") else "not_included"].format(", ".join(left)))
     return lines
 
 

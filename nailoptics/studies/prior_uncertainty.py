@@ -11,9 +11,10 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel
 
-from ..errors import as_far_as_reached
+from ..errors import NotReachedError, as_far_as_reached
 from ..light import ProgressCallback, Transfer, trace
 from ..light.identity import light_scene
+from ..light.tracing import StageProgress
 from ..light.transfer.series import read_by_groups
 from ..options import TraceOptions
 from ..scene import Prior, Scene
@@ -77,25 +78,28 @@ def over_priors(
         takes a trace, that of the middle node is on the parabola through the ends and the scene's own.
     retraced : the answer of fewer photons of their own, where a value takes a trace: the difference from that of the
         scene by as many with common random numbers is added to the scene's by all, which is the control variate.
+        Where it raises NotReachedError, this prior and those after it are left out.
     """
-    base, nodes = answer(scene), []
-    reread = [only_absorbs(scene, prior) for prior in priors]
-    twin = retraced(scene) if retraced and not all(reread) else base
+    base, nodes, twin = answer(scene), [], list[np.ndarray]()
 
     def beside(varied: Scene) -> np.ndarray:
         assert retraced is not None
-        return base + retraced(varied) - twin
+        twin.extend([] if twin else [retraced(scene)])
+        return base + retraced(varied) - twin[0]
 
-    for prior, absorbs in zip(priors, reread, strict=True):
-        at = answer if absorbs or retraced is None else beside
-        values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
-        low, high, offset = at(values[0]), at(values[2]), offset_of(scene, prior)
-        if abs(offset) < MOST_OFFSET and not absorbs:
-            middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
-            middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
-        else:
-            middle = at(values[1])
-        nodes.append([low, middle, high])
+    try:
+        for prior in priors:
+            at = answer if (absorbs := only_absorbs(scene, prior)) or retraced is None else beside
+            values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
+            low, high, offset = at(values[0]), at(values[2]), offset_of(scene, prior)
+            if abs(offset) < MOST_OFFSET and not absorbs:
+                middle = base * NODES[2] ** 2 / (NODES[2] ** 2 - offset**2)
+                middle = middle + offset / 2 * (low / (NODES[2] + offset) - high / (NODES[2] - offset))
+            else:
+                middle = at(values[1])
+            nodes.append([low, middle, high])
+    except NotReachedError:
+        priors = priors[: len(nodes)]
     by_prior = np.array(nodes).reshape(len(priors), len(NODES), *base.shape)
     return PriorSensitivity(tuple(priors), by_prior, base, scene.priors.correlation(priors))
 
@@ -261,7 +265,7 @@ class ReadingUncertainty:
     level : natural logarithm of the reading in the first state.
     change : the change, as a multiple of the scene's own.
     signal : the change as a fraction of the reading in the first state.
-    untraced : priors that need traces of their own and had none.
+    untraced : priors that need traces of their own and had none, or were interrupted.
     """
 
     level: PriorSensitivity
@@ -293,11 +297,14 @@ def readings_over_priors(
     states : a scene's two states, (2, zones) float.
     options : seed and backend of the traces of their own, which take half of max_seconds at most, all together.
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
+    progress : called with the stage "priors"; an interrupt ends the traces, and what is there is returned.
     """
     scene = transfer.scene
     needing_traces = [prior for prior in scene.finger_priors if not only_absorbs(scene, prior)]
     evaluated = [prior for prior in scene.finger_priors if prior not in needing_traces]
     limit = None if options.max_seconds is None else options.max_seconds / max(4 * len(needing_traces), 1)
+    count = 1 + sum(2 + (abs(offset_of(scene, prior)) >= MOST_OFFSET) for prior in needing_traces)
+    stage, made = StageProgress(progress), list[int]()
     photons = max(LEAST_OWN_PHOTONS, round(OWN_SHARE * max(led.photons for led in transfer.traces)))
     fewer = replace(options, relative_error=None, photons=photons, max_seconds=limit)
 
@@ -307,16 +314,26 @@ def readings_over_priors(
             first, second = np.moveaxis(np.log(read_by_groups(light, varied, states(varied))), -1, 0)
             return np.stack([first, second - first], -1)
 
+    def report(_: object) -> None:
+        stage("priors", len(made) / count)
+        if stage.interrupted:
+            raise KeyboardInterrupt
+
     def retraced(varied: Scene) -> np.ndarray:
         plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
-        return reread(varied, as_far_as_reached(trace, plain, progress=progress, **how)[0])
+        light, unmet = as_far_as_reached(trace, plain, progress=report, **how)
+        if unmet and unmet.interrupted:
+            raise unmet
+        made.append(light.photons)
+        stage("priors", len(made) / count)
+        return reread(varied, light)
 
     result = over_priors(scene, evaluated + (needing_traces if own_traces else []), reread, retraced)
     return ReadingUncertainty(
         level=replace(result, answer=lambda values, _: values[..., 0]),
         change=replace(result, answer=_change),
         signal=replace(result, answer=lambda values, _: np.expm1(values[..., 1])),
-        untraced=() if own_traces else tuple(needing_traces),
+        untraced=tuple(prior for prior in needing_traces if prior not in result.priors),
     )
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import xarray as xr
 
 from ..assets import read_toml
-from ..errors import InputError, unless_cut_off
+from ..errors import InputError, NotReachedError, unless_cut_off
 from ..hemodynamics.for_scene import blood_model, blood_over_touch, hold_end
 from ..light import ProgressCallback, Transfer, backend, section
 from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import FIT_SAMPLES, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
 from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
-from .prior_uncertainty import readings_over_priors
+from .prior_uncertainty import ReadingUncertainty, readings_over_priors
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +53,10 @@ def simulate(
     if scene.priors.spread and transfer is not None:
         # A trace that was cut short is followed by none.
         own_traces = scene.priors.own_traces is not False and not unmet
-        result = result.merge(_spread(course, transfer, options, progress, own_traces))
+        spread = _spread(course, transfer, options, progress, own_traces)
+        result = result.merge(spread.dataset(scene))
+        if own_traces and (names := ", ".join(prior.name for prior in spread.untraced)):
+            unmet = NotReachedError(f"interrupted; priors not traced: {names}.", interrupted=True)
     if (full := result.saturated.any(("led", "time")).values).any():
         how = 'lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it)'
         log.warning("saturated: %s; %s.", ", ".join(result.photodiode.values[full]), how)
@@ -88,7 +91,7 @@ def _spread(
     options: TraceOptions,
     progress: ProgressCallback | None,
     own_traces: bool,
-) -> xr.Dataset:
+) -> ReadingUncertainty:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     scene, ends = transfer.scene, [0, hold_end(course)]
     # These are the light's alone, and that of capillaries at rest where there are no arterioles beside them.
@@ -103,5 +106,4 @@ def _spread(
         blood = (course if same else blood_over_touch(varied)).blood_fraction.values
         return np.asarray(part * blood[:, ends].T)
 
-    over_priors = readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)
-    return over_priors.dataset(scene)
+    return readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)

@@ -416,6 +416,24 @@ def test_an_interrupt_after_a_batch_keeps_the_batch(chosen_jit):
 
 
 @pytest.mark.jit
+def test_the_traces_of_priors_report_their_progress(chosen_jit):
+    """Expected: the share that is done rises from 0 to 1, and a callback that interrupts leaves the rest untraced."""
+    reports = []
+    result = simulate(prototype(), photons=1 << 14, seed=1, progress=reports.append)
+    done = [p.fraction_done for p in reports if p.led == "priors" and p.is_stage]
+    assert done == sorted(done) and done[0] == 0 and done[-1] == 1 and len(done) > 3
+    assert "not traced" not in result.prior_how
+
+    def stop(progress):
+        if progress.led == "priors":
+            raise KeyboardInterrupt
+
+    with pytest.raises(NotReachedError, match=r"^interrupted; priors not traced: bed scattering\.$") as caught:
+        simulate(prototype(), photons=1 << 14, seed=1, progress=stop)
+    assert caught.value.interrupted and "bed scattering" in caught.value.result.prior
+
+
+@pytest.mark.jit
 def test_without_a_touch_nothing_changes(chosen_jit):
     result = simulate(quiet(prototype(force_n=0.0)), photons=1 << 15, seed=1)
     assert "path_density" not in result and "section_region" not in result
