@@ -113,8 +113,9 @@ def calibrate_with(
     except (ValidationError, InputError) as error:
         why = f"cannot be calibrated with this scene ({as_input_error(error, BaseModel).args[0]})"
         raise InputError(f"{recordings[0].name}: {why} Check units, columns and scene.") from None
+    report(FITTED)
     subject = _judged(subject, recordings)
-    report(1.0)
+    stage("fit", 1.0)
     return _dataset(recordings, fitted).assign_attrs(
         title="nailoptics: a person's sensor, calibrated",
         digest=subject.scene_digest,

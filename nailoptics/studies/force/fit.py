@@ -6,7 +6,7 @@ References: Golub, Pereyra 2003, Inverse Probl. 19:R1 (variable projection); Whi
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,20 +116,18 @@ class Fit:
         self._columns = lru_cache(2)(self._moved_columns)
 
     def solve(self, report: Callable[[float], None] = lambda done: None) -> Fitted:
-        """Search the factors, from the best of several starts; report : takes the part that is done."""
+        """Search the factors, from the best of several starts; report : takes the part that is done, often."""
         starts = [np.log([start.get(NAMES[k], 1.0) for k in self.free]) for start in STARTS]
         searches, results = len(starts) + ROUNDS, []
         # Which start is best slow touches tell.
         free = np.isin(np.arange(len(NAMES)), self.free)
         slow = Fit(self.recordings, self.table, self.finger, free=free, rate_hz=SLOW_RATE_HZ)
         for number, start in enumerate(starts):
-            report(number / searches)
-            results.append(slow._search(start, FIRST_EVALUATIONS))
+            results.append(slow._search(start, FIRST_EVALUATIONS, partial(report, number / searches)))
         free_ln = min(results, key=lambda result: result[1])[0]
         for number in range(len(starts), searches):
-            report(number / searches)
             self._reweight(free_ln)
-            free_ln, _ = self._search(free_ln, MOST_EVALUATIONS)
+            free_ln, _ = self._search(free_ln, MOST_EVALUATIONS, partial(report, number / searches))
         self._reweight(free_ln)
         return self._finish(free_ln)
 
@@ -157,10 +155,10 @@ class Fit:
             out.append(np.stack([volts, *(volts * (zone - rest) for zone in blood)]))
         return out
 
-    def _search(self, start_ln: Array, evaluations: int) -> tuple[Array, float]:
-        """Logarithms of the free factors (P,) at the least sum of squares from a start, and half that sum."""
+    def _search(self, start_ln: Array, evaluations: int, report: Callable[[], object]) -> tuple[Array, float]:
+        """Logarithms of the free factors (P,) at the least squares from a start, and half their sum; reports often."""
         # One pass gives residuals and Jacobian, which scipy requests one after the other.
-        both = lru_cache(1)(lambda free_ln: self.residuals(np.array(free_ln)))
+        both = lru_cache(1)(lambda free_ln: (report(), self.residuals(np.array(free_ln)))[1])
         value, jacobian = (lambda free_ln, k=k: both(tuple(free_ln))[k] for k in (0, 1))
         how = {"bounds": (-self.most_ln, self.most_ln), "max_nfev": evaluations, "xtol": 1e-3, "ftol": 1e-4}
         result = least_squares(value, start_ln, jac=jacobian, **how)
