@@ -24,7 +24,7 @@ USUAL_MELANIN_FRACTION = 0.013  # the middle of the 0.9 to 1.7 % that the epider
 USUAL_BONE_EDGE_MM = 0.8
 USUAL_CONTACT_AREA_MM2 = 100.0  # 1 cm^2, on which 1 N presses with the paper's 1 N/cm^2
 
-MOST_FORCE_N = 30.0  # of a finger; what is more was meant in grams
+MOST_FORCE_N = 30.0  # of a finger; what is more was meant in another unit
 LEAST_AREA_MM2 = 0.1  # of a contact: a pin's head; what is smaller pricks
 
 # Planck's constant times the speed of light over the elementary charge: a photon of 1240 nm carries 1 eV.

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from ..errors import InputError
 from .base import LEAST_AREA_MM2, MOST_FORCE_N, USUAL_CONTACT_AREA_MM2, Fraction, NonNegative, Positive, Table
-from .importers.sensor_recordings import PRESSURES, check_columns, with_recording
+from .importers.sensor_recordings import IN_NEWTONS, PRESSURES, check_columns, with_recording
 from .protocol import MOST_DONNINGS, is_off, protocol
 
 SHARES = {"proximal": 1.0, "distal": 0.0, "even": 0.5}
@@ -25,7 +25,7 @@ LAST_STEP_S = 2.0
 
 def _in_newtons(force_n: float) -> float:
     if force_n > MOST_FORCE_N:
-        raise ValueError(f"{force_n:g} N must be at most {MOST_FORCE_N:g} N; divide grams by 102")
+        raise ValueError(f"{force_n:g} N must be at most {MOST_FORCE_N:g} N; {IN_NEWTONS}")
     return force_n
 
 

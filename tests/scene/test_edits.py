@@ -93,7 +93,10 @@ UNPLACED = ({"name": "a", "part": "led_660"}, {"name": "b", "part": "led_660"})
         (lambda s: s.with_(**{"blood.so2": 97}), "blood.so2 = 97: must be less than or equal to 1"),
         (lambda s: s.with_(**{"blood.so2.x": 1}), "blood.so2"),
         (lambda s: s.with_(leds=[]), "leds = .*at least 1 item"),
-        (lambda s: s.with_({"touch.force_n": 50}), "touch.force_n: 50 N must be at most 30 N; divide grams by 102"),
+        (
+            lambda s: s.with_({"touch.force_n": 50}),
+            "touch.force_n: 50 N must be at most 30 N; give it in newtons: divide millinewtons by",
+        ),
         (lambda s: nail.Scene(finger={}, leds=s.leds), "photodiodes: a finger scene needs at least one"),
         (lambda s: nail.Scene(schema_version=2, finger={}, leds=s.leds), "schema_version = 2"),
         (lambda s: Led(name="ir", wavelength_nm="red"), 'wavelength_nm = "red": must be a valid number'),

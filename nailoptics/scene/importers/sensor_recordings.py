@@ -34,6 +34,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "hand_height_m": (-1.0, 1.0, "m"),
     **{f"{light} light": (0.0, np.inf, "counts") for light in ("red", "infrared", "ambient")},
 }
+IN_NEWTONS = "give it in newtons: divide millinewtons by 1000, grams-force by 102"
 # A load cell that nothing presses reads a little on either side of zero: so far below it counts as none. [N]
 UNLOADED_N = 0.05
 SITES = {"proximal": 1.0, "distal": 0.0, "even": np.nan}
@@ -98,7 +99,7 @@ def check_columns(columns: Mapping[str, ArrayLike], name: str, line: NDArray[np.
         values = arrays.get(title, np.empty(0))
         # What is too large says more of a wrong unit than noise about 0 does.
         for k in [*np.flatnonzero(values > high)[:1], *np.flatnonzero(values < low)[:1]][:1]:
-            hint = "divide grams by 102" if title == "force_n" and values[k] > high else "check its sign and unit"
+            hint = IN_NEWTONS if title == "force_n" and values[k] > high else "check its sign and unit"
             raise InputError(f"{at(k)} {title} = {values[k]:g} must lie in {low:g} to {high:g} {unit}; {hint}.")
 
 

@@ -16,7 +16,7 @@ from ...light.tracing import StageProgress
 from ...options import Requested, TraceOptions
 from ...scene import Scene, SceneIn, as_scene, digest, to_toml
 from ...scene.base import MOST_FORCE_N
-from ...scene.importers.sensor_recordings import Recording, read_sensor_recording
+from ...scene.importers.sensor_recordings import IN_NEWTONS, Recording, read_sensor_recording
 from ...scene.protocol import CLOSING_N, FIRST_REST_S, LEAST_TOUCHES, LEVEL_N, SIDE_S
 from ...sensor import electronics
 from ...variables import variable
@@ -267,7 +267,7 @@ def _faults(recording: Recording) -> Iterator[str]:
     usual_s, longest = float(np.median(steps_s)), int(np.argmax(steps_s))
     first_rest_s = _first_rest_s(recording)
     faults = {
-        f"force_n reaches {most_n:.3g}: that is in grams; divide it by 102.": most_n > MOST_FORCE_N,
+        f"force_n reaches {most_n:.3g}; {IN_NEWTONS}.": most_n > MOST_FORCE_N,
         f"force_n is constant at {force_n[0]:g} N; press the finger.": np.ptp(force_n) == 0,
         f"force_n reaches {most_n:.3g} N; press up to 1 N or more, {MOST_TOUCH_N:g} N at most, and give it in "
         "newtons.": not LEAST_TOUCH_N <= most_n <= MOST_TOUCH_N,

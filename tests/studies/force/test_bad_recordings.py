@@ -106,10 +106,10 @@ EITHER = [
     (_column("force_n", lambda cell, k: "-0.1" if k == 9 else cell), "line 11: force_n = -0.1 must lie in 0 to 100 N"),
     (
         _column("force_n", lambda cell, k: "250" if k == 9 else cell),
-        "force_n = 250 must lie in 0 to 100 N; divide grams",
+        "force_n = 250 must lie in 0 to 100 N; give it in newtons",
     ),
     # A load cell in grams, whose noise lies below 0, too.
-    (_column("force_n", lambda cell, k: str(102 * float(cell) - 0.3)), "must lie in 0 to 100 N; divide grams"),
+    (_column("force_n", lambda cell, k: str(102 * float(cell) - 0.3)), "must lie in 0 to 100 N; give it in newtons"),
     (_column("site", lambda cell, k: "thumb" if k == 9 else cell), "line 11: site = 'thumb' is unknown; choose from"),
 ]
 
@@ -134,7 +134,10 @@ CALIBRATING = [
     (_column("force_n", lambda cell, k: "0"), "constant at 0 N; press the finger"),
     (_column("force_n", lambda cell, k: str(1e-3 * float(cell))), "force_n reaches 0.0015 N; press up to 1 N"),
     (_column("force_n", lambda cell, k: str(15 * float(cell))), "reaches 22.5 N; press up to 1 N or more, 20 N"),
-    (_column("force_n", lambda cell, k: str(60 * float(cell))), "force_n reaches 90: that is in grams"),
+    (
+        _column("force_n", lambda cell, k: str(60 * float(cell))),
+        "force_n reaches 90; give it in newtons: divide millinewtons by 1000, grams-force by 102.",
+    ),
     (_column("force_n", lambda cell, k: str(0.2 + float(cell))), "rests (force_n below 0.05 N) for 0 s before the"),
     (
         _column("force_n", lambda cell, k: "0.3" if k == 20 else cell),
