@@ -175,8 +175,8 @@ def _saturation(scene: Scene, pairs: list[dict[str, Any]]) -> list[str]:
     shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
     less = "" if scene.ambient is None else ", or the light of [ambient]"
     return [
-        f"may be saturated, of {scene.electronics.adc_range_v:g} V: {shown}; lower leds.flux_mw or "
-        f'electronics.feedback_ohm ("auto" fits it){less}'
+        f"may be saturated, above {MAY_BE_FULL:.0%} of the converter's range of {scene.electronics.adc_range_v:g} V, "
+        f'the margin for other fingers: {shown}; lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it){less}'
     ]
 
 

@@ -54,7 +54,10 @@ def test_it_warns_of_readings_that_may_be_saturated():
     assert lit(0.5)["warnings"] == []
     line, exposure = lit(20)["warnings"]
     assert exposure.startswith("exposure: ")
-    assert line.startswith("may be saturated, of 5 V: ") and "proximal.12 under ir (" in line and "leds.flux_mw" in line
+    assert line.startswith(
+        "may be saturated, above 60% of the converter's range of 5 V, the margin for other fingers: "
+    )
+    assert "proximal.12 under ir (" in line and "leds.flux_mw" in line
 
 
 def test_it_warns_of_an_led_that_its_part_does_not_bear(tmp_path):
