@@ -84,8 +84,12 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
     u, v = (outline.u_min, outline.u_max), (outline.v_min, outline.v_max)
     for axis, (low, high), size in (("wide", u, finger.nail_width_mm), ("long", v, finger.nail_length_mm)):
         if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
-            why = f"which is {size:g} mm {axis}; make the board smaller or move its center_mm"
-            raise ValueError(f"board: {low:.2f} to {high:.2f} mm does not fit on the nail, {why}")
+            what, cure = f"board: {low:.2f} to {high:.2f} mm", "; make the board smaller or move its center_mm"
+            if board.size_mm is None:
+                _, name, r = max((np.abs(r.corners_mm).max(0)[int(axis == "long")], name, r) for name, r in parts)
+                what = "{} at ({:.4g}, {:.4g}) mm".format(name, *r.center_mm)
+                cure = f", with {BOARD_MARGIN_MM:g} mm of board beside it; move it"
+            raise ValueError(f"{what} does not fit on the nail, which is {size:g} mm {axis}{cure}")
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     # What is not wired stands in the way like what is; the highest stands for all.
     height_um = max((p.height_um for p in photodiodes if p.wired is not None), default=0.0)
