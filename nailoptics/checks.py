@@ -120,7 +120,8 @@ def _line(kinds: Sequence[Any], model: "type[BaseModel]") -> str:
     if fault["type"] == "value_error":
         return (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
     shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-    return f"{where} = {shown[:60]}: must {' or '.join(rules)}."
+    unit = "; give it in nm" if where.endswith("wavelength_nm") else ""
+    return f"{where} = {shown[:60]}: must {' or '.join(rules)}{unit}."
 
 
 def _place(fault: Any) -> str:

@@ -193,6 +193,11 @@ def test_a_wavelength_without_tissue_data_is_refused(wavelength):
     assert f"leds[0].wavelength_nm = {wavelength}" in line and "400 to 1000 nm" in line
 
 
+def test_a_wavelength_in_micrometres_is_refused_with_the_unit():
+    line = complaint(in_led("wavelength_nm = 0.94"))
+    assert "leds[0].wavelength_nm = 0.94: must be greater than or equal to 200; give it in nm." in line
+
+
 @pytest.mark.parametrize("wavelength", [400.0, 1000.0])
 def test_wavelengths_at_the_ends_of_the_data_are_good(wavelength):
     assert parse_scene(in_led(f"wavelength_nm = {wavelength}")).leds[0].wavelength_nm == wavelength
