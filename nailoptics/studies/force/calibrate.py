@@ -214,6 +214,9 @@ QUICK_N, QUICK_S, QUICK_TOUCHES = 0.15, 0.3, 2
 def checked(recordings: Sequence[Recording], scene: Scene) -> list[Recording]:
     """The recordings with the scene's readings and their sites; raises InputError unless they can calibrate."""
     names = reading_names(scene)
+    # Force and length first: a reading that no touch moves says nothing of its wiring.
+    for part in (part for recording in recordings for part in worn_at_once(recording)):
+        with_site(replace(part, names=(), volts=part.volts[:0]), scene)
     in_order = [recording.with_readings(names) for recording in recordings]
     given = [with_site(part, scene) for recording in in_order for part in worn_at_once(recording)]
     if not given:

@@ -132,6 +132,11 @@ CALIBRATING = [
     (lambda text: text.replace("force_n", "proximal_pressure_pa"), "has no column force_n"),
     (_column("force_n", lambda cell, k: "" if k == 7 else cell), "line 9: force_n is empty"),
     (_column("force_n", lambda cell, k: "0"), "constant at 0 N; press the finger"),
+    # A rest alone, in which a quiet reading does not change.
+    (
+        lambda text: _column(FIRST, lambda cell, k: "2.00333")(_column("force_n", lambda cell, k: "0.01")(text)),
+        "force_n is constant at 0.01 N; press the finger",
+    ),
     (_column("force_n", lambda cell, k: str(1e-3 * float(cell))), "force_n reaches 0.0015 N; press up to 1 N"),
     (_column("force_n", lambda cell, k: str(15 * float(cell))), "reaches 22.5 N; press up to 1 N or more, 20 N"),
     (
