@@ -247,7 +247,7 @@ def _subject_summary(subject: Subject) -> dict[str, Any]:
 def prediction_summary(result: xr.Dataset) -> dict[str, Any]:
     """Errors, coverage, consistency and events of a prediction."""
     names = ["rms_n", "coverage_95", "chi2_per_dof", "open_above_n", "outliers", "misfit"]
-    names += ["half_width_n", "touch_open_above"]
+    names += ["half_width_n", "touch_open_above", "incomplete"]
     scores = {name: f"touch_{name}" for name in TOUCH_SCORES}
     touches = {kind: plain(result.sel(kind=kind), **scores) for kind in result.kind.values.tolist()}
     events = (result[f"event_{name}"].values.tolist() for name in EVENT)
@@ -272,7 +272,8 @@ def _half_width(half_width_n: float) -> str:
 
 def _prediction_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     upper = f"no upper bound above {summary['open_above_n']:.2f} N (vessels may be closed)"
-    lines = [f"{result.sizes['time']} samples; {upper}"]
+    lacking = f", {summary['incomplete']} of them lack a reading" if summary["incomplete"] else ""
+    lines = [f"{result.sizes['time']} samples{lacking}; {upper}"]
     if math.isfinite(summary["rms_n"]):
         lines.append(f"rms {1e3 * summary['rms_n']:.0f} mN, {summary['coverage_95']:.0%} inside their 95 % interval")
     if math.isfinite(summary["touch_rms_n"]):

@@ -216,6 +216,7 @@ def _dataset(
         "touch_open_above": _of_some(np.mean, np.isinf(force.force_high_n)[touching]),
         "chi2_per_dof": float(estimates.nis.sum() / max(estimates.count.sum(), 1)),
         "outliers": float(estimates.outlier.mean()),
+        "incomplete": int(np.isnan(recording.volts).any(0).sum()),
         "consistent": int(not misfit),
         "misfit": misfit,
         "scene_digest": subject.scene_digest,

@@ -11,7 +11,7 @@ from made_sensor import nominal_finger, on_rigid_pulp
 from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.report.pages.force import calibration_summary, prediction_summary
+from nailoptics.report.pages.force import PREDICTION, calibration_summary, prediction_summary
 from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
 from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
@@ -320,7 +320,10 @@ def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
     volts = recorded.volts.copy()
     volts[1, 200:400] = np.nan
     volts[:, 450:460] = np.nan
-    holed = prediction_summary(predict(subject, replace(recorded, volts=volts)))
+    holed = prediction_summary(estimated := predict(subject, replace(recorded, volts=volts)))
+    lack = int(np.isnan(volts).any(0).sum())
+    assert 0 < lack == holed["incomplete"] and whole["incomplete"] == 0
+    assert PREDICTION.lines(estimated, holed)[0].startswith(f"{volts.shape[1]} samples, {lack} of them lack a reading;")
     assert holed["consistent"]
     assert holed["rms_n"] < whole["rms_n"] + 0.05
 
