@@ -115,8 +115,8 @@ def _warnings(result: xr.Dataset) -> list[str]:
 
 def _tied(ranking: list[dict[str, Any]]) -> str:
     """Which layouts tie with the best, and what of it another seed may propose."""
-    _, *others = [row["layout"] for row in ranking if row["rank"] == 1]
-    return TEXTS["tied"].format(", ".join(others), 100 * ALIKE) if others else "No other ties with the first."
+    first, *others = [row["layout"] for row in ranking if row["rank"] == 1]
+    return TEXTS["tied"].format(first, ", ".join(others), 100 * ALIKE) if others else "No other ties with the first."
 
 
 def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:

@@ -155,7 +155,7 @@ def response(scene, values, at):
 def test_the_page_names_what_ties():
     rows = [{"layout": name, "rank": rank} for name, rank in (("a", 1), ("b", 1), ("c", 1), ("d", 4))]
     assert _tied(rows).startswith(
-        "Tied with the first, which is the simplest of them: b, c."
+        "Proposed: a, the simplest of those tied. Tied with it: b, c."
     ) and "another seed" in _tied(rows)
     assert _tied([rows[0], rows[3]]) == "No other ties with the first."
 
