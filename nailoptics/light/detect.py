@@ -4,6 +4,7 @@ import json
 import logging
 import math
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -25,7 +26,7 @@ from .reference import readings as volpath
 from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, led_cache_key, load_or_compute
-from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
+from .transfer import ReweightWarning, Transfer, mean_of_leds, photodiode_names, provenance
 from .transfer.series import ReadingSeries, readings_over_states
 
 log = logging.getLogger(__name__)
@@ -187,7 +188,14 @@ def rough_readings(scene: Scene, states: np.ndarray) -> ReadingSeries:
     raises InputError without a backend that compiles kernels."""
     photons = max(ROUGH_PHOTONS // len(scene.leds), LEAST_ROUGH_PHOTONS)
     transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
-    return light_of(transfer).readings_at(states)
+    with warnings.catch_warnings(record=True) as caught:
+        read = light_of(transfer).readings_at(states)
+    for message in (str(one.message) for one in caught):
+        short = message.replace(
+            "trace nearer or more photons", "this is the short trace of check, simulate traces more"
+        )
+        warnings.warn(short, ReweightWarning, stacklevel=2)
+    return read
 
 
 def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:
