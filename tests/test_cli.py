@@ -24,6 +24,7 @@ from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import TraceProgress, Transfer, backend
 from nailoptics.studies.colour import nail_colour
+from nailoptics.studies.exploration.explore import FURTHER_LEDS
 from nailoptics.terminal import show_progress
 from nailoptics.version import commit
 
@@ -381,6 +382,13 @@ def test_a_photodiode_without_light_is_reported(folder, capfd, chosen_jit):
         assert limits and all(one == pytest.approx(limit) for one in limits)
 
 
+def test_the_help_of_explore_names_all_wavelengths_that_it_traces(capsys):
+    assert run(["explore", "--help"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--photons is for each wavelength: the scene's, 660 and 940 nm." in shown
+    assert {f"led_{nm}" for nm in (660, 940)} == {*FURTHER_LEDS}
+
+
 @pytest.mark.jit
 def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
     """One photon has no spread, and that of a few says nothing; neither must pass for exact, nor break the JSON."""
@@ -392,7 +400,8 @@ def test_few_photons_have_no_stated_error(folder, capfd, chosen_jit):
         assert printed["readings"][0]["stderr"] is None and "too few photons to estimate a standard error" in err
         assert all((part["stderr"] is None) == (photons == "1") for part in printed["energy"].values())
         assert run(["trace", "phantom.toml", "--photons", photons]) == 0
-        reading = capfd.readouterr().out.splitlines()[0]
+        head, reading = capfd.readouterr().out.splitlines()[:2]
+        assert head == "LED, photodiode, detected fraction of the emitted power [1]"
         assert reading.endswith(("+- unknown", "(95 %)")) and "+- 0.0" not in reading
     assert run(["trace", "phantom.toml", "--photons", "100000", "--json"]) == 0
     out, err = capfd.readouterr()

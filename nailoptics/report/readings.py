@@ -148,7 +148,8 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
 
 def rest_lines(rest: RestReadings) -> list[str]:
     """The readings of a trace, and where its light went."""
-    names, lines = [f"{row['led']}  {row['photodiode']}" for row in rest.readings], []
+    lines = ["LED, photodiode, detected fraction of the emitted power [1]"]
+    names = [f"{row['led']}  {row['photodiode']}" for row in rest.readings]
     for name, row in zip(names, rest.readings, strict=True):
         limit = row.get("upper_limit_95")
         error = _plus_minus(row["stderr"], ".1e") if limit is None else f"below {limit:.1e} (95 %)"
