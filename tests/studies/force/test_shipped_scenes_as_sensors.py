@@ -31,7 +31,7 @@ def test_a_shipped_finger_is_recorded_calibrated_and_predicted(
     monkeypatch.setattr(fit, "ROUNDS", 1)
     recording, subject, out = (str(tmp_path / name) for name in ("recording.csv", "me.toml", "out"))
     loaded, own = load_scene(scene), ("contact_area_mm2", "distal_relaxation_s", "creep", "creep_s")
-    touch = {"profile": "protocol", "sample_rate_hz": 4.0} | {name: getattr(loaded.touch, name) for name in own}
+    touch = {"profile": "protocol", "sample_rate_hz": 12.5} | {name: getattr(loaded.touch, name) for name in own}
     # A recorded body is as long as the touch that it was recorded with.
     body = Body() if loaded.body is not None and loaded.body.file is not None else loaded.body
     scene = tmp_path / "scene.toml"
