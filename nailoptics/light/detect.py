@@ -49,8 +49,7 @@ class DetectedLight:
 
     readings_at : reads a course of blood states, (t, zones) float -> ReadingSeries.
     mean_path, mean_path_stderr : (led, photodiode, absorber) float at rest; NaN where the engine records none. [mm]
-    absorbers : their names.
-    transfer : the trace behind it; None where the engine keeps none.
+    absorbers : their names. transfer : the trace behind it; None where the engine keeps none.
     """
 
     readings_at: Callable[[np.ndarray], ReadingSeries]
@@ -190,11 +189,8 @@ def rough_readings(scene: Scene, states: np.ndarray) -> ReadingSeries:
     transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
     with warnings.catch_warnings(record=True) as caught:
         read = light_of(transfer).readings_at(states)
-    for message in (str(one.message) for one in caught):
-        short = message.replace(
-            "trace nearer or more photons", "this is the short trace of check, simulate traces more"
-        )
-        warnings.warn(short, ReweightWarning, stacklevel=2)
+    for one in caught:
+        warnings.warn(f"{one.message} than this short trace, as simulate does", ReweightWarning, stacklevel=2)
     return read
 
 

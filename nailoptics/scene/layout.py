@@ -87,8 +87,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
             what, cure = f"board: {low:.2f} to {high:.2f} mm", "; make the board smaller or move its center_mm"
             if board.size_mm is None:
                 _, name, r = max((np.abs(r.corners_mm).max(0)[int(axis == "long")], name, r) for name, r in parts)
-                what = "{} at ({:.4g}, {:.4g}) mm".format(name, *r.center_mm)
-                cure = f", with {BOARD_MARGIN_MM:g} mm of board beside it; move it"
+                what, cure = "{} at ({:.4g}, {:.4g}) mm, with board beside it,".format(name, *r.center_mm), "; move it"
             raise ValueError(f"{what} does not fit on the nail, which is {size:g} mm {axis}{cure}")
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()
     # What is not wired stands in the way like what is; the highest stands for all.

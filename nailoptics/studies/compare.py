@@ -56,8 +56,7 @@ class TracedSweep:
 
     own : index of the zone above which it lies.
     mu_a : (t, zones) float. Absorption of the blood in each zone, averaged over the LED's line. [mm^-1]
-    path_mm : (r, zones) float. Mean path in each zone where the sweep starts.
-    traced : readings.
+    path_mm : (r, zones) float. Mean path in each zone where the sweep starts. traced : readings.
     alone : readings if only the blood of its own zone changes.
     scattered, surer : readings if the blood scatters too, and if the slope of that is larger by its error.
     """

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from operator import attrgetter
 from statistics import NormalDist
 from typing import TypeVar
@@ -80,16 +80,12 @@ def over_priors(
         scene by as many with common random numbers is added to the scene's by all, which is the control variate.
         Where it raises NotReachedError, this prior and those after it are left out.
     """
-    base, nodes, twin = answer(scene), [], list[np.ndarray]()
-
-    def beside(varied: Scene) -> np.ndarray:
-        assert retraced is not None
-        twin.extend([] if twin else [retraced(scene)])
-        return base + retraced(varied) - twin[0]
-
+    base, nodes, anew = answer(scene), [], retraced or answer
+    twin = cache(lambda: anew(scene))
     try:
         for prior in priors:
-            at = answer if (absorbs := only_absorbs(scene, prior)) or retraced is None else beside
+            as_traced = (absorbs := only_absorbs(scene, prior)) or retraced is None
+            at = answer if as_traced else lambda varied: base + anew(varied) - twin()
             values = [at_value(scene, prior.field, value) for value in nodes_of(prior)]
             low, high, offset = at(values[0]), at(values[2]), offset_of(scene, prior)
             if abs(offset) < MOST_OFFSET and not absorbs:
@@ -262,8 +258,7 @@ def prior_variables(evaluated: Sequence[Prior], untraced: Sequence[Prior], scene
 class ReadingUncertainty:
     """Readings in a first state and their change to a second one over the priors, (led, photodiode) each.
 
-    level : natural logarithm of the reading in the first state.
-    change : the change, as a multiple of the scene's own.
+    level : natural logarithm of the reading in the first state. change : the change, over the scene's own.
     signal : the change as a fraction of the reading in the first state.
     untraced : priors that need traces of their own and had none, or were interrupted.
     """

@@ -86,11 +86,7 @@ def simulate_from(light: WornLight, *, course: xr.Dataset, seed: int) -> xr.Data
 
 
 def _spread(
-    course: xr.Dataset,
-    transfer: Transfer,
-    options: TraceOptions,
-    progress: ProgressCallback | None,
-    own_traces: bool,
+    course: xr.Dataset, transfer: Transfer, options: TraceOptions, progress: ProgressCallback | None, own_traces: bool
 ) -> ReadingUncertainty:
     """Uncertainty of readings at the start, and of their change to the end of the hold, due to the priors."""
     scene, ends = transfer.scene, [0, hold_end(course)]

@@ -176,8 +176,9 @@ def test_a_board_wider_or_longer_than_the_nail_is_refused():
     # Of a board whose size follows from its parts, what lies outermost is named.
     for place, size in (("[-24.0, 0.0]", "11.5 mm wide"), ("[-1.2, 26.0]", "12 mm long")):
         where = place.strip("[]").replace(".0", "")
-        assert f'leds "ir" at ({where}) mm does not fit on the nail, which is {size}, with 0.5 mm of' in complaint(
-            FINGER.replace("[-1.2, 0.0]", place)
+        line = complaint(FINGER.replace("[-1.2, 0.0]", place))
+        assert (
+            f'leds "ir" at ({where}) mm, with board beside it, does not fit on the nail, which is {size}; move' in line
         )
     assert "reaches over the edge of the board" in complaint(FINGER + "[board]\nsize_mm = [2.0, 6.0]")
 

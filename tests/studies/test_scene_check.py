@@ -54,7 +54,7 @@ def test_too_few_photons_of_the_short_trace_are_for_simulate_to_mend(monkeypatch
 
     monkeypatch.setattr(detect, "trace", lambda *_, **__: None)
     monkeypatch.setattr(detect, "light_of", lambda transfer: SimpleNamespace(readings_at=readings_at))
-    with pytest.warns(ReweightWarning, match="its error; this is the short trace of check, simulate traces more$"):
+    with pytest.warns(ReweightWarning, match="more photons than this short trace, as simulate does$"):
         detect.rough_readings(load_scene(data_dir("scenes") / "prototype.toml"), None)
 
 

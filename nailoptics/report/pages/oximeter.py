@@ -227,8 +227,8 @@ def _median(values: np.ndarray) -> float | None:
 def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     """An oximeter's calibration and its error, photodiode by photodiode."""
     rows = zip(_calibrations(result), _errors(result), strict=True)
-    shown = ("Photodiode", "Intercept", "Slope", f"R({result.attrs['so2']:g})", "Path ratio", "Noise, 8 s [%]")
-    shown = *shown, "Simulation error [%]"
+    shown = ["Photodiode", "Intercept", "Slope", f"R({result.attrs['so2']:g})", "Path ratio"]
+    shown += ["Noise, 8 s [%]", "Simulation error [%]"]
     lines = aligned([{head: (line | error)[head] for head in shown} for line, error in rows])
     best = summary["readings"][summary["best"]]
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())

@@ -37,8 +37,7 @@ VENOUS_BELOW = np.linspace(0.0, 0.30, 7)
 class CalibratedOximeter:
     """An oximeter that was calibrated with the scene as it is.
 
-    so2 : (n,) float. Saturations that rise.
-    curve : (1 + groups, photodiodes, n) float. Its ratio of ratios there.
+    so2 : (n,) float. Saturations that rise. curve : (1 + groups, photodiodes, n) float. Its ratio of ratios there.
     nominal : pulsation in the scene as it is.
     """
 
