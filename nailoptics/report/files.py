@@ -26,7 +26,8 @@ class Report:
     """A kind of result.
 
     files : names of its files: the result itself (.nc), its page (.html), its first figure (.png), and others.
-    page : of a result, as a whole page. summary : of a result, as plain numbers and texts.
+    page : of a result, as a whole page.
+    summary : of a result, as plain numbers and texts.
     lines : of a result and its summary, for the terminal.
     figures : of a result, by their names, the most telling first.
     others : of a result, contents of its other files by their names, as `write_files` takes them.

@@ -115,7 +115,8 @@ def beside_models(
 ) -> "Figure":
     """A panel for each photodiode: its traced course, wide and with its 95 % interval, beside those of models.
 
-    traced, stderr : (photodiodes, n) float. models : the same of each model and its look, by its label.
+    traced, stderr : (photodiodes, n) float.
+    models : the same of each model and its look, by its label.
     named : name of each photodiode and its colour.
     """
     columns, marker = 4, "o" if len(x) == 1 else None

@@ -200,7 +200,8 @@ def read(
     """What the converter reads of one LED's light on a photodiode: the mean, its noise, and whether it is at its limit.
 
     detected_fraction : array. Fraction of the LED's light that the photodiode detects.
-    photodiode : or several, along the last axis. amplifier : The stage and its converter, a scene's `[electronics]`.
+    photodiode : or several, along the last axis.
+    amplifier : The stage and its converter, a scene's `[electronics]`.
     ambient_a : photocurrent by light from outside; as feedback_ohm a number or an array that broadcasts. [A]
     feedback_ohm : the photodiode's own if not given. [ohm]
 

@@ -110,7 +110,8 @@ class Response:
         `unsaturated`; None without a body. [V]
     independent_v2 : what the body adds to each reading by itself. [V^2]
     unsaturated : (...) float. Probability that the converter is below its limit, at which a reading has no information.
-    light_v : (...) float. What the LED's light gives of it. [V] noise : the causes of noise_v2.
+    light_v : (...) float. What the LED's light gives of it. [V]
+    noise : the causes of noise_v2.
     """
 
     amplified_v: Array
@@ -153,7 +154,8 @@ def response(
     Ambient light has no information. A resistor that is "auto" and not given fits each place by itself.
 
     values : (..., 4) float. Reading, its part never in the bed, derivative by the blood of each zone.
-    scene : with the electronics. led : number of its LED. photodiode : or several, (..., photodiodes, 4).
+    scene : with the electronics. led : number of its LED.
+    photodiode : or several, (..., photodiodes, 4).
     replicates : whether the first axis is by all photons and without each block of them. Then a reading that may be at
         the converter's limit counts with the probability of being below it, so that information has no jumps.
     stage : ambient_a and feedback_ohm of `electronics.read`.

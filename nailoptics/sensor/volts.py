@@ -35,7 +35,8 @@ _MOTIONS = {"lift": 23, "slide": 24}
 class WornLight:
     """All light that a scene's sensor meets.
 
-    scene : with a resistor at every photodiode. in_place : the light under the sensor in its place.
+    scene : with a resistor at every photodiode.
+    in_place : the light under the sensor in its place.
     ambient_a : (3, photodiodes) float. Photocurrents by the scene's [ambient], of `trace_ambient`; None without. [A]
     moved : the light under the sensor elsewhere, where the scene's body moves it, and how far that is [um], by "lift"
         and "slide".

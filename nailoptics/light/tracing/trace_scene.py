@@ -120,7 +120,8 @@ class LightEngine:
 class LedSource:
     """The batches of one LED by number and photons: those that are stored, and new ones, which go to the first store.
 
-    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1] reused : photons that were taken from a store.
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    reused : photons that were taken from a store.
     """
 
     def __init__(

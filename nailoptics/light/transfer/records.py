@@ -122,10 +122,12 @@ def moments_of(photons: int, photodiode: np.ndarray, weight: np.ndarray, path_mm
 class LedTrace:
     """All that one LED's photons left behind, of one batch or of many.
 
-    photons : How many were emitted. mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
+    photons : How many were emitted.
+    mu_a : (r,) float. Absorption for which the weights hold. [mm^-1]
     photon : (n,) unsigned int. Which photon each record is of; one has no more than one for each photodiode.
     photodiode : (n,) unsigned int. Which photodiode it reached.
-    weight : (n,) float. Its weight there, of 1 at emission. path_mm : (n, r) float32. Its path in each absorber. [mm]
+    weight : (n,) float. Its weight there, of 1 at emission.
+    path_mm : (n, r) float32. Its path in each absorber. [mm]
     energy : for reflected, transmitted, absorbed, lost: sum of weights and sum of their squares.
     seeds : seeds of the batches.
     absorbed : as energy, of the light that was absorbed: how much where.

@@ -109,7 +109,8 @@ NODES_NM, WEIGHTS = np.exp(_BOX.nodes[:, 0]), _BOX.weights(np.log(WAVELENGTHS_NM
 class ColourRays:
     """Rays of all nodes, from which the reflectance of every patch can be read.
 
-    scene : whose finger they were walked in. light : rays of each node.
+    scene : whose finger they were walked in.
+    light : rays of each node.
     sums : (NODES, GROUPS, patches, states, q) float. Over the rays, dimmed in the states that were read.
     """
 

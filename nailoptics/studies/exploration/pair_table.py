@@ -43,7 +43,8 @@ SO2_DEGREE, DEGREE = 2, 4
 class BloodPolynomial:
     """Polynomials in the blood of both zones and the saturation, over a box of states.
 
-    blood_fraction, so2 : lowest and highest of the box; of one saturation alone both are the same. degree : in all.
+    blood_fraction, so2 : lowest and highest of the box; of one saturation alone both are the same.
+    degree : in all.
     """
 
     blood_fraction: tuple[float, float]

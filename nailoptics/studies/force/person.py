@@ -93,7 +93,8 @@ def _plausible(vessels: Parameters) -> Parameters:
 class Pulp:
     """What lies between a touch and the vessels.
 
-    creep : fraction of its pressure that a held touch loses in the end. [1] creep_s : time constant of that loss. [s]
+    creep : fraction of its pressure that a held touch loses in the end. [1]
+    creep_s : time constant of that loss. [s]
     recovery_s : time constant with which the distal pulp recovers where a touch presses less. [s]
     """
 
@@ -121,7 +122,8 @@ SPREAD_LN = np.log([prior.spread for prior in PRIORS.values()])
 class Person:
     """The network, contact, pulp and blood of one person, or of many side by side (arrays of shape S for numbers).
 
-    walls : constants of the two zones' network. rest_m : (3, *S) float. Diameters of the untouched finger. [m]
+    walls : constants of the two zones' network.
+    rest_m : (3, *S) float. Diameters of the untouched finger. [m]
     rest_blood : S float. Blood fraction of the bed at rest.
     area_cm2 : S float. Area over which a distal touch presses. [cm^2]
     proximal_area : S float. That of a proximal touch over it.

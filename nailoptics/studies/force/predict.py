@@ -118,7 +118,7 @@ def predict_live(
 
     Raises: InputError for volts of other readings, times out of order, or too few samples in a second.
     """
-    subject, last_s, first_s = _subject(subject), None, []
+    subject, last_s, first_s = _subject(subject), None, list[float]()
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
     for sample in samples:
         try:

@@ -62,7 +62,8 @@ class Level:
     setup_seconds : processor time of the first answer before its photons. [s]
     reading_noise, signal_noise : standard error of the worst reading, and of the worst change as a fraction of the
         largest, after one processor second of photons. [s^0.5]
-    changes : what of the scene selects it. call : what gives it beside that, where no line of a scene does.
+    changes : what of the scene selects it.
+    call : what gives it beside that, where no line of a scene does.
     """
 
     name: str

@@ -95,7 +95,8 @@ class Pulsation:
 def absorption(scene: Scene, wavelength_nm: Array, so2: float, resting: Array, pulse: Array) -> Array:
     """Absorption where resting blood, arterial and venous, and a pulse of arterial blood fill the bed. [mm^-1]
 
-    so2 : of the arteries. resting : (zones,) float. Mean blood of each zone.
+    so2 : of the arteries.
+    resting : (zones,) float. Mean blood of each zone.
     pulse : (m, zones) float. Blood over that.
 
     Returns: (m, q, absorbers) float.
@@ -160,7 +161,8 @@ def path_length_ratios(transfer: Transfer, leds: tuple[int, int], beat: BloodBea
 def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array]:
     """Polynomials, from the constant up, that make SpO2 in percent of R; what they miss at most. [percent]
 
-    so2 : (n,) float. In parts of 1. ratio : (1 + groups, photodiodes, n) float. Ratios of ratios there.
+    so2 : (n,) float. In parts of 1.
+    ratio : (1 + groups, photodiodes, n) float. Ratios of ratios there.
 
     Returns: (1 + groups, photodiodes, degree + 1) and (photodiodes,) float; NaN where a ratio is not known.
     """

@@ -56,7 +56,8 @@ class Spo2Objective:
     leds : numbers of the red and the infrared LED.
     pulse : (fingers, led, zones) float. What a beat adds to the blood of each zone, as blood of the slopes' saturation.
     shape_rms : (fingers,) float. rms of a beat's waveform over its height.
-    log_ratio_per_percent : change of ln R with the saturation. frames : readings of each LED that are averaged.
+    log_ratio_per_percent : change of ln R with the saturation.
+    frames : readings of each LED that are averaged.
     """
 
     leds: tuple[int, int]
@@ -109,7 +110,8 @@ class Objective:
     """The quantity to minimise, from the information of single photodiodes.
 
     rules : with the weights of worst, mean, share and oxygen, and the number of people.
-    points : the touch on each finger; those of people come last. oxygen : what SpO2 is evaluated by, if it counts.
+    points : the touch on each finger; those of people come last.
+    oxygen : what SpO2 is evaluated by, if it counts.
     filters : what the force over touches is evaluated by on each finger, if it counts.
     filter_groups : of photons, without each of which it is evaluated; of all blocks that takes as long as the trace.
     waves_left : fraction of the waves that counts for "force" in one sample.

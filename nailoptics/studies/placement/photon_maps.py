@@ -74,7 +74,9 @@ class TracedBoard:
 class PhotonMapCache:
     """Photon maps by board; boards that differ only in their photodiodes share one.
 
-    one_by_one : as of `BoardTracer`. most_photons : of an LED. stores : where traced light is stored.
+    one_by_one : as of `BoardTracer`.
+    most_photons : of an LED.
+    stores : where traced light is stored.
     stop : whether nothing more is to be traced, tested before every batch.
     ambient_a : by digest of a layout, photocurrents by light from outside to which "auto" fits. [A]
     part : of the blocks of photons by which fingers are read.
