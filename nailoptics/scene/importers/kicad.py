@@ -146,8 +146,8 @@ def _boxes(footprint: list[Any], angle_deg: float, side: str) -> tuple[Point, Bo
         [point for shape in footprint for point in _line(shape, "fp_", layer)]
         for layer in (f"{side}.Fab", f"{side}.CrtYd", f"{other}.CrtYd")
     )
-    anchor = middle(pads) if pads else (0.0, 0.0)
-    return anchor, around([*body, *pads]), around(courtyard), around([*beyond, *drilled])
+    boxes = around([*body, *pads]), around(courtyard), around([*beyond, *drilled])
+    return middle(pads) if pads else (0.0, 0.0), *boxes
 
 
 def _pads(footprint: list[Any], angle_deg: float, *kinds: str) -> list[Point]:
