@@ -131,9 +131,8 @@ def _autocorrelation(wave: Array, longest: int) -> Array:
     """Correlation of a waveform with itself at lags up to the longest, 1 at lag 0, (longest + 1,) float."""
     held = wave - wave.mean()
     product = np.fft.irfft(np.abs(np.fft.rfft(held, 2 * len(held))) ** 2)[: longest + 1]
-    return np.asarray(
-        product / max(product[0], np.finfo(float).tiny) * len(held) / (len(held) - np.arange(longest + 1))
-    )
+    overlap = 1.0 - np.arange(longest + 1) / len(held)
+    return np.asarray(product / max(product[0], np.finfo(float).tiny) / overlap)
 
 
 def _summits(wave: Array, peaks: NDArray[np.intp]) -> Array:

@@ -111,7 +111,6 @@ class Recording:
     names : (R,) str, of the readings. time_s : (T,) float, rising. [s]
     volts : (R, T) float; NaN in a gap. [V] force_n : (T,) float or None where no force was measured. [N]
     site : (T,) float or None where it is not stated. 1 proximal, 0 distal, NaN even.
-    donning : how often the sensor was put on anew before, within what was recorded at once.
     """
 
     name: str
@@ -120,7 +119,6 @@ class Recording:
     volts: Array
     force_n: Array | None
     site: Array | None
-    donning: int = 0
 
     def __repr__(self) -> str:
         samples = f"{len(self.time_s)} samples in {np.ptp(self.time_s):.4g} s"

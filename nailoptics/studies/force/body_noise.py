@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import linear_response
-from ...hemodynamics.waves import HARMONIC_BAND, CardiacOscillator, DampedOscillator, resolved_harmonics, slow_waves
+from ...hemodynamics.waves import HARMONIC_BAND, CardiacOscillator, resolved_harmonics, slow_waves
 from ...scene.importers.sensor_recordings import Recording
 from .person import Array, Person
 from .reading_table import ReadingTable
@@ -87,8 +87,7 @@ def estimate_noise(
         degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
         pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
         step_s = float(np.median(np.diff(time_s)))
-        window = min(len(pressure_pa), round(WINDOW_S / step_s))
-        spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=window, detrend="constant"))
+        spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=min(len(pressure_pa), round(WINDOW_S / step_s))))
         with suppress(InputError):  # no heartbeat in it
             rates_hz.append(beats_per_second(time_s, pressure_pa))
         # A reading's own noise and drift lie where neither pressure nor LED took it along, in fewer degrees of freedom.
@@ -101,10 +100,12 @@ def estimate_noise(
     power = np.mean([np.interp(frequency, *spectrum) for spectrum in spectra], axis=0)
     power = np.maximum(power - np.median(power[frequency > NOISE_FROM * frequency[-1]]), 0.0)
     waves = slow_waves(frequency, power * (frequency[1] - frequency[0]))
+    # Readings show what the vessels passed on of the pressure.
+    gains = [max(pressure_to_blood_gain(person, wave.frequency_hz), LEAST_GAIN) for wave in waves]
     return np.maximum(np.median(white_v, axis=0), gain * table.noise_v), Noise(
         drift_per_min=_drift(reading_drift2, USUAL_DRIFT),
         led_drift_per_min=_drift(led_drift2, USUAL_LED_DRIFT),
-        waves=tuple(_before_vessels(person, wave) for wave in waves),
+        waves=tuple(replace(wave, rms_pa=wave.rms_pa / shown) for wave, shown in zip(waves, gains, strict=True)),
         beat=_heartbeat(float(np.median(rates_hz)), frequency, power) if rates_hz else None,
     )
 
@@ -125,8 +126,7 @@ def _decompose(response: Array, leds: Array, residual: Array, noise_v2: Array) -
     normal[:, 0, 0] += np.where(
         strength > 0.01 * np.median(strength[seen]), PRESSURE_SPREAD_PA**-2, 1e9 * strength.max()
     )
-    light = np.arange(1, design.shape[2])
-    normal[:, light, light] += LIGHT_SPREAD**-2
+    np.einsum("tpp->tp", normal)[:, 1:] += LIGHT_SPREAD**-2
     rhs = np.einsum("trp,rt->tp", weighted, np.nan_to_num(residual))
     parts = np.linalg.solve(normal, rhs[..., None])[..., 0]
     unexplained = residual - np.einsum("trp,tp->rt", design, parts)
@@ -164,11 +164,6 @@ def _heartbeat(rate_hz: float, frequency: Array, power: Array) -> CardiacOscilla
     if not orders.size or np.hypot.reduce(heights) < LEAST_BEAT_PA:
         return None
     return cardiac_oscillator(rate_hz, heights)
-
-
-def _before_vessels(person: Person, wave: DampedOscillator) -> DampedOscillator:
-    """A wave of the arterial pressure from that in readings, which show what the vessels passed on."""
-    return replace(wave, rms_pa=wave.rms_pa / max(pressure_to_blood_gain(person, wave.frequency_hz), LEAST_GAIN))
 
 
 def _white(residual: Array) -> Array:

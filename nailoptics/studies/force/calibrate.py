@@ -236,8 +236,8 @@ def worn_at_once(recording: Recording) -> list[Recording]:
     parts = np.split(np.arange(len(time_s)), cuts)
     if len(parts) == 1 or not all(recording.force_n[part].max() >= TOUCHED_N for part in parts):
         return [recording]
-    names = [f"{recording.name} from time_s = {time_s[part[0]]:g} on" for part in parts]
-    return [replace(recording.select(part), name=names[k], donning=k) for k, part in enumerate(parts)]
+    label = f"{recording.name} from time_s ="
+    return [replace(recording.select(part), name=f"{label} {time_s[part[0]]:g} on") for part in parts]
 
 
 def with_site(recording: Recording, scene: Scene) -> Recording:

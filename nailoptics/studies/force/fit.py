@@ -107,7 +107,7 @@ class Fit:
         count = len(self.averaged)
         spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * count]
         # Where the sensor was put on anew, the gain of each recording differs.
-        self.changed = count if any(recording.donning for recording in recordings) else 0
+        self.changed = count if count > 1 else 0
         changes = [np.full(len(part_v), DONNING_SPREAD)] * self.changed
         self.prior_spread = np.column_stack([*spreads, *changes])
         # A gain of 1; all else 0.
@@ -207,11 +207,9 @@ class Fit:
         rms = np.sqrt((white**2).sum(0) / np.maximum(self.valid.sum(0), 1))
         self.weight = np.minimum(1.0, HUBER / np.maximum(rms, 1e-12))
         # Integrated autocorrelation time, up to the first zero crossing.
-        power = np.abs(np.fft.rfft(white, 2 * samples)) ** 2
-        lagged = np.fft.irfft(power).mean(0)[:samples]
-        lagged = lagged / lagged[0]
+        lagged = np.fft.irfft(np.abs(np.fft.rfft(white, 2 * samples)) ** 2).mean(0)[:samples]
         end = int(np.argmax(lagged < 0)) or samples
-        self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum()))
+        self.memory = float(max(1.0, 1.0 + 2.0 * lagged[1:end].sum() / lagged[0]))
 
     def _finish(self, free_ln: Array) -> Fitted:
         """The fit at the best factors, with its covariance, at the recordings' own samples."""

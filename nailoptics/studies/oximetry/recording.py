@@ -148,9 +148,8 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     moved |= _near(even_s, beats.peak_s[~beats.usual], 0.5 * 60.0 / beats.rate_per_min)
     noise = _noise_covariance(both, rate_hz)
     length_s = float(even_s[-1] - even_s[0])
-    centres = np.array([(even_s[0] + even_s[-1]) / 2])
-    if length_s > AVERAGE_S:
-        centres = even_s[0] + AVERAGE_S / 2 + np.arange(int((length_s - AVERAGE_S) / STEP_S) + 1) * STEP_S
+    steps = np.arange(max(int((length_s - AVERAGE_S) / STEP_S), 0) + 1)
+    centres = even_s[0] + min(AVERAGE_S, length_s) / 2 + steps * STEP_S
     # Filtered noise is correlated: so many values of a sample are independent.
     independent = 2 * (upper_hz(rate_hz) - low_hz) / rate_hz
     estimates = [_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres]
@@ -195,25 +194,23 @@ def deming_slope(red: Array, infrared: Array, noise: Array, *, values: float) ->
     difference = yy - balance * xx
     ratio = (difference + np.sqrt(difference**2 + 4 * balance * xy**2)) / (2 * xy) if xy != 0 else np.nan
     left = float(np.mean((red - ratio * infrared) ** 2)) * values / max(values - 1, 1)
-    pulsating = max(xx - left / (balance + ratio**2), 0.0) if ratio > -shared else 0.0
+    residual = left / (balance + ratio**2)
+    pulsating = max(xx - residual, 0.0) if ratio > -shared else 0.0
     if pulsating <= 0.1 * xx:
         return np.nan, np.nan
     # Of a slope between two noisy values the error of the values themselves adds (Fuller's second term).
-    residual = left / (balance + ratio**2)
     variance = (left * pulsating + balance * residual**2) / (values * pulsating**2)
     return float(ratio + shared), float(np.sqrt(variance))
 
 
 def _noise_covariance(both: Array, rate_hz: float) -> Array:
-    """Covariance of both LEDs' noise, (2, 2) float in any unit, from what lies above all pulses; 1 if nothing does."""
+    """Covariance of both LEDs' noise, (2, 2) float in any unit, by medians above all pulses; 1 if nothing is there."""
     from scipy.signal import periodogram
 
-    top_hz = 0.5 * rate_hz
-    if top_hz < 1.3 * NOISE_FROM_HZ:
+    if rate_hz < 2.6 * NOISE_FROM_HZ:
         return np.eye(2)
     frequency, density = periodogram([*both, both[0] + both[1], both[0] - both[1]], rate_hz)
-    above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.95 * top_hz)]
-    # Motion's few lines do not move the median.
+    above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.475 * rate_hz)]
     red, infrared, total, difference = np.maximum(np.median(above, axis=1), np.finfo(float).tiny)
     return np.array([[red, shared := 0.25 * (total - difference)], [shared, infrared]])
 
@@ -224,8 +221,7 @@ def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -
     slope = float(np.median(np.abs(pulse[0]))) / max(float(np.median(np.abs(pulse[1]))), np.finfo(float).tiny)
     unshared = pulse[0] - slope * pulse[1]
     spread = np.median(np.abs(unshared - np.median(unshared))) / 0.6745
-    marks = np.abs(unshared) > MOST_UNSHARED * max(float(spread), np.finfo(float).tiny)
-    marks &= np.abs(unshared) > usual[0]
+    marks = np.abs(unshared) > max(MOST_UNSHARED * float(spread), float(usual[0]), np.finfo(float).tiny)
     marks |= (np.abs(pulse) > MOST_JUMP * usual[:, None]).any(0)
     gaps = recording.time_s[~np.isfinite(recording.volts[:, j]).all(0)]
     return _near(even_s, np.concatenate([even_s[marks], gaps]), AROUND_S)

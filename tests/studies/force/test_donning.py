@@ -8,12 +8,15 @@ import pytest
 
 from nailoptics import load_scene
 from nailoptics.errors import InputError
+from nailoptics.hemodynamics.parameters import parameters
 from nailoptics.scene import Touch
 from nailoptics.scene.body import Body, Drift
 from nailoptics.scene.importers.sensor_recordings import Recording
 from nailoptics.scene.protocol import FIRST_REST_S, OFF_S, protocol
 from nailoptics.sensor.volts import drift_and_motion
 from nailoptics.studies.force.calibrate import calibrate_with, checked
+from nailoptics.studies.force.fit import Fit
+from nailoptics.studies.force.person import NAMES
 from nailoptics.studies.force.predict import predict
 from nailoptics.studies.force.subject import Subject, parse_subject
 
@@ -65,6 +68,16 @@ def test_a_calibration_learns_how_readings_differ_when_the_sensor_is_put_on_anew
     assert not any(result.attrs["consistent"] for result in lost)
     off, known = (np.sqrt(np.mean([float(one.touch_rms_n[0]) ** 2 for one in some])) for some in (lost, results))
     assert off > max(0.1, 3 * known)
+
+
+def test_two_files_are_two_times_that_the_sensor_is_put_on() -> None:
+    """Expected: gains that differ between them, by as much as they do, and hardly any residuals."""
+    first, second = slowly_recorded(4), put_on(slowly_recorded(5), 1)
+    finger = made_sensor.nominal_finger(parameters(made_sensor.scene().blood.parameters))
+    fit = Fit([first, second], made_sensor.table(), finger, free=np.isin(NAMES, ["rest_blood"]))
+    fitted = fit.solve()
+    assert fitted.donning == pytest.approx(SPREAD, rel=0.7)
+    assert np.std(np.hstack(fitted.residual_v)) < 1e-3
 
 
 def test_a_pause_in_which_the_sensor_may_be_off_parts_a_recording() -> None:
