@@ -1,7 +1,6 @@
 """Recordings of a worn sensor: what is read, and one line for everything that is none."""
 
 import tracemalloc
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,8 +101,6 @@ def test_readings_of_another_board_are_named(tmp_path: Path) -> None:
     file.write_text(GOOD)
     result = read_sensor_recording(file)
     assert result.with_readings(("b", "a")).names == ("b", "a")
-    # What is no column stays with the samples.
-    assert replace(result, donning=3).with_readings(("b", "a")).select(slice(2)).donning == 3
     with pytest.raises(InputError, match="has no column 'c'"):
         result.with_readings(("a", "b", "c"))
     with pytest.raises(InputError, match="column 'b' is not a reading of this board"):
