@@ -130,9 +130,23 @@ MUTATIONS = (
     Mutation(
         "mean paths in the blood are not weighted by its absorption over the line",
         "light/transfer/series.py",
-        "slope += part_weight[0] * blood_per_mm[q] / mean",
+        "slope += part_weight[0] * relative[at, q]",
         "slope += part_weight[0]",
         "studies/test_compare.py light/test_coverage.py light/test_course.py",
+    ),
+    Mutation(
+        "a line is weighed as by a constant quantum efficiency",
+        "light/optics.py",
+        "np.array(at_line) / at_peak if at_peak > 0 else wavelength / led.wavelength_nm",
+        "wavelength / led.wavelength_nm",
+        "light/test_line_width.py",
+    ),
+    Mutation(
+        "blood that has pooled has the saturation at rest in slopes",
+        "light/board_map.py",
+        "np.where(blood > rest, scene.blood.so2, scene.blood.rest_so2)",
+        "np.where(blood > rest, scene.blood.rest_so2, scene.blood.rest_so2)",
+        "light/test_board_map.py",
     ),
     Mutation(
         "pooled blood is interpolated across the state of rest",
@@ -151,8 +165,8 @@ MUTATIONS = (
     Mutation(
         "copies forget the absorption before they were split",
         "light/walk/splitting.py",
-        "photon.absorption_optical_depth = photon.tau + free",
-        "photon.absorption_optical_depth = free",
+        "photon.absorption_optical_depth = photon.tau + absorption_depth",
+        "photon.absorption_optical_depth = absorption_depth",
         "light/test_splitting.py",
     ),
     Mutation(
@@ -305,8 +319,8 @@ MUTATIONS = (
     Mutation(
         "the force on a contact that grows goes with its pressure, not with its cube",
         "hemodynamics/touch.py",
-        "1.0 if grows is None else 3.0 * (high_n",
-        "1.0 if grows is None else 1.0 * (high_n",
+        "areas_m2 / change if change > 0.0 else areas_m2",
+        "areas_m2",
         "hemodynamics/test_for_scene.py",
     ),
     Mutation(
@@ -718,8 +732,8 @@ MUTATIONS = (
     Mutation(
         "a heartbeat is an LED's light",
         "studies/force/body_noise.py",
-        "return right[:, 0] / normal[:, 0, 0], parts",
-        "return parts[:, 0], parts",
+        "parts[:, 0] = rhs[:, 0] / normal[:, 0, 0]",
+        "pass",
         "studies/force/test_body_noise.py",
     ),
     Mutation(
