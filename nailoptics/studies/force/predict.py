@@ -118,7 +118,7 @@ def predict_live(
 
     Raises: InputError for volts of other readings, times out of order, or too few samples in a second.
     """
-    subject, last_s, first_s = _subject(subject), None, list[float]()
+    subject, last_s, first_s = _subject(subject), None, np.zeros(0)
     kalman, estimator, names = KalmanFilter(subject), ForceEstimator(subject), subject.light.names
     for sample in samples:
         try:
@@ -131,7 +131,7 @@ def predict_live(
             raise InputError(f"sample {sample!r:.100}: give a time in s and numbers in V, as {example}.") from None
         if last_s is not None and not time_s > last_s:
             raise InputError(f"{where} does not come after {last_s:.15g}; times must rise.")
-        if len(first_s) < FIRST_SAMPLES and len(first_s := [*first_s, time_s]) == FIRST_SAMPLES:
+        if len(first_s) < FIRST_SAMPLES and len(first_s := np.append(first_s, time_s)) == FIRST_SAMPLES:
             sensor_recordings.check_rate(first_s, where)
         if np.nanmax(np.abs(volts), initial=0.0) > sensor_recordings.MOST_VOLTS:
             raise InputError(f"{where} {sensor_recordings.NOT_VOLTS}.")
