@@ -106,8 +106,8 @@ class Fit:
         part_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
         count = len(self.averaged)
         spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * count]
-        # Where the sensor was put on anew, the gain of each recording differs.
-        self.changed = count if count > 1 else 0
+        # The sensor may be put on anew for each recording, which one of both sides alone tells from the touch's side.
+        self.changed = count if count > 1 and all({0, 1} <= {*np.asarray(one.site)} for one in recordings) else 0
         changes = [np.full(len(part_v), DONNING_SPREAD)] * self.changed
         self.prior_spread = np.column_stack([*spreads, *changes])
         # A gain of 1; all else 0.
