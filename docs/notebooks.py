@@ -26,7 +26,7 @@ QUICK = os.environ.get("NAILOPTICS_DOCS") == "quick"
 PHOTONS, CALIBRATION_PHOTONS = 5_000, 20_000
 # Shipped scenes that pages simulate, and what makes that cheap; one page shows what the priors do.
 SHORT = {
-    "calibration": {"touch.sample_rate_hz": 2.0, "priors.spread": False},
+    "calibration": {"touch.sample_rate_hz": 12.5, "priors.spread": False},
     "dynamic_proximal": {"touch.sample_rate_hz": 20.0, "priors.spread": False},
     "nail_colour": {"priors.spread": False},
     "prototype": {"priors.spread": False},

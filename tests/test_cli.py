@@ -624,7 +624,7 @@ def test_ctrl_c_keeps_what_was_traced(folder, chosen_jit, store):
         process.kill()
     assert process.returncode == 3, err
     assert "interrupted" in err.splitlines()[-1] and "Traceback" not in err
-    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 15
+    assert Transfer.load(Path("transfer.nc")).photons > 0 and len(out.splitlines()) == 16
     assert out.startswith("Cut off: interrupted")
 
 
