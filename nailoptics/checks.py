@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import InputError
+from .variables import unit_of
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -120,8 +121,8 @@ def _line(kinds: Sequence[Any], model: "type[BaseModel]") -> str:
     if fault["type"] == "value_error":
         return (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
     shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-    unit = "; give it in nm" if where.endswith("wavelength_nm") else ""
-    return f"{where} = {shown[:60]}: must {' or '.join(rules)}{unit}."
+    of_range = fault["type"].startswith(("greater_than", "less_than")) and (unit := unit_of(where)) != "1"
+    return f"{where} = {shown[:60]}: must {' or '.join(rules)}{f'; give it in {unit}' if of_range else ''}."
 
 
 def _place(fault: Any) -> str:

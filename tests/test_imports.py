@@ -28,8 +28,10 @@ PACKAGE = Path(__file__).parents[1] / "nailoptics"
 ORDER = [
     {"display", "errors", "version"},
     {"assets"},
-    {"checks", "statistics", "io"},
-    {"options", "variables"},
+    {"statistics", "io"},
+    {"variables"},
+    {"checks"},
+    {"options"},
     {"scene"},
     {"hemodynamics"},
     {"paper"},
