@@ -89,6 +89,12 @@ def saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
     return at_rest + (blood.so2 - at_rest) * part
 
 
+def added_saturation(blood: Blood, blood_fraction: ArrayLike) -> np.ndarray:
+    """The saturation of the blood by which that of a zone grows or shrinks, of its shape [1]: as for `saturation`,
+    arterial beyond what is there at rest, else as at rest."""
+    return np.where(np.asarray(blood_fraction) > blood.rest_blood_fraction, blood.so2, blood.rest_so2)
+
+
 def saturation_over_time(
     blood: Blood, time_s: ArrayLike, blood_fraction: ArrayLike, flow: ArrayLike, *, flow_before: ArrayLike = 1.0
 ) -> np.ndarray:

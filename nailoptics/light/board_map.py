@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .. import tissue
 from ..errors import InputError
 from ..geometry import Face, underside
+from ..hemodynamics.blood import added_saturation
 from ..scene import Scene
 from ..scene.parts import check_one_response
 from ..scene.rectangles import Rectangle
@@ -276,12 +277,9 @@ def blood_point(scene: Scene, led: int, *, blood_fraction: ArrayLike | None = No
     blood_fraction : (K,) float in 0-1; at rest if not given.
     """
     optics.check_line(scene, led)
-    source = scene.leds[led]
-    wavelength, share = optics.detected_spectrum(source, scene.photodiodes[:1])
-    rest = scene.blood.rest_blood_fraction
-    blood = np.broadcast_to(rest if blood_fraction is None else blood_fraction, len(optics.bed_columns(scene)))
-    # What is there beyond rest is arterial: `saturation` of blood.
-    so2 = np.where(blood > rest, scene.blood.so2, scene.blood.rest_so2)
+    wavelength, share = optics.detected_spectrum(scene.leds[led], scene.photodiodes[:1])
+    blood = scene.blood.rest_blood_fraction if blood_fraction is None else blood_fraction
+    so2 = np.broadcast_to(added_saturation(scene.blood, blood), len(optics.bed_columns(scene)))
     return BloodPoint(
         share=share[0],
         mu_a=optics.absorption(scene, wavelength, blood_fraction=blood_fraction),

@@ -143,9 +143,9 @@ MUTATIONS = (
     ),
     Mutation(
         "blood that has pooled has the saturation at rest in slopes",
-        "light/board_map.py",
-        "np.where(blood > rest, scene.blood.so2, scene.blood.rest_so2)",
-        "np.where(blood > rest, scene.blood.rest_so2, scene.blood.rest_so2)",
+        "hemodynamics/blood.py",
+        "blood.rest_blood_fraction, blood.so2, blood.rest_so2)",
+        "blood.rest_blood_fraction, blood.rest_so2, blood.rest_so2)",
         "light/test_board_map.py",
     ),
     Mutation(

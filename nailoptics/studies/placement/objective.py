@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ... import tissue
 from ...errors import InputError, NotReachedError
+from ...hemodynamics.blood import added_saturation
 from ...hemodynamics.for_scene import beat_at
 from ...light.tracing import StageProgress, StoppingCriterion
 from ...scene import FingerCase, Oximeter, Placement, Scene, digest
@@ -86,13 +87,13 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.PersonCase],
     leds = oximeter_leds(base)
     pulse, shape, blood = [], [], base.blood
     wavelength = np.array([base.leds[i].wavelength_nm for i in leds])
-    fresher = tissue.blood_mu_a_per_mm(wavelength, blood.so2) / tissue.blood_mu_a_per_mm(wavelength, blood.rest_so2)
+    arterial = tissue.blood_mu_a_per_mm(wavelength, blood.so2)[:, None]
     for case in cases:
         beat = beat_at(boards.worn_on(base, case), force_n)
         least, most = beat.extremes
-        # Slopes are those of arterial blood where blood has pooled.
-        pooled = beat.blood_fraction.mean(1) > blood.rest_blood_fraction
-        pulse.append(np.where(pooled, 1.0, fresher[:, None]) * (most - least))
+        # What pulsates is arterial, as the blood of the slopes need not be.
+        of_slopes = tissue.blood_mu_a_per_mm(wavelength[:, None], added_saturation(blood, beat.blood_fraction.mean(1)))
+        pulse.append(arterial / of_slopes * (most - least))
         together = beat.blood_fraction.sum(0)
         shape.append(together.std() / np.ptp(together))
     ratio = [np.log(np.divide(*tissue.blood_mu_a_per_mm(wavelength, so2))) for so2 in (blood.so2 - STEP, blood.so2)]
