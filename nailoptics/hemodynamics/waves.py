@@ -7,7 +7,7 @@ them. A further wave is one more entry here, with a stream of the seed of its ow
 the filter sums their powers. `validate` compares single waves by name.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -242,14 +242,18 @@ class DampedOscillator:
         return decay * np.array(rotation), float((1 - decay**2) * self.rms_pa**2)
 
 
-def slow_waves(frequency_hz: Array, variance_pa2: Array, of: Wave | None = None) -> list[DampedOscillator]:
-    """Oscillators of the variance (n,) [Pa^2] at frequencies (n,) [Hz] in the band of each slow wave, or all of one."""
+def slow_waves(frequency_hz: Array, variance_pa2: Array) -> list[DampedOscillator]:
+    """Oscillators for breathing and vasomotion, of the variance (n,) [Pa^2] at frequencies (n,) [Hz] in either band."""
+    near = [(wave, (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1])) for wave in WAVES]
+    return oscillators((wave, (frequency_hz[at], variance_pa2[at])) for wave, at in near)
+
+
+def oscillators(lines: Iterable[tuple[Wave, Lines]]) -> list[DampedOscillator]:
+    """One oscillator of each slow wave, of all the variance in its lines; none of one without any."""
     out = []
-    for wave in (of,) if of else WAVES:
-        near = (frequency_hz >= wave.band_hz[0]) & (frequency_hz < wave.band_hz[1]) | (wave is of)
-        if wave.coherence_s is not None and (total := float(variance_pa2[near].sum())) > 0:
-            middle_hz = float(frequency_hz[near] @ variance_pa2[near]) / total
-            out.append(DampedOscillator(middle_hz, wave.coherence_s, total**0.5))
+    for wave, (frequency_hz, variance_pa2) in lines:
+        if wave.coherence_s is not None and (total := float(variance_pa2.sum())) > 0:
+            out.append(DampedOscillator(float(frequency_hz @ variance_pa2) / total, wave.coherence_s, total**0.5))
     return out
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 from ...checks import as_input_error
 from ...errors import InputError
-from ...hemodynamics.waves import HEARTBEAT, Lines, Wave, pressure_lines, slow_waves, waves_of
+from ...hemodynamics.waves import HEARTBEAT, CardiacOscillator, oscillators, pressure_lines, slow_waves, waves_of
 from ...scene import Body, Scene
 from ...scene.body import Drift
 from ...sensor.information import LIFT_PER_UM, SLIDE_PER_UM
@@ -197,23 +197,26 @@ def scene_noise(body: Body | None, person: Person) -> Noise:
     # Displacements at either end of a touch are independent of each other.
     per_min = np.sqrt(2.0 * 60.0 / REST_TO_REST_S)
     lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if motion else (0.0, 0.0)
-    own: list[tuple[Wave | None, Lines]] = [(wave, wave.lines(**fields)) for wave, fields in waves_of(body or Body())]
-    recorded, waves, beat = [(None, pressure_lines(body))] if body and body.moves and not own else [], [], None
-    for wave, (frequency_hz, variance_pa2) in own or recorded:
-        waves += slow_waves(frequency_hz, variance_pa2, wave)
-        beats = (frequency_hz >= HEARTBEAT.band_hz[0]) & (wave is None) | (wave is HEARTBEAT)
-        if variance_pa2[beats].any():
-            rate_hz = float(frequency_hz[np.argmax(variance_pa2 * beats)])
-            order = np.rint(frequency_hz / rate_hz) * beats
-            rms_pa = [np.sqrt(variance_pa2[order == k].sum()) for k in range(1, 1 + HARMONICS)]
-            heights = [pressure_to_blood_gain(person, k * rate_hz) * rms for k, rms in enumerate(rms_pa, start=1)]
-            beat = cardiac_oscillator(rate_hz, heights)
+    own = [(wave, wave.lines(**fields)) for wave, fields in waves_of(body or Body())]
+    waves, beats = oscillators(own), next((lines for wave, lines in own if wave is HEARTBEAT), None)
+    if body and body.moves and not own:  # a recorded pressure, of which bands are all that is known
+        frequency_hz, variance_pa2 = pressure_lines(body)
+        beating, waves = frequency_hz >= HEARTBEAT.band_hz[0], slow_waves(frequency_hz, variance_pa2)
+        beats = frequency_hz[beating], variance_pa2[beating]
     return Noise(
         drift_per_min=float(np.hypot(drift.reading_per_rt_min, per_min * slide)),
         led_drift_per_min=float(np.hypot(drift.led_per_rt_min, per_min * lift)),
         waves=tuple(waves),
-        beat=beat,
+        beat=_heart(person, *beats) if beats and beats[1].any() else None,
     )
+
+
+def _heart(person: Person, frequency_hz: Array, variance_pa2: Array) -> CardiacOscillator:
+    """The heart of the largest line, by what the vessels pass on of its harmonics; lines (n,) each. [Hz, Pa^2]"""
+    rate_hz = float(frequency_hz[np.argmax(variance_pa2)])
+    rms_pa = [np.sqrt(variance_pa2[np.rint(frequency_hz / rate_hz) == k].sum()) for k in range(1, 1 + HARMONICS)]
+    heights = [pressure_to_blood_gain(person, k * rate_hz) * rms for k, rms in enumerate(rms_pa, start=1)]
+    return cardiac_oscillator(rate_hz, heights)
 
 
 def _blood_meter(scene: Scene, noise: Noise) -> Subject:
