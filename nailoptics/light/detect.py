@@ -4,7 +4,6 @@ import json
 import logging
 import math
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -26,7 +25,7 @@ from .reference import readings as volpath
 from .reference.readings import StateReadings
 from .tracing import ProgressCallback, accuracy, trace
 from .tracing.store import LightStore, led_cache_key, load_or_compute
-from .transfer import ReweightWarning, Transfer, mean_of_leds, photodiode_names, provenance
+from .transfer import Transfer, mean_of_leds, photodiode_names, provenance
 from .transfer.series import ReadingSeries, readings_over_states
 
 log = logging.getLogger(__name__)
@@ -187,11 +186,7 @@ def rough_readings(scene: Scene, states: np.ndarray) -> ReadingSeries:
     raises InputError without a backend that compiles kernels."""
     photons = max(ROUGH_PHOTONS // len(scene.leds), LEAST_ROUGH_PHOTONS)
     transfer, _ = as_far_as_reached(trace, scene, photons=photons, seed=0)
-    with warnings.catch_warnings(record=True) as caught:
-        read = light_of(transfer).readings_at(states)
-    for one in caught:
-        warnings.warn(f"{one.message} than this short trace, as simulate does", ReweightWarning, stacklevel=2)
-    return read
+    return light_of(transfer).readings_at(states)
 
 
 def _warn_of_few_photons(rest: xr.Dataset, what: str) -> None:

@@ -1,15 +1,12 @@
 """What check says of a scene: it predicts readings, names what is ignored, and refuses what later commands refuse."""
 
-import warnings
-from types import SimpleNamespace
-
 import pytest
 from small_scenes import PLACEMENT
 
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.light import ReweightWarning, backend, detect
+from nailoptics.light import backend
 from nailoptics.report.scene_description import check_lines
 from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene, to_toml
 from nailoptics.scene.catalogue import load_part
@@ -44,18 +41,6 @@ def test_it_tells_distances_candidates_and_what_is_ignored(tmp_path):
     assert result["candidates"] == [{"name": "mine", "leds": 2, "photodiodes": 1}]
     assert result["ignored"] == {"pos.csv": ["C1"]} and result["warnings"] == []
     assert [led["name"] for led in result["leds"]] == ["ir", "red"]
-
-
-def test_too_few_photons_of_the_short_trace_are_for_simulate_to_mend(monkeypatch):
-    """Expected: a command that takes no number of photons does not ask for more of them."""
-
-    def readings_at(states):
-        warnings.warn("only 6.6 photons bear its error; trace nearer or more photons", ReweightWarning, stacklevel=1)
-
-    monkeypatch.setattr(detect, "trace", lambda *_, **__: None)
-    monkeypatch.setattr(detect, "light_of", lambda transfer: SimpleNamespace(readings_at=readings_at))
-    with pytest.warns(ReweightWarning, match="more photons than this short trace, as simulate does$"):
-        detect.rough_readings(load_scene(data_dir("scenes") / "prototype.toml"), None)
 
 
 @pytest.mark.long

@@ -289,7 +289,7 @@ class Transfer(Displayed):
                     warnings.warn(
                         f'LED "{led}", photodiode "{self.photodiodes[i]}": this state is so far from the traced one '
                         f"that only {few[i]:.1f} effective photons of {of[i]:.0f} bear its {what}; trace nearer or "
-                        "more photons",
+                        "more photons, of which the short trace of a check has few",
                         ReweightWarning,
                         stacklevel=3,
                     )
