@@ -421,9 +421,10 @@ def beat_at(scene: Scene, force_n: float) -> BloodBeat:
     means = {name: time_mean(np.array(values), body) for name, values in body.recorded.items()}
     posture = {name: getattr(body, name) for name in POSTURE} | means
     even = Body(heartbeat=body.heartbeat.model_copy(update={"rate_variability": 0.0}), **posture)
-    model, time_s = blood_model(scene.model_copy(update={"body": even})), np.arange(SAMPLES_PER_BEAT + 1.0)
-    time_s *= 60.0 / rate / SAMPLES_PER_BEAT
-    held: dict[str, Any] = {"touch": Touch(), "force_n": np.full(2, force_n), "shear_n": None, "samples_s": time_s[:-1]}
-    held |= {"time_s": time_s[[0, -1]], "pressure_pa": np.repeat(model.touch.held_pa([force_n]), 2, axis=1)}
-    beat = replace(model, touch=replace(model.touch, **held)).over_touch()
+    model = blood_model(scene.model_copy(update={"body": even}))
+    time_s = np.arange(SAMPLES_PER_BEAT + 1) * 60.0 / (rate * SAMPLES_PER_BEAT)
+    pressure_pa = np.repeat(model.touch.held_pa([force_n]), 2, axis=1)
+    ends: dict[str, Any] = {"time_s": time_s[[0, -1]], "force_n": np.full(2, force_n), "pressure_pa": pressure_pa}
+    held = replace(model.touch, touch=Touch(), shear_n=None, samples_s=time_s[:-1], **ends)
+    beat = replace(model, touch=held).over_touch()
     return BloodBeat(beat.time.values, beat.blood_fraction.values)
