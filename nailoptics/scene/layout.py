@@ -86,7 +86,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
         if low < -size / 2 + NAIL_MARGIN_MM or high > size / 2 - NAIL_MARGIN_MM:
             what, cure = f"board: {low:.2f} to {high:.2f} mm", "; make the board smaller or move its center_mm"
             if board.size_mm is None:
-                _, name, r = max((np.abs(r.corners_mm).max(0)[int(axis == "long")], name, r) for name, r in parts)
+                name, r = max(parts, key=lambda part: np.abs(part[1].corners_mm).max(0)[int(axis == "long")])
                 what, cure = "{} at ({:.4g}, {:.4g}) mm, with board beside it,".format(name, *r.center_mm), "; move it"
             raise ValueError(f"{what} does not fit on the nail, which is {size:g} mm {axis}{cure}")
     barriers = _barriers(board, dies, [e.area for e in wired] + unwired, outline) if board.barrier else ()

@@ -75,7 +75,7 @@ def fitted_ohm(current_a: ArrayLike, amplifier: Electronics) -> Array:
     """The largest E24 resistor that holds currents, dark and ambient ones included, below the converter's limit by the
     stage's headroom, of any shape. [ohm]"""
     most_v = limit_v(amplifier) / amplifier.headroom
-    # A relative 1e-9 lets a resistor be its own fit, whatever the rounding.
+    # A relative 1e-9 lets a resistor be its own fit, whatever the rounding; log10 may round up to a power of ten.
     most = most_v / np.maximum(current_a, most_v / MOST_OHM) * (1 + 1e-9)
     step = 10.0 ** np.floor(np.log10(most) - 1)
     return np.asarray(E24[np.searchsorted(E24, np.maximum(most / step, 10.0), side="right") - 1] * step)

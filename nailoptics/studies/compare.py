@@ -56,7 +56,8 @@ class TracedSweep:
 
     own : index of the zone above which it lies.
     mu_a : (t, zones) float. Absorption of the blood in each zone, averaged over the LED's line. [mm^-1]
-    path_mm : (r, zones) float. Mean path in each zone where the sweep starts. traced : readings.
+    path_mm : (r, zones) float. Mean path in each zone where the sweep starts.
+    traced : readings.
     alone : readings if only the blood of its own zone changes.
     scattered, surer : readings if the blood scatters too, and if the slope of that is larger by its error.
     """
@@ -213,8 +214,7 @@ def _led_errors(
             denser_here = (denser @ path.T / path.sum(1)).T
             slope, error = slopes[:, j]
             scattered, surer = (traced * np.exp(value * denser_here) for value in (slope, slope + error))
-            mu_a = sweep.blood * over_line[..., j]
-            pair = TracedSweep(int(bed), mu_a, path, traced, alone[bed], scattered, surer)
+            pair = TracedSweep(int(bed), sweep.blood * over_line[..., j], path, traced, alone[bed], scattered, surer)
             rows.append(formula_errors(pair, sweep))
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 

@@ -143,6 +143,8 @@ class _Course:
 class ChebyshevBox:
     """Chebyshev nodes over a box, so many in each direction, and the weights that interpolate between them.
 
+    Reference: Trefethen 2013, Approximation Theory and Approximation Practice, ch. 3-4.
+
     low, high : (d,) float. Ends of the box.
     counts : (d,) int. Nodes in each direction; of one alone the value is the same all along it.
     """
@@ -169,6 +171,7 @@ class ChebyshevBox:
         places = np.asarray(places, float).reshape(-1, len(self.counts))
         weights = np.ones((len(places), 1))
         for column, n, low, high in zip(places.T, self.counts, self.low, self.high, strict=True):
+            # Of one node, which lies at 0, the place does not matter.
             x = (2 * column - low - high) / (high - low if n > 1 else np.inf)
             share = chebvander(x, n - 1) @ np.linalg.inv(chebvander(chebpts1(n), n - 1))
             weights = (weights[:, :, None] * share[:, None, :]).reshape(len(places), -1)

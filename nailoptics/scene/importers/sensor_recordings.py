@@ -108,8 +108,10 @@ class Recording:
     """Readings over time.
 
     name : what messages call it.
-    names : (R,) str, of the readings. time_s : (T,) float, rising. [s]
-    volts : (R, T) float; NaN in a gap. [V] force_n : (T,) float or None where no force was measured. [N]
+    names : (R,) str, of the readings.
+    time_s : (T,) float, rising. [s]
+    volts : (R, T) float; NaN in a gap. [V]
+    force_n : (T,) float or None where no force was measured. [N]
     site : (T,) float or None where it is not stated. 1 proximal, 0 distal, NaN even.
     """
 
@@ -294,7 +296,8 @@ def _csv(columns: Mapping[str, Sequence[str]]) -> str:
 class OximeterRecording:
     """Both LEDs' readings over time, at the times of the red ones.
 
-    name : what messages call it. photodiodes : (P,) str. time_s : (T,) float, rising. [s]
+    name : what messages call it. photodiodes : (P,) str.
+    time_s : (T,) float, rising. [s]
     volts : (2, P, T) float. Of the red and the infrared LED as they were read, dark light included; NaN in a gap. [V]
     dark_v : (P, T) float. With no LED lit; 0 where that was not read. [V]
     counts : whether volts are counts of an unknown converter instead.

@@ -106,7 +106,7 @@ class Fit:
         part_v = OFFSET_PART * np.nanmedian(self.volts, axis=1)
         count = len(self.averaged)
         spreads = [np.full(len(part_v), GAIN_SPREAD), part_v, slope, *[part_v] * count]
-        # The sensor may be put on anew for each recording, which one of both sides alone tells from the touch's side.
+        # The sensor may be put on anew for each recording, whose gain is identifiable if it has touches of both sides.
         self.changed = count if count > 1 and all({0, 1} <= {*np.asarray(one.site)} for one in recordings) else 0
         changes = [np.full(len(part_v), DONNING_SPREAD)] * self.changed
         self.prior_spread = np.column_stack([*spreads, *changes])
@@ -157,8 +157,13 @@ class Fit:
 
     def _search(self, start_ln: Array, evaluations: int, report: Callable[[], object]) -> tuple[Array, float]:
         """Logarithms of the free factors (P,) at the least squares from a start, and half their sum; reports often."""
+
         # One pass gives residuals and Jacobian, which scipy requests one after the other.
-        both = lru_cache(1)(lambda free_ln: (report(), self.residuals(np.array(free_ln)))[1])
+        @lru_cache(1)
+        def both(free_ln: tuple[float, ...]) -> tuple[Array, Array]:
+            report()
+            return self.residuals(np.array(free_ln))
+
         value, jacobian = (lambda free_ln, k=k: both(tuple(free_ln))[k] for k in (0, 1))
         how = {"bounds": (-self.most_ln, self.most_ln), "max_nfev": evaluations, "xtol": 1e-3, "ftol": 1e-4}
         result = least_squares(value, start_ln, jac=jacobian, **how)

@@ -27,7 +27,7 @@ from .subject import Subject, load_subject, parse_subject
 MOST_OUTLIERS, OVER_CALIBRATION, MOST_CHI2 = 0.03, 2.0, 1.5
 # A switch that acts further than this from where the known force would have it is not late, but wrong. [s]
 LATEST_S = 1.0
-# So many samples that come one by one tell their rate.
+# Live samples by whose times the rate is checked.
 FIRST_SAMPLES = 10
 # Patterns of a misfit are named where they explain this fraction of it.
 EXPLAINED = 0.8

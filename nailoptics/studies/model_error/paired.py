@@ -104,8 +104,8 @@ def paired_readings(transfer: Transfer, setup_seconds: float = 0.0) -> PairedRea
         wavelength, share = optics.detected_spectrum(led, scene.elements)
         mu_a = optics.absorption(scene, wavelength, blood_fraction=states) - recorded.mu_a
         left = [
-            transmissions(recorded.path_mm[part := slice(start, start + CHUNK)], mu_a, share[recorded.photodiode[part]])
-            for start in range(0, max(len(recorded.weight), 1), CHUNK)
+            transmissions(recorded.path_mm[part], mu_a, share[recorded.photodiode[part]])
+            for part in (slice(k, k + CHUNK) for k in range(0, max(len(recorded.weight), 1), CHUNK))
         ]
         parts.append(np.concatenate(left) * recorded.weight[:, None] / recorded.photons)
     return PairedReadings(transfer, tuple(parts), setup_seconds)

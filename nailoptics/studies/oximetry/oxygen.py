@@ -37,7 +37,8 @@ VENOUS_BELOW = np.linspace(0.0, 0.30, 7)
 class CalibratedOximeter:
     """An oximeter that was calibrated with the scene as it is.
 
-    so2 : (n,) float. Saturations that rise. curve : (1 + groups, photodiodes, n) float. Its ratio of ratios there.
+    so2 : (n,) float. Saturations that rise.
+    curve : (1 + groups, photodiodes, n) float. Its ratio of ratios there.
     nominal : pulsation in the scene as it is.
     """
 
@@ -206,8 +207,8 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         "cause": [*CAUSES],
     }
     # A photodiode that sees no light has no error. More photons do not change which has the least noise.
-    noise = np.where(np.isfinite(data["spo2_simulation_stderr"][1]), data["spo2_stderr"][1], np.nan)
-    best = str(transfer.photodiodes[int(np.nan_to_num(noise, nan=np.inf).argmin())])
+    noise, simulation = data["spo2_stderr"][1], data["spo2_simulation_stderr"][1]
+    best = str(transfer.photodiodes[int(np.where(np.isfinite(noise + simulation), noise, np.inf).argmin())])
     about = {
         "title": "nailoptics: oxygen from volts",
         "seed": options.seed,

@@ -88,9 +88,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     for j, name in enumerate(recording.photodiodes):
         so2, curve = result.so2.values, result.sel(photodiode=name)
         if np.ptp(np.sign(np.diff(curve.ratio))) > 0:
-            raise InputError(
-                f"{recording.name}: R of photodiode {name!r} both rises and falls with SpO2; leave it out."
-            )
+            raise InputError(f"{recording.name}: R of photodiode {name!r} both rises and falls with SpO2; omit it.")
         value = saturation_of(estimates["ratio"][j], so2, curve.ratio.values)
         slope = np.abs(np.interp(value, so2, np.gradient(so2, curve.ratio.values)))
         of_curve = np.interp(value, so2, curve.ratio_stderr.values)
@@ -204,7 +202,7 @@ def deming_slope(red: Array, infrared: Array, noise: Array, *, values: float) ->
 
 
 def _noise_covariance(both: Array, rate_hz: float) -> Array:
-    """Covariance of both LEDs' noise, (2, 2) float in any unit, by medians above all pulses; 1 if nothing is there."""
+    """Covariance of both LEDs' noise, (2, 2) float in any unit, by medians above all pulses, or the identity."""
     from scipy.signal import periodogram
 
     if rate_hz < 2.6 * NOISE_FROM_HZ:
@@ -212,7 +210,8 @@ def _noise_covariance(both: Array, rate_hz: float) -> Array:
     frequency, density = periodogram([*both, both[0] + both[1], both[0] - both[1]], rate_hz)
     above = density[:, (frequency > NOISE_FROM_HZ) & (frequency < 0.475 * rate_hz)]
     red, infrared, total, difference = np.maximum(np.median(above, axis=1), np.finfo(float).tiny)
-    return np.array([[red, shared := 0.25 * (total - difference)], [shared, infrared]])
+    shared = 0.25 * (total - difference)
+    return np.array([[red, shared], [shared, infrared]])
 
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:

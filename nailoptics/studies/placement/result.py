@@ -247,7 +247,7 @@ def budgets(result: xr.Dataset) -> list[dict[str, Any]]:
         parts = dict(zip(result.cause.values.tolist(), layout.force_budget_n.values.tolist(), strict=True))
         floor_n = float(np.nan_to_num(layout.get("physiological_noise_force_n", 0.0)))
         if "waves" in parts:
-            # Where the pressures are hardly distinguished, waves are followed less than the floor: "split" has the rest
+            # Waves are followed less than the floor where pressures are hardly distinguished: "split" has the rest.
             above_n2 = parts["waves"] ** 2 - floor_n**2
             parts["split"] = max(parts["split"] ** 2 + min(above_n2, 0.0), 0.0) ** 0.5
             parts["waves"] = max(above_n2, 0.0) ** 0.5

@@ -57,8 +57,10 @@ def coordinate_exchange(
         values[left] = score((given + information[:, others].sum(1))[:, None] + information[:, left])
         return values
 
-    if count == 0 or count > free.free:
-        return [], np.inf if count else float(score(given + information[:, :0].sum(1)))
+    if count == 0:
+        return [], float(score(given + information[:, :0].sum(1)))
+    if count > free.free:
+        return [], np.inf
     alone = scores([])
     ranked = _separate(np.argsort(alone), free.exclude) if count > 1 else iter(())
     best: tuple[list[int], float] = ([], np.inf)
