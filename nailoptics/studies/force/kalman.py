@@ -34,8 +34,8 @@ LOWEST_N_PER_CM2 = -0.01
 # N/cm^2.
 LARGEST_STEP = np.array([0.05, 0.05, 0.05, 0.1, 0.1, 0.1])
 SMALLEST_STEP = np.array([1e-4, 1e-4, 1e-4, 0.02, 0.02, 0.02])
-# Process noise of the walls, of their diameters at rest per step. [1]
-WALL_NOISE = 1e-4
+# Process noise of the walls, of their diameters at rest. [1 / sqrt(s)]
+WALL_NOISE_RT_S = 5e-4
 # Process noise: relative error of the walls' velocity, and its correlation time. Chosen on the virtual people:
 # without it a touch that is released past closure is estimated for seconds. [1, s]
 SPEED_ERROR, SPEED_CORRELATION_S = 0.2, 0.3
@@ -197,7 +197,7 @@ class StateSpace:
     def _linear_process(self, step_s: float) -> tuple[Array, Array]:
         """Transition and noise of all that is linear, over a step."""
         transition, variance = np.eye(self.size), np.zeros(self.size)
-        variance[DIAMETERS] = WALL_NOISE**2
+        variance[DIAMETERS] = WALL_NOISE_RT_S**2 * step_s
         variance[PULP] = PULP_NOISE_N_PER_CM2_RT_S**2 * step_s
         for k, wave in enumerate(self.subject.noise.waves):
             at = slice(self.waves.start + 2 * k, self.waves.start + 2 * k + 2)
