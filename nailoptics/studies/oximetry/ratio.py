@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.polynomial import polyfit, polyval
 from numpy.typing import ArrayLike
 
 from ... import tissue
@@ -168,14 +169,9 @@ def calibrate_curve(so2: Array, ratio: Array, degree: int) -> tuple[Array, Array
     """
     percent, fits = 100 * so2, np.full((*ratio.shape[:2], degree + 1), np.nan)
     for at in np.argwhere(np.isfinite(ratio).all(-1)):
-        fits[tuple(at)] = np.polynomial.polynomial.polyfit(ratio[tuple(at)], percent, degree)
-    residual = [evaluate(fit, ratios) - percent for fit, ratios in zip(fits[0], ratio[0], strict=True)]
+        fits[tuple(at)] = polyfit(ratio[tuple(at)], percent, degree)
+    residual = [polyval(ratios, fit) - percent for fit, ratios in zip(fits[0], ratio[0], strict=True)]
     return fits, np.abs(residual).max(1)
-
-
-def evaluate(coefficients: ArrayLike, ratio: ArrayLike) -> Array:
-    """SpO2 of a ratio of ratios by a line or a parabola. [percent]"""
-    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(ratio, float), np.asarray(coefficients, float)))
 
 
 def saturation_of(ratio: ArrayLike, so2: Array, curve: Array) -> Array:
@@ -193,7 +189,7 @@ def literature_bias(ratio: Array, so2: float) -> Array:
 
     ratio : (photodiodes,) float. Ratio of ratios at a saturation as a fraction.
     """
-    bias = np.stack([evaluate(line, ratio) - 100 * so2 for line in (TEXTBOOK, MEASURED)])
+    bias = np.stack([polyval(ratio, line) - 100 * so2 for line in (TEXTBOOK, MEASURED)])
     return np.asarray(np.take_along_axis(bias, np.abs(bias).argmin(0)[None], 0)[0])
 
 

@@ -25,6 +25,7 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import linprog
 from scipy.sparse import csr_array, hstack, vstack
+from scipy.special import softmax
 
 from ...light.tracing import StageProgress
 from ...scene import digest
@@ -66,15 +67,9 @@ def _tangents(objective: Objective, total: Array, information: Array) -> list[tu
         here, once, twice = np.log(np.stack(values, 1))
         slopes, here = (4 * once - 3 * here - twice) / (2 * DIFFERENCE_STEP), here[:, 0]
         if name == "mean":
-            slopes, here = (_softmax(here) @ slopes)[None], np.log(np.exp(here).mean(keepdims=True))
+            slopes, here = (softmax(here) @ slopes)[None], np.log(np.exp(here).mean(keepdims=True))
         tangents.append((weight, here, slopes))
     return tangents
-
-
-def _softmax(logs: Array, power: float = 1.0) -> Array:
-    """Weight of each in the slope of a mean of powers, from the logarithms of its terms."""
-    terms = np.exp(power * (logs - logs.max()))
-    return np.asarray(terms / terms.sum())
 
 
 def lower_bound(
@@ -110,7 +105,7 @@ def lower_bound(
         of_designs = np.einsum("dm,fmn->fdn", np.array(designs), information)
         for _ in range(STEPS):
             tangents = _tangents(objective, given + np.einsum("d,fdn->fn", mixture, of_designs), of_designs)
-            falls = -np.sum([weight * _softmax(values, POWER) @ slopes for weight, values, slopes in tangents], axis=0)
+            falls = -np.sum([weight * softmax(POWER * values) @ slopes for weight, values, slopes in tangents], axis=0)
             if falls.max() - mixture @ falls < GAP / 4:
                 break
             mixture = mixture * np.sqrt(np.maximum(falls, 0.0))

@@ -11,6 +11,7 @@ from typing import Any, Unpack
 
 import numpy as np
 import pandas as pd
+from scipy.constants import mmHg
 
 from ...checks import Array
 from ...display import Displayed
@@ -28,7 +29,6 @@ from .appearance import Skin, nails
 from .comparison import Comparison, interval, moments, part_between, texts_of
 from .people_tables import COLUMNS, read_people
 
-MMHG_PA = 133.322
 # Photons of each LED where none are requested.
 PHOTONS = 1_000_000
 # Of the module MAXM86161 that recorded the finger; judgement, its data sheet was not at hand. Red is 660 nm as here.
@@ -117,7 +117,7 @@ def _contact_pressure(people: pd.DataFrame) -> Comparison:
         beat = Body(heartbeat=varied.body.heartbeat.model_copy(update={"rate_variability": 0.0}))
         times_s = np.linspace(0.0, 60.0 / heart_rate_per_min(varied.body), 256)
         arterial_pa = waves_pressure(beat, times_s, mean_pressure_pa=small.mean_pa, pulse_ratio=small.pulse_ratio)
-        amplitude = np.ptp(small.fraction(arterial_pa - MMHG_PA * pressure[:, None]), axis=1)
+        amplitude = np.ptp(small.fraction(arterial_pa - mmHg * pressure[:, None]), axis=1)
         return np.asarray(amplitude / amplitude.mean())
 
     ends = [shape(at_value(scene, prior.field, end)) for end in (prior.low, prior.high)]

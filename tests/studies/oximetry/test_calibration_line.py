@@ -11,7 +11,6 @@ from nailoptics.statistics import jackknife
 from nailoptics.studies.oximetry.ratio import (
     MEASURED,
     calibrate_curve,
-    evaluate,
     literature_bias,
     path_warnings,
     saturation_of,
@@ -40,7 +39,6 @@ def test_a_curve_is_read_backwards_and_goes_on_beyond_its_ends():
     assert np.allclose(saturation_of(curve, SO2, curve), SO2)
     beyond = saturation_of([curve[0] + 0.1, curve[-1] - 0.1], SO2, curve)
     assert beyond[0] < SO2[0] and beyond[1] > SO2[-1]
-    assert evaluate((110.0, -25.0), 0.52) == 97.0
 
 
 def test_a_curve_that_rises_with_saturation_is_read_as_well():
