@@ -14,7 +14,7 @@ from cyclopts import App, CycloptsError, Parameter
 from . import terminal
 from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
 from .io import check_writable, leave_dask_out, to_json, write_text
-from .options import TraceOptions
+from .options import FormatName, Illuminant, LightFrom, Observer, Over, TraceOptions
 from .terminal import finish, say, shown, traced
 from .version import __version__, commit
 
@@ -178,11 +178,11 @@ class View:
 
     forces_n: Annotated[tuple[float, ...] | None, Parameter(name="--force", negative="")] = None
     """Held forces, the first to compare with. May be repeated. [N]"""
-    illuminant: Literal["D65", "A", "LED-B3"] | None = None
+    illuminant: Illuminant | None = None
     """Daylight, an incandescent lamp, or a white LED."""
-    observer: Literal["2", "10"] | None = None
+    observer: Observer | None = None
     """Field of the standard observer, in degrees."""
-    lit_by: Annotated[Literal["sky", "lamp"] | None, Parameter(name="--light")] = None
+    lit_by: Annotated[LightFrom | None, Parameter(name="--light")] = None
     """Diffuse illumination, or an annulus at 45 degrees."""
     gloss: bool | None = None
     """Include specular reflection."""
@@ -231,7 +231,7 @@ def colour(
 def compare(
     scene: ScenePath,
     *,
-    over: tuple[Literal["force", "blood", "saturation"], ...] = ("force", "blood"),
+    over: tuple[Over, ...] = ("force", "blood"),
     require: float | None = None,
     model: Literal["taylor", "beer_lambert"] = "taylor",
     options: Study = STUDY,
@@ -451,9 +451,7 @@ def export(
     scene: ScenePath,
     *,
     output: Output,
-    format_: Annotated[
-        Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"] | None, Parameter(name="--format")
-    ] = None,
+    format_: Annotated[FormatName | None, Parameter(name="--format")] = None,
     voxel_mm: float | None = None,
     json_: Json = False,
 ) -> None:

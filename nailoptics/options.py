@@ -16,6 +16,11 @@ from .errors import InputError
 MAX_PHOTONS = 10_000_000_000
 
 BackendName = Literal["auto", "cuda", "llvm", "metal", "scalar"]
+FormatName = Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"]
+Illuminant = Literal["D65", "A", "LED-B3"]
+LightFrom = Literal["sky", "lamp"]
+Observer = Literal["2", "10"]
+Over = Literal["force", "blood", "saturation"]
 
 
 class Requested(TypedDict, total=False):

@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Unpack, cast
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from ..light.identity import light_digest, traced_absorption
 from ..light.tracing import accuracy
 from ..light.tracing.store import LightStore
 from ..light.transfer import current_versions
-from ..options import BackendName, Requested, TraceOptions
+from ..options import Requested, TraceOptions
 from ..scene import Accuracy, Scene, digest, to_toml
 from ..scene.sweep import StudyName, Sweep
 from ..variables import to_record
@@ -55,7 +55,7 @@ class Settings:
     def of(cls, folder: Path, options: TraceOptions, study: StudyName = "simulate") -> "Settings":
         """The settings of a run that begins now, with the backend that this machine offers."""
         deadline = None if options.max_seconds is None else time.time() + options.max_seconds
-        chosen = cast(BackendName, backends.choose_jit(options.backend, "batch").name)
+        chosen = backends.choose_jit(options.backend, "batch").name
         if study == "colour" and options.relative_error is not None:
             raise InputError("relative_error: a sweep of colours has none; give colour.tolerance in its base scene.")
         return cls(folder.resolve(), replace(options, backend=chosen, max_seconds=None), deadline, study)

@@ -4,15 +4,12 @@ kicad_pcb is its board, spice its circuit."""
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Any, Unpack
 
 from ..errors import InputError
 from ..io import check_writable
-from ..options import Requested
+from ..options import FormatName, Requested
 from ..scene import SceneIn, as_scene
-
-FormatName = Literal["glb", "ply", "kicad_pcb", "spice", "mmc", "mcx", "mitsuba"]
-
 
 # The function that writes a scene to a path and returns the files by what they are, and the endings that a file's name
 # may have; formats without any make a folder.

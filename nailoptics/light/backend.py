@@ -21,19 +21,19 @@ from functools import cache
 from glob import glob
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 
 from ..assets import read_toml
 from ..errors import InputError, WriteError
 from ..io import cache_folder, write_bytes
+from ..options import BackendName
 
 log = logging.getLogger(__name__)
 
-Name = Literal["cuda", "llvm", "metal", "scalar"]
 # Metal comes after libLLVM because nailoptics was never run on it.
-NAMES: tuple[Name, ...] = ("cuda", "llvm", "metal", "scalar")
+NAMES: tuple[BackendName, ...] = get_args(BackendName)[1:]
 ENGINES = ("photons", "volpath")
-VARIANTS: dict[Name, str] = {name: f"{name}_ad_mono" for name in NAMES} | {"scalar": "scalar_rgb"}
+VARIANTS: dict[BackendName, str] = {name: f"{name}_ad_mono" for name in NAMES} | {"scalar": "scalar_rgb"}
 ADVICE = read_toml("backends.toml")
 # Where macOS has Metal.
 METAL = "/System/Library/Frameworks/Metal.framework"
@@ -79,7 +79,7 @@ class Backend:
     advice : What would be faster, or is untried.
     """
 
-    name: Name
+    name: BackendName
     library: str | None
     engines: tuple[str, ...]
     why: str
@@ -136,7 +136,7 @@ def findings() -> list[Backend]:
     return candidates
 
 
-def activate(backend: Backend, variants: Mapping[Name, str] = VARIANTS) -> Any:
+def activate(backend: Backend, variants: Mapping[BackendName, str] = VARIANTS) -> Any:
     """Mitsuba with the backend's variant set; raises InputError where it cannot be imported."""
     if backend.name == "llvm" and backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
@@ -185,7 +185,7 @@ def _quiet_stderr() -> Iterator[None]:
         os.close(stderr)
 
 
-def _look(name: Name) -> Iterator[Backend]:
+def _look(name: BackendName) -> Iterator[Backend]:
     """The candidates of one backend; each is probed when its turn comes, not before."""
     if name == "scalar":
         yield Backend("scalar", None, ("volpath",), "works everywhere")
@@ -248,7 +248,7 @@ def _major_version(path: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _works(name: Name, library: str) -> tuple[tuple[str, ...], str]:
+def _works(name: BackendName, library: str) -> tuple[tuple[str, ...], str]:
     """The engines that work with a library, and why not all: from memory, from the user's cache, or from a probe."""
     # What the answer depends on: the library's file, the packages and the machine.
     file: list[Any] = []
@@ -279,7 +279,7 @@ def _packages() -> list[str]:
     return [distribution.version for name in ("drjit", "mitsuba") for distribution in metadata.distributions(name=name)]
 
 
-def _probe(name: Name, library: str) -> tuple[tuple[str, ...], str, bool]:
+def _probe(name: BackendName, library: str) -> tuple[tuple[str, ...], str, bool]:
     """The engines whose kernels and rays work in another process, why not all, and whether the answer lasts."""
     environment = dict(os.environ)
     if name == "llvm":

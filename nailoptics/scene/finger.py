@@ -12,6 +12,7 @@ from .base import USUAL_MELANIN_FRACTION, Fraction, Name, Table, check_unique
 
 ANATOMY: dict[str, dict[str, float]] = read_toml("anatomy.toml")
 """Sizes of adult digits, by digit and field. [mm]"""
+Digit = Literal["thumb", "index", "middle", "ring", "little"]
 DermisAbsorption = Literal["jacques_baseline", "shimojo", "salomatina"]
 Factor = Annotated[float, Field(ge=0.01, le=100)]
 # From farther behind the nail less than 1e-4 of a photodiode's light returns, as explain measures.
@@ -23,7 +24,7 @@ Coefficient = Annotated[float, Field(ge=0, le=1e9)]
 class Finger(Table):
     """A fingertip; the digit sets the default of every size. Lengths in mm."""
 
-    digit: Literal["thumb", "index", "middle", "ring", "little"] = "index"
+    digit: Digit = "index"
     """Which digit; sets the sizes from anatomy."""
     width_mm: Annotated[float, Field(ge=5, le=40)] = ANATOMY["index"]["width_mm"]
     """Width of the fingertip. [mm]"""

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from .base import Fraction, Name, NonNegative, Point, Polygon, Positive, Table, check_unique, shifted
-from .finger import DermisAbsorption
+from .finger import DermisAbsorption, Digit
 from .importers.board_files import View, read_board_file, read_outline, view_of
 from .importers.outlines import is_point, middle
 from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, warn_of_bottom
@@ -18,7 +18,7 @@ from .text_files import read_text
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
 
-class Candidate(BoardFile, Table):
+class Candidate(BoardFile):
     """One layout: positions of the LEDs and photodiodes on the flat board, relative to the nail's centre.
 
     Of a position file without parts, references such as D1 or LED1 are LEDs, PD1 photodiodes, others are ignored.
@@ -86,7 +86,7 @@ class FingerCase(Table):
 
     name: Name
     """Name of the case."""
-    digit: Literal["thumb", "index", "middle", "ring", "little"] | None = None
+    digit: Digit | None = None
     """Which digit; its sizes from anatomy replace the scene's."""
     rest_blood_fraction: Fraction | None = None
     """Volume fraction of blood in the nail bed at rest."""

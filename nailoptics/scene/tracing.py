@@ -4,12 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ..options import Illuminant, LightFrom, Observer
 from .base import Positive, Table
 from .touch import Force
 
-Illuminant = Literal["D65", "A", "LED-B3"]
-Observer = Literal["2", "10"]
-LightFrom = Literal["sky", "lamp"]
 Pixels = Annotated[int, Field(ge=16, le=4096)]
 
 

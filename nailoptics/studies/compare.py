@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 import xarray as xr
@@ -17,14 +17,13 @@ from ..hemodynamics.touch import largest_force_n
 from ..hemodynamics.zones import capillary_zones
 from ..light import ProgressCallback, Transfer, optics, trace
 from ..light.transfer.series import read_replicates
-from ..options import Requested, TraceOptions
+from ..options import Over, Requested, TraceOptions
 from ..paper.reduced_optics import FittedCurve, fit_curve
 from ..scene import Scene, SceneIn, as_scene
 from ..statistics import Z95, jackknife, quotient, seed_of
 from ..variables import Estimate, described
 
-Over = Literal["force", "blood", "saturation"]
-OVER: tuple[Over, ...] = ("force", "blood", "saturation")
+OVER: tuple[Over, ...] = get_args(Over)
 MODELS, WAYS = ("taylor", "beer_lambert"), ("fitted", "predicted", "predicted_both")
 PARTS = ("truncation", "one_path", "both_zones", "blood_scattering")
 TOLERANCES = (0.01, 0.05)

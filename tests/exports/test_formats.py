@@ -1,19 +1,11 @@
-"""One table of formats, and one line where something cannot be written."""
+"""One line where something cannot be written."""
 
 import pytest
 
 import nailoptics
 from nailoptics.assets import data_dir
-from nailoptics.cli import app, run
+from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.exports.formats import WRITERS
-
-
-def test_the_command_line_knows_every_format(capfd):
-    with pytest.raises(SystemExit):
-        app(["export", "--help"])
-    text = " ".join(capfd.readouterr().out.split())
-    assert all(name in text for name in WRITERS)
 
 
 @pytest.mark.parametrize(

@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
 from ...geometry import Geometry, build
-from ...options import TraceOptions
+from ...options import BackendName, TraceOptions
 from ...scene import Scene
 from ...statistics import seed_of
 from .. import optics
-from ..backend import NAMES, Backend, Name, activate, choose
+from ..backend import NAMES, Backend, activate, choose
 from ..optics import Media
 from ..tracing import Ending, ProgressCallback, StoppingCriterion, TraceProgress, run_until, unlit
 from ..tracing.stopping import out_of_time, share_of_time
@@ -36,9 +36,9 @@ from . import mitsuba_scene
 from .mitsuba_scene import LEAVING, BedAbsorption, Window
 
 # The rgb variants carry three plain floats, at the cost of one; the spectral ones four.
-RGB: dict[Name, str] = {name: f"{name}_ad_rgb" for name in NAMES} | {"scalar": "scalar_rgb"}
-SPECTRAL: dict[Name, str] = {name: f"{name}_ad_spectral" for name in NAMES} | {"scalar": "scalar_rgb"}
-MAX_SPP, PIXELS = 10_000, mitsuba_scene.FILM * mitsuba_scene.FILM
+RGB: dict[BackendName, str] = {name: f"{name}_ad_rgb" for name in NAMES} | {"scalar": "scalar_rgb"}
+SPECTRAL: dict[BackendName, str] = {name: f"{name}_ad_spectral" for name in NAMES} | {"scalar": "scalar_rgb"}
+PIXELS = mitsuba_scene.FILM * mitsuba_scene.FILM
 # Mitsuba's seeds have 32 bits.
 SEEDS = 1 << 32
 # Batches of each round, whose spread gives the standard error. They are skewed: few of them look settled too soon, and
@@ -61,7 +61,7 @@ LEAST_SECONDS = 1e-9
 
 
 @contextmanager
-def stock_mitsuba(backend: Backend, variants: Mapping[Name, str] = RGB) -> Iterator[Any]:
+def stock_mitsuba(backend: Backend, variants: Mapping[BackendName, str] = RGB) -> Iterator[Any]:
     """Mitsuba in one of the variants that this engine needs; the one that was set before returns afterwards."""
     if "volpath" not in backend.engines:
         raise InputError(f"volpath cannot run on {backend.library}: its kernels abort there; take the scalar backend.")
@@ -79,8 +79,6 @@ def stock_mitsuba(backend: Backend, variants: Mapping[Name, str] = RGB) -> Itera
 def _render(mi: Any, scene: Any, *, paths: int, seed: int) -> NDArray[np.float64]:
     """Mean of each channel over some paths, (channels,) float."""
     spp = max(1, math.ceil(paths / PIXELS))
-    if spp > MAX_SPP:
-        raise ValueError(f"{paths} paths in one batch lose counts in float32; at most {MAX_SPP * PIXELS}")
     image = np.array(mi.render(scene, spp=spp, seed=seed % SEEDS), dtype=np.float64)
     mean = image.reshape(-1, image.shape[-1]).mean(axis=0)
     if not np.isfinite(mean).all():
@@ -361,7 +359,7 @@ def _readings(groups: Sequence[_Group], reason: str | None, interrupted: bool, *
 
 
 def read_leds(
-    scene: Scene, options: TraceOptions, progress: ProgressCallback | None, blood: np.ndarray | None = None
+    scene: Scene, options: TraceOptions, progress: ProgressCallback | None, blood: np.ndarray | None
 ) -> list[StateReadings]:
     """The readings of every LED, each in its share of the time.
 

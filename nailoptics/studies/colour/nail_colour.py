@@ -23,9 +23,8 @@ from ...light.tracing import Ending, StageProgress, run_until
 from ...light.tracing.store import LightStore
 from ...light.transfer import provenance
 from ...light.walk.nail_reflectance import NailReflectance, Patch
-from ...options import Requested, TraceOptions
+from ...options import Illuminant, LightFrom, Observer, Requested, TraceOptions
 from ...scene import Scene, SceneIn, Viewing, as_scene
-from ...scene.tracing import Illuminant, LightFrom, Observer
 from ...statistics import Array, jackknife, quotient, seed_of
 from ...variables import described, jackknifed
 from ..prior_uncertainty import only_absorbs, over_priors

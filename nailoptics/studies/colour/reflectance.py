@@ -17,8 +17,8 @@ from ...light.identity import light_scene
 from ...light.transfer.records import attenuation
 from ...light.transfer.series import ChebyshevBox
 from ...light.walk.nail_reflectance import NailReflectance, Patch, ReflectedLight
+from ...options import Illuminant, Observer
 from ...scene import Scene, Viewing
-from ...scene.tracing import Illuminant, Observer
 from ...statistics import Array, leave_one_out
 
 OBSERVERS = {"2": "CIE 1931 2 Degree Standard Observer", "10": "CIE 1964 10 Degree Standard Observer"}

@@ -33,6 +33,7 @@ Changes = dict[str, dict[str, Any]]
 EACH = ("leds", "photodiodes")
 ONE_WAVELENGTH: Changes = {"leds": {"fwhm_nm": 0.0}}
 PART_WIDTH: Changes = {"leds": {"fwhm_nm": None}}
+How = Literal["reweighted", "retraced", "derived"]
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ class Effect(Change):
     modulation_bound : the same bound on the modulation by touch, as a fraction of the largest modulation.
     """
 
-    how: Literal["reweighted", "retraced", "derived"]
+    how: How
     change: float
     stderr: float
     bound: float
@@ -325,7 +326,7 @@ def effect_of(
     base: PairedReadings,
     *,
     tolerance: float,
-    how: Literal["reweighted", "retraced", "derived"] = "derived",
+    how: How = "derived",
 ) -> Effect:
     """An effect from the difference that its change makes; without a modulation where the difference has none.
 
@@ -364,7 +365,7 @@ def effect_of(
 def by_change(change: Change, tolerance: float, base: PairedReadings, *retraced: PairedReadings) -> Effect:
     """What a change does: by a trace with it, or, of what only dims light, by the same photons with other weights."""
     other = retraced[0] if retraced else paired.reweighted(base, revised(base.transfer.scene, change.changes))
-    how: Literal["reweighted", "retraced"] = "retraced" if retraced else "reweighted"
+    how: How = "retraced" if retraced else "reweighted"
     return effect_of(change, paired.difference(base, other), base, tolerance=tolerance, how=how)
 
 
