@@ -182,7 +182,7 @@ def scattering(region: Region, wavelength_nm: ArrayLike) -> tuple[Values, Values
     return _plain(reduced / (1 - g)), _plain(np.full_like(wavelength, g)), _plain(n)
 
 
-def blood_scattering_contrast(wavelength_nm: float, *, bed_scattering: float = 1.0) -> float:
+def blood_scattering_contrast(wavelength_nm: float, *, bed_scattering: float) -> float:
     """Relative change of the bed's mu_s' by the blood fraction, where blood takes the place of dermis.
 
     bed_scattering : factor on the bed's scattering.

@@ -200,7 +200,7 @@ def grid_lines(
     *,
     optional: Iterable[float] = (),
     step: Callable[[float], float],
-    closed: Sequence[tuple[float, float]] = (),
+    closed: Sequence[tuple[float, float]],
 ) -> NDArray[np.float64]:
     """Lines through every required place, with gaps of at most a step between them.
 

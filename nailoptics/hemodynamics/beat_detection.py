@@ -64,12 +64,12 @@ def find_beats(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording"
     return Beats(peak_s, _rate(peak_s, usual), usual)
 
 
-def beats_per_second(time_s: ArrayLike, signal: ArrayLike, name: str = "the recording") -> float:
+def beats_per_second(time_s: ArrayLike, signal: ArrayLike) -> float:
     """The rate of a waveform in which a heart beats, from its autocorrelation. [Hz]
 
     time_s, signal, raises : as `find_beats`.
     """
-    return _periodic(time_s, signal, name)[-1]
+    return _periodic(time_s, signal, "the recording")[-1]
 
 
 def _periodic(time_s: ArrayLike, signal: ArrayLike, name: str) -> tuple[Array, Array, float, float]:

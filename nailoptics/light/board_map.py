@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 PHOTON_COLUMNS = ("place_mm", "weight", "path_mm")
 # A photon that never entered the bed has no path there, but for rounding between the zones.
 NO_PATH_MM = 1e-5
+# Width of the rings of the fluence. [mm]
+RING_MM = 0.3
 
 
 @dataclass(frozen=True)
@@ -172,8 +174,8 @@ class BoardTracer:
 
         return self._stored_arrivals(led, f"leaving{photodiode}_", photons, seed, trace)
 
-    def everywhere(self, led: int, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
-        """Trace light of one LED's wavelength, Lambertian, from all over the bare underside.
+    def everywhere(self, *, photons: int, seed: int) -> tuple[np.ndarray, Arrivals, Arrivals, Arrivals]:
+        """Trace light of the first LED's wavelength, Lambertian, from all over the bare underside.
 
         Returns: where each photon starts, (photons, 2) float [mm]; light that arrives on the board, as a photodiode
         like the scene's counts it there, and where it starts; and light that leaves into the air, as it counts there.
@@ -181,7 +183,7 @@ class BoardTracer:
         check_one_response(self.photodiodes)
         face = underside(self.tracer.geometry)
         starts, sent = self.tracer.starts(face, photons=photons, seed=seed)
-        arrived, cos, left = self._onto_board(led, face, photons, seed)
+        arrived, cos, left = self._onto_board(0, face, photons, seed)
         sent = self._accepted(0, sent)
         back, left = arrived.reweighted(sent[arrived.photon]), left.reweighted(sent[left.photon])
         return starts, arrived.reweighted(self._accepted(0, cos)), back, left
@@ -229,20 +231,20 @@ class BoardTracer:
         blood = {name: np.asarray(value).tolist() for name, value in vars(point).items()}
         return np.asarray(self._stored(led, f"detected{seed}-{photons}", trace, blood=blood)["means"])
 
-    def fluence(self, led: int, ring_mm: float, *, photons: int, seed: int) -> xr.DataArray:
-        """Fluence rate of an LED per emitted power, the mean of rings of a width around it, by depth below the nail
-        plate's outer face, (radius_mm, depth_mm) float. [mm^-2]"""
+    def fluence(self, *, photons: int, seed: int) -> xr.DataArray:
+        """Fluence rate of the first LED per emitted power, the mean of rings around it, by depth below the nail plate's
+        outer face, (radius_mm, depth_mm) float. [mm^-2]"""
         backends.activate(self.backend)
         from .walk.tallies import FluenceTally
 
         tally = FluenceTally(self.scene, self.tracer.geometry)
-        self.tracer.walk(led, photons=photons, seed=seed, section=tally)
+        self.tracer.walk(0, photons=photons, seed=seed, section=tally)
         u, v, depth = ((edges[1:] + edges[:-1]) / 2 for edges in tally.edges_mm)
-        at = self.scene.layout.leds[led].center_mm
-        ring = (np.hypot(u[:, None] - at[0], v - at[1]) / ring_mm).astype(int).ravel()
+        at = self.scene.layout.leds[0].center_mm
+        ring = (np.hypot(u[:, None] - at[0], v - at[1]) / RING_MM).astype(int).ravel()
         fluence = (tally.sums() / (photons * tally.volume_mm3)).reshape(len(ring), len(depth))
         mean = np.stack([np.bincount(ring, column) for column in fluence.T], -1) / np.bincount(ring)[:, None]
-        return xr.DataArray(mean, {"radius_mm": ring_mm * (np.arange(len(mean)) + 0.5), "depth_mm": depth})
+        return xr.DataArray(mean, {"radius_mm": RING_MM * (np.arange(len(mean)) + 0.5), "depth_mm": depth})
 
 
 @dataclass(frozen=True)

@@ -104,11 +104,11 @@ def range_of(field: str, low: float, high: float) -> str:
     return f"{significant(low)} to {significant(high)}{'' if unit == '1' else f' {unit}'}"
 
 
-def polynomial(coefficients: Iterable[float], variable: str) -> str:
-    """A polynomial from its constant on, as it is written: "110.9 − 32.77 R + 0.9527 R²"."""
+def polynomial(coefficients: Iterable[float]) -> str:
+    """A polynomial in R from its constant on, as it is written: "110.9 − 32.77 R + 0.9527 R²"."""
     text = ""
     for power, value in enumerate(map(float, coefficients)):
-        letter = ("", f" {variable}")[power > 0] + (str(power).translate(_SUPERSCRIPT) if power > 1 else "")
+        letter = ("", " R")[power > 0] + (str(power).translate(_SUPERSCRIPT) if power > 1 else "")
         sign = f" {MINUS if value < 0 else '+'} " if power else ""
         text += f"{sign}{significant(abs(value) if power else value, 4)}{letter}"
     return text

@@ -124,7 +124,13 @@ def number_columns(
                 numbers.append(math.nan)
             else:
                 hint = "an empty cell is a gap" if gaps and title != "time_s" else "every row needs one"
-                numbers.append(finite_number(text, title, f"{name} line {line}", hint=hint))
+                try:
+                    value = float(text)
+                except ValueError:
+                    value = math.nan
+                if not math.isfinite(value):
+                    raise InputError(f"{name} line {line}: {title} = {text[:40]!r} is not a finite number; {hint}.")
+                numbers.append(value)
     table = np.array(numbers).reshape(-1, len(columns)).T.copy()
     return np.array(lines), dict(zip(columns, table, strict=True))
 
@@ -159,17 +165,6 @@ def frozen(data: Any, depth: int = 0) -> Any:
     if isinstance(data, int) and data.bit_length() > MOST_BITS:
         raise ValueError("it holds a number of thousands of digits")
     return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list | tuple) else data
-
-
-def finite_number(text: str, name: str, where: str, *, hint: str = "correct it") -> float:
-    """The number that a text is; raises InputError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {name} = {text[:40]!r} is not a finite number; {hint}.")
-    return value
 
 
 def short(text: str, most: int = 120) -> str:

@@ -116,7 +116,7 @@ def test_maps_of_a_response_that_follows_the_cosine_are_those_of_none(jit_backen
     result = []
     for response in (None, FLAT):
         tracer = BoardTracer(on_board(response, response))
-        starts, *everywhere = tracer.everywhere(0, photons=1 << 13, seed=1)
+        starts, *everywhere = tracer.everywhere(photons=1 << 13, seed=1)
         own = [arrivals(0, photons=1 << 13, seed=1) for arrivals in (tracer.arrivals, partial(tracer.leaving, 1))]
         result.append([starts, *(column for one in (*everywhere, *own) for column in vars(one).values())])
     assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(*result, strict=True))
@@ -152,8 +152,8 @@ def test_light_is_weighed_by_the_photodiode_at_its_end(jit_backend):
     """Photons from everywhere, over pairs of places 1 to 3 mm apart: the light that comes with a narrow response, by
     where it arrives and by where it starts, which by reciprocity is the same."""
     tracer = BoardTracer(on_board(power_of_cosine(3.3), power_of_cosine(3.3)))
-    starts, arrived, back, left = tracer.everywhere(0, photons=1 << 18, seed=2)
-    flat = BoardTracer(on_board(None, None)).everywhere(0, photons=1 << 18, seed=2)
+    starts, arrived, back, left = tracer.everywhere(photons=1 << 18, seed=2)
+    flat = BoardTracer(on_board(None, None)).everywhere(photons=1 << 18, seed=2)
     apart = np.hypot(*(starts[arrived.photon] - arrived.place_mm).T)
     near = (apart > 1) & (apart < 3)
     sums, ways = [], (arrived, back, flat[1])

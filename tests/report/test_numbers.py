@@ -69,7 +69,7 @@ def test_a_fields_name_ends_with_its_unit(field, unit):
     ],
 )
 def test_a_polynomial_has_its_signs_between_its_terms(coefficients, text):
-    assert polynomial(coefficients, "R") == text
+    assert polynomial(coefficients) == text
 
 
 @pytest.mark.parametrize(

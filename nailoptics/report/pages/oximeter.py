@@ -49,7 +49,7 @@ def _calibrations(result: xr.Dataset) -> list[dict[str, str]]:
         intercept, slope = map(with_error, line.linear.values, line.linear_stderr.values)
         row = {"Photodiode": name, "Intercept": intercept, "Slope": slope}
         row["Line's residual [%]"] = significant(float(line.linear_miss), 2)
-        row["Quadratic"] = polynomial(line.quadratic.values, "R")
+        row["Quadratic"] = polynomial(line.quadratic.values)
         row["Its residual [%]"] = significant(float(line.quadratic_miss), 2)
         row[f"R({result.attrs['so2']:g})"] = estimated(line, "ratio_at_rest")
         rows.append(row | {"Path ratio": estimated(line, "path_ratio")})

@@ -71,7 +71,7 @@ def around(points: Sequence[Point]) -> Box | None:
     return (min(xs), min(ys), max(xs), max(ys)) if min(xs) < max(xs) and min(ys) < max(ys) else None
 
 
-def dxf_lines(path: Path, *, unit_mm: float = 1.0) -> list[Polygon]:
+def dxf_lines(path: Path, *, unit_mm: float) -> list[Polygon]:
     """The lines of a drawing's model, or of its layer for outlines, curves as short straight ones; raises InputError.
 
     unit_mm : one drawing unit, where the drawing does not state it. [mm]

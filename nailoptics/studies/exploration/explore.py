@@ -59,8 +59,8 @@ KERNEL_ERROR, KERNEL_CHANGE_ERROR = 0.03, 0.12
 BLOOD_RANGE, LEAST_SO2 = (0.5, 2.0), 0.7
 # Cells of the ambient light's table across and along the board.
 AMBIENT_CELLS = 6
-# Photons of the fluence around a source, and the width of its rings. [mm]
-FLUENCE_PHOTONS, RING_MM = 1 << 16, 0.3
+# Photons of the fluence around a source.
+FLUENCE_PHOTONS = 1 << 16
 # The scene as it is, then on people's fingers, each with the polynomial over its blood.
 Fingers: TypeAlias = list[tuple[Scene, BloodPolynomial]]
 # Streams of random numbers.
@@ -135,7 +135,7 @@ class ColourSums:
     def traced(self, photons: int, *seed: int) -> tuple[Arrivals, Array, Array, Arrivals]:
         """Photons that start anywhere: light between LEDs' places x and photodiodes' y; and light that leaves, with
         the place where it started."""
-        starts, arrived, back, left = self.tracer.everywhere(0, photons=photons, seed=seed_of(self.seed, *seed))
+        starts, arrived, back, left = self.tracer.everywhere(photons=photons, seed=seed_of(self.seed, *seed))
         begin, end = starts[arrived.photon], arrived.place_mm
         passed, forth = self.basis.passed(begin, end)
         x, y = np.where(forth[:, None], begin, end)[passed], np.where(forth[:, None], end, begin)[passed]
@@ -382,7 +382,7 @@ def _fluence(base: Scene, led: Led, number: int, options: TraceOptions) -> xr.Da
     die = base.leds[0].model_copy(update={"position_mm": (0.0, 0.0), "rotation_deg": 0.0})
     bare = boards.bare_board(base.model_copy(update={"board": board, "leds": (die,)}))
     tracer = BoardTracer(lit_by(bare, led), backend=options.backend)
-    return tracer.fluence(0, RING_MM, photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
+    return tracer.fluence(photons=FLUENCE_PHOTONS, seed=seed_of(options.seed, FLUENCE, number))
 
 
 # Forces at which the blood is computed, denser where it changes more, up to this or a quarter beyond the scene's touch.
