@@ -212,23 +212,15 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-def _refuse_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
     """Turn a skip into a failure in CI: what is not run there is run nowhere."""
+    report = yield
     if IN_CI and report.skipped and not hasattr(report, "wasxfail"):
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
         report.outcome = "failed"
         report.longrepr = f"{report.nodeid}: in CI a skip is a failure. {reason}"
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Iterator[None]:
-    report = yield
-    _refuse_skip(report)
     return report
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report() -> Iterator[None]:
-    report = yield
-    _refuse_skip(report)
-    return report
+pytest_make_collect_report = pytest_runtest_makereport

@@ -181,7 +181,9 @@ def test_a_million_photons_are_the_default():
     ("options", "field"),
     [
         ({"photons": 0}, "photons = 0"),
+        ({"seed": -1}, "seed"),
         ({"relative_error": -0.1}, "relative_error = -0.1"),
+        ({"relative_error": 5.0}, "relative_error = 5.0"),
         ({"relative_error": math.nan}, "relative_error = nan"),
         ({"max_seconds": 0.0}, "max_seconds = 0.0"),
         ({"backend": "opencl"}, "opencl"),

@@ -140,21 +140,24 @@ def test_a_drawing_of_countless_things_is_refused(tmp_path, draw, words):
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("name", "data", "words"),
     [
-        (b"", "has no line"),
-        (b"\x89PNG\r\n\x1a\n" * 50, "no DXF drawing"),
-        (b"AutoCAD Binary DXF\r\n\x1a\x00abc", "no DXF drawing"),
-        (ENTITIES.format("").encode(), "has no line"),
-        (ENTITIES.format(line(SQUARE[0], SQUARE[1]).split("11\n")[0]).encode(), "LINE lacks one of start, end"),
-        (ENTITIES.format("0\nCIRCLE\n10\n0.0\n20\n0.0\n").encode(), "CIRCLE lacks"),
-        (ENTITIES.format(line(SQUARE[0], SQUARE[1])).encode(), "open at"),
+        ("o.dxf", b"", "has no line"),
+        ("o.dxf", b"\x89PNG\r\n\x1a\n" * 50, "no DXF drawing"),
+        ("o.dxf", b"AutoCAD Binary DXF\r\n\x1a\x00abc", "no DXF drawing"),
+        ("o.dxf", ENTITIES.format("").encode(), "has no line"),
+        ("o.dxf", ENTITIES.format(line(SQUARE[0], SQUARE[1]).split("11\n")[0]).encode(), "LINE lacks one of start"),
+        ("o.dxf", ENTITIES.format("0\nCIRCLE\n10\n0.0\n20\n0.0\n").encode(), "CIRCLE lacks"),
+        ("o.dxf", ENTITIES.format(line(SQUARE[0], SQUARE[1])).encode(), "open at"),
+        ("o.csv", b"u,v\n1,2\n", "x_mm,y_mm"),
+        ("o.csv", b"x_mm,y_mm\n0,0\n1,1\n2,2\n", "no area"),
+        ("o.csv", b"x_mm,y_mm\n0\n", "y_mm = '' is not a finite number"),
     ],
 )
-def test_a_wrong_drawing_is_refused_in_one_line(tmp_path, data, words):
-    (tmp_path / "o.dxf").write_bytes(data)
+def test_a_wrong_drawing_or_list_of_corners_is_refused_in_one_line(tmp_path, name, data, words):
+    (tmp_path / name).write_bytes(data)
     with pytest.raises(InputError, match=words) as caught:
-        read_outline(tmp_path / "o.dxf")
+        read_outline(tmp_path / name)
     assert len(str(caught.value).splitlines()) == 1
 
 

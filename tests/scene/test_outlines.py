@@ -141,21 +141,6 @@ def test_a_slot_without_a_corner_under_a_part_is_seen():
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("u,v\n1,2\n", "x_mm,y_mm"),
-        ("x_mm,y_mm\n0,0\n1,1\n2,2\n", "no area"),
-        ("x_mm,y_mm\n0\n", "y_mm = '' is not a finite number"),
-    ],
-)
-def test_wrong_corners_are_refused_in_one_line(tmp_path, text, words):
-    (tmp_path / "o.csv").write_text(text)
-    with pytest.raises(InputError, match=words) as caught:
-        read_outline(tmp_path / "o.csv")
-    assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize(
     ("lines", "words"),
     [
         ([((0, 0), (1, 0)), ((5, 5), (6, 5))], "open at"),

@@ -1,7 +1,6 @@
 """Sweep files become scenes in order, every mistake in one is reported in one line, and editors have their schema."""
 
 import itertools
-import json
 import tomllib
 
 import jsonschema
@@ -101,11 +100,6 @@ SWEEPS = sorted((data_dir("scenes") / "sweeps").glob("*.toml"))
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda p: p.stem)
 def test_the_shipped_sweeps_load(path):
     assert len(load_sweep(path).scenes) >= 20
-
-
-def test_the_shipped_schema_is_the_models_own():
-    shipped = json.loads((data_dir("scenes") / "sweep.schema.json").read_text(encoding="utf-8"))
-    assert shipped == sweep_json_schema() and shipped["title"] == "nailoptics sweep"
 
 
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda p: p.stem)

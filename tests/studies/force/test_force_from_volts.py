@@ -12,13 +12,13 @@ from nailoptics import hemodynamics, load_scene
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report.pages.force import PREDICTION, calibration_summary, prediction_summary
-from nailoptics.scene.importers.sensor_recordings import SITES, Recording, recording_csv
+from nailoptics.scene.importers.sensor_recordings import SITES, Recording
 from nailoptics.scene.protocol import protocol
 from nailoptics.studies.force.calibrate import REFILL_FACTORS, _warnings, calibrate_with, lacking, with_site
 from nailoptics.studies.force.fit import FARTHEST_SPREADS, Fit
 from nailoptics.studies.force.kalman import DIAMETERS, DIVERGED, KalmanFilter
 from nailoptics.studies.force.person import NAMES, SPREAD_LN
-from nailoptics.studies.force.predict import _event_variables, csv_rows, events, live, predict
+from nailoptics.studies.force.predict import _event_variables, events, live, predict
 from nailoptics.studies.force.reading_table import POWERS, ReadingTable
 from nailoptics.studies.force.subject import DYNAMIC_ERROR, READING_CORRELATION_S, Subject, parse_subject, subject_toml
 
@@ -326,17 +326,6 @@ def test_gaps_are_bridged(subject: Subject, table: ReadingTable) -> None:
     assert PREDICTION.lines(estimated, holed)[0].startswith(f"{volts.shape[1]} samples, {lack} of them lack a reading;")
     assert holed["consistent"]
     assert holed["rms_n"] < whole["rms_n"] + 0.05
-
-
-def test_lines_that_come_one_by_one_are_answered_as_a_file_is(subject: Subject, table: ReadingTable) -> None:
-    recorded = _record(table, _steps()[:150], "proximal", seed=12)
-    lines = iter(recording_csv(recorded).splitlines(keepends=True))
-    answers = live(subject, lines)
-    assert next(answers) == next(rows := csv_rows(predict(subject, recorded)))
-    # The first sample is answered before the second is read.
-    assert next(answers).split(",")[0] == "0.0"
-    assert len(list(lines)) == len(recorded.time_s) - 1
-    assert next(rows).split(",")[0] == "0.0"
 
 
 @pytest.mark.parametrize(

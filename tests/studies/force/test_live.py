@@ -104,31 +104,24 @@ def test_samples_that_are_none_are_an_input_error(subject: Subject, samples: lis
     assert message in str(caught.value)
 
 
-def test_before_the_first_reading_force_is_not_known(subject: Subject) -> None:
-    """Expected: NaN in both, and from the first reading on the same finite forces; scores leave out what is before."""
+@pytest.mark.parametrize(
+    ("gap_s", "empty", "unknown"), [(0.0, [0, 1, 2, 6], slice(3)), (6.0, [6, 7, 8], slice(6, 9))], ids=["first", "gap"]
+)
+def test_before_the_first_reading_force_is_not_known(
+    subject: Subject, gap_s: float, empty: list[int], unknown: slice
+) -> None:
+    """Expected: NaN in both at the beginning and after a gap of more than 5 s, and from the next reading on the same
+    finite forces; scores leave out what is before."""
     recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
-    recording.volts[:, :3], recording.volts[:, 6] = np.nan, np.nan
+    recording.time_s[6:] += gap_s
+    recording.volts[:, empty] = np.nan
     volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T[:12].tolist()]
     live_n = [one[1:4] for one in predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
     result = predict(subject, recording)
     force_n = np.transpose([result[name][:12] for name in ("force_n", "force_low_n", "force_high_n")])
-    assert np.isnan(force_n[:3]).all() and np.isfinite(force_n[3:]).all()
+    assert np.isnan(force_n[unknown]).all() and np.isfinite(np.delete(force_n, unknown, axis=0)).all()
     assert np.array(live_n) == pytest.approx(force_n, nan_ok=True)
-    assert np.isnan(result.known_force_n[:3]).all() and np.isfinite(result.attrs["rms_n"])
-
-
-def test_before_the_first_reading_after_a_gap_force_is_not_known(subject: Subject) -> None:
-    """Expected: NaN while samples after a gap of more than 5 s are empty, finite else, live as of a file."""
-    recording = made_sensor.record(made_sensor.cycle(0.6, lasting_s=4.0), "proximal", seed=3)
-    recording.time_s[6:] += 6.0
-    recording.volts[:, 6:9] = np.nan
-    volts = [dict(zip(NAMES, row, strict=True)) for row in recording.volts.T[:12].tolist()]
-    live_n = [one[1:4] for one in predict_live(subject, zip(recording.time_s.tolist(), volts, strict=False))]
-    result = predict(subject, recording)
-    force_n = np.transpose([result[name][:12] for name in ("force_n", "force_low_n", "force_high_n")])
-    assert np.isnan(force_n).all(1).tolist() == [6 <= k < 9 for k in range(12)]
-    assert np.array(live_n) == pytest.approx(force_n, nan_ok=True)
-    assert np.isnan(result.known_force_n[6:9]).all() and np.isfinite(result.attrs["rms_n"])
+    assert np.isnan(result.known_force_n[unknown]).all() and np.isfinite(result.attrs["rms_n"])
 
 
 def test_what_senders_add_is_no_fault(subject: Subject, lines: list[str]) -> None:
