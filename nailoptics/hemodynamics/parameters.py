@@ -121,7 +121,7 @@ def parameters(name: str = "listed") -> Parameters:
       to which stiffness and damping alone are tuned. Each bed has its own constants, within an order of magnitude of
       the list; 3 % of the distal bed's blood is in venules, beyond the paper. Together they meet all 40 rules
       of `paper.claims`.
-    - figures, compromise, best, sluggish: of earlier versions, for scenes that name them (assets/vessels.toml).
+    - best: of the prototype and most scenes; figures, compromise, sluggish: of earlier versions (assets/vessels.toml).
 
     Raises: InputError if the name is unknown.
     """

@@ -83,8 +83,8 @@ def zones_between(
     shield : Where on the same axis the bone ends, and the length over which its shield does. It keeps the distal
         pressure from the bed behind it, as the paper says: a unit feels the mean over it of
         (1 + tanh((x - end) / length)) / 2. [1]
-    decay_length : Instead of the shield, a reach that falls off as exp(-d/decay_length) with the distance d from the
-        last unit, where P_F2 is its mean over the distal half; the law of versions before the shield. [1]
+    decay_length : Instead of the shield, exponential decay from the tip: a reach that falls off as exp(-d/decay_length)
+        with the distance d from the last unit, where P_F2 is its mean over the distal half. [1]
 
     Raises: InputError if the edges do not rise from above 0 to below 1, or a length is not positive.
     """
