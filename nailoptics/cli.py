@@ -13,7 +13,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from . import terminal
 from .errors import InputError, NotReachedError, RequirementError, WriteError, exit_message
-from .io import check_writable, leave_dask_out, to_json, write_text
+from .io import block_dask_import, check_writable, to_json, write_text
 from .options import FormatName, Illuminant, LightFrom, Observer, Over, TraceOptions
 from .terminal import finish, say, shown, traced
 from .version import __version__, commit
@@ -93,7 +93,7 @@ TRACED, STUDY, NO_TOLERANCE, BY_PHOTONS, OF_COLOUR = Traced(), Study(), NoTolera
 
 def main() -> None:
     """Run the command line and end the process; `errors` lists the exit codes."""
-    leave_dask_out()
+    block_dask_import()
     for stream in (sys.stdout, sys.stderr):  # names may hold letters that the terminal's encoding lacks
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

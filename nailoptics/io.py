@@ -114,7 +114,7 @@ def check_writable(folder: Path, *files: str) -> None:
 
 
 @contextlib.contextmanager
-def turn(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path) -> Iterator[None]:
     """Make a folder and wait until nobody else writes results in it, so that files that belong together stay together.
 
     Where the file system knows no locks (some network file systems) nobody waits.
@@ -162,13 +162,13 @@ def write_dataset(dataset: "xr.Dataset", path: Path) -> None:
     write_bytes(path, data.getbuffer())
 
 
-def leave_dask_out() -> None:
+def block_dask_import() -> None:
     """Keep xarray, if it is not loaded yet, from loading Dask: 0.6 s of processor time, and no array is Dask's."""
     if "xarray" not in sys.modules:
         sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
 
 
-def let_dask_in() -> None:
+def unblock_dask_import() -> None:
     """Let Dask be imported again."""
     if sys.modules.get("dask", sys) is None:
         del sys.modules["dask"]

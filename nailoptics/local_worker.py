@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 
-from .io import leave_dask_out
+from .io import block_dask_import
 
 
 def prepare(threads: int) -> None:
@@ -20,7 +20,7 @@ def prepare(threads: int) -> None:
 
         threading.Thread(target=watch, daemon=True).start()
     gc.set_threshold(100_000)  # as on the command line
-    leave_dask_out()
+    block_dask_import()
     from .light import backend
 
     backend.set_threads(threads)

@@ -11,11 +11,11 @@ from nailoptics.studies.exploration.drawn_people import QUANTILES, DrawnPerson
 from nailoptics.studies.exploration.explore import (
     AMBIENT_CELLS,
     BLOCKS,
-    ColourTable,
     Exploration,
+    WavelengthTable,
     blood_polynomial,
-    colours,
     explored_board,
+    led_per_wavelength,
     touch_table,
 )
 from nailoptics.studies.exploration.pair_table import BloodPolynomial, RadialFunction, pair_basis
@@ -44,7 +44,7 @@ def made_exploration(scene: Scene, *, seed: int = 0, every: int = 2) -> Explorat
         for prior in (prior for prior in known_priors(base) if only_absorbs(base, prior)):
             worn = at_value(worn, prior.field, values[prior.field])
         people.append(DrawnPerson(worn, 0.01 * (i + 1)))
-    for led in colours(base):
+    for led in led_per_wavelength(base):
         at_rest = rng.uniform(0.8, 1.2, (basis.size, 1))
         zones = rng.uniform(2.0, 4.0, (basis.size, 2))
         blood, so2 = polynomial.states[:, :2] - base.blood.rest_blood_fraction, polynomial.states[:, 2]
@@ -58,7 +58,7 @@ def made_exploration(scene: Scene, *, seed: int = 0, every: int = 2) -> Explorat
             blood = over.states[:, :2] - base.blood.rest_blood_fraction
             readings = rng.uniform(0.5, 1.5) * at_rest * np.exp(-zones @ blood.T)
             of_people.append(readings @ over.coefficients.T)
-        table = ColourTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, fluence, 1000, np.array(of_people))
+        table = WavelengthTable(led, coefficients, 0.2 * at_rest[:, 0], blocks, fluence, 1000, np.array(of_people))
         tables.append(table)
     r = layout.outline
     nodes = tuple(np.linspace(*ends, AMBIENT_CELLS) for ends in ((r.u_min, r.u_max), (r.v_min, r.v_max)))

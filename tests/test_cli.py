@@ -212,14 +212,14 @@ def test_a_command_loads_nothing_that_it_has_no_use_for(folder):
     code = """if True:
         import sys
         from nailoptics.cli import main
-        from nailoptics.io import let_dask_in
+        from nailoptics.io import unblock_dask_import
         sys.argv[1:] = ["protocol", "prototype", "-o", "protocol.csv"]
         try:
             main()
         except SystemExit as ended:
             assert ended.code == 0
         print("loaded", *({"dask.array", "distributed", "mitsuba", "scipy.spatial"} & set(sys.modules)))
-        let_dask_in()
+        unblock_dask_import()
         import distributed
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

@@ -19,7 +19,7 @@ from nailoptics.studies.colour import nail_colour
 from nailoptics.studies.colour.reflectance import NODES
 from nailoptics.studies.exploration import explore, pair_table
 
-BATCH = "nailoptics.studies.exploration.explore:ColourSums.add"
+BATCH = "nailoptics.studies.exploration.explore:WavelengthSums.add"
 EXPLORE = ("explore", "prototype", "--photons", "12288", "-o", "page.html")
 # A page of two wavelengths, with small batches, little light around its sources and a small table.
 SMALL_PAGE = {

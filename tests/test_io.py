@@ -304,13 +304,13 @@ def test_sets_of_files_that_are_written_at_once_do_not_mix(tmp_path):
     code = """if True:
         import sys
         from pathlib import Path
-        from nailoptics.io import turn, write_text
+        from nailoptics.io import folder_lock, write_text
         folder = Path("out")
         for i in range(50):
-            with turn(folder):
+            with folder_lock(folder):
                 for name in "abc":
                     write_text(folder / name, f"{sys.argv[1]} {i}")
-            with turn(folder):
+            with folder_lock(folder):
                 assert len({(folder / name).read_text() for name in "abc"}) == 1
     """
     many = [

@@ -18,7 +18,7 @@ from typing import Any, Literal, TypeAlias, Unpack
 import xarray as xr
 
 from ..errors import InputError, NailopticsError, NotReachedError, WriteError, as_far_as_reached, unless_cut_off
-from ..io import let_dask_in
+from ..io import unblock_dask_import
 from ..local_worker import prepare
 from ..options import Requested, TraceOptions
 from ..scene import SceneIn
@@ -28,8 +28,8 @@ from .jobs import Job, Settings, check_same, cores, in_order, jobs_of, of_shard,
 
 log = logging.getLogger(__name__)
 
-# A scene whose worker dies so often is recorded as failed.
-DEATHS = 2
+# A scene whose worker crashes so often is recorded as failed.
+MOST_CRASHES = 2
 # Interval at which the driver reads the clock. [s]
 WAIT_S = 0.5
 # Read by NumPy's BLAS when a worker imports it; one thread each, so that sums are the same on every machine.
@@ -40,7 +40,7 @@ Result: TypeAlias = "futures.Future[tuple[str, str]]"
 
 @dataclass
 class Outcome:
-    """What a run did: digests of scenes by what became of them, why those failed that did, and killed workers (deaths).
+    """What a run did: digests of scenes by what became of them, why those failed that did, and worker crashes (deaths).
 
     kept : they were done before. corrupt : their results were damaged or others', see `DAMAGE`, and were made again.
     """
@@ -152,9 +152,9 @@ def sweep(
 
 
 class LocalSlots:
-    """Spawned processes of this machine, one per slot, so that a death identifies its scene.
+    """Spawned processes of this machine, one per slot, so that a crash identifies its scene.
 
-    killed : what a future raises whose worker died. lost : what is raised where no worker will come any more.
+    killed : what a future raises whose worker crashed. lost : what is raised where no worker will come any more.
     """
 
     sharers = 0
@@ -213,7 +213,7 @@ class ClusterSlots(LocalSlots):
     """The workers of a Dask scheduler, which replaces those that die."""
 
     def __init__(self, address: str) -> None:
-        let_dask_in()
+        unblock_dask_import()
         try:
             from distributed import Client, KilledWorker
         except ImportError:
@@ -269,7 +269,7 @@ class _Driver:
         self.queue: list[Job] = []
         self.running: dict[Result, tuple[int, Job]] = {}
         self.stored: set[str] = set()
-        self.deaths: Counter[str] = Counter()
+        self.crashes: Counter[str] = Counter()
         self.begin = self.started = time.time()
         self.trouble, self.full, self.retried = "", False, False
 
@@ -329,7 +329,7 @@ class _Driver:
                     self.stored.add(job.key)
                 except slots.killed:
                     slots.renew(slot)
-                    state, why = self._after_death(job)
+                    state, why = self._after_crash(job)
                 if state != "unfinished":
                     self._end(job, state, why)
                 if state == "failed":
@@ -341,15 +341,15 @@ class _Driver:
         traced = {job.key for _, job in self.running.values()} - self.stored
         return next((job for job in self.queue if job.key not in traced), None)
 
-    def _after_death(self, job: Job) -> tuple[str, str]:
-        """What becomes of a scene whose worker died: it is tried again, and given up the next time."""
+    def _after_crash(self, job: Job) -> tuple[str, str]:
+        """What becomes of a scene whose worker crashed: it is tried again, and given up the next time."""
         self.outcome.deaths += 1
-        self.deaths[job.digest] += 1
-        if self.deaths[job.digest] < DEATHS:
+        self.crashes[job.digest] += 1
+        if self.crashes[job.digest] < MOST_CRASHES:
             self.show(f"a worker was killed; scene {job.digest[:12]} is tried again")
             self.queue.insert(0, job)
             return "unfinished", ""
-        why = f"its worker was killed {DEATHS} times; out of memory?"
+        why = f"its worker was killed {MOST_CRASHES} times; out of memory?"
         self.folder.write_failure(job.digest, why)
         return "failed", why
 

@@ -116,9 +116,9 @@ class BloodModel:
         body = self.body.model_copy(update=posture)
         return replace(self, body=body, parameters=with_posture(self.rest, body))
 
-    def forces_with_two_balances_n(self) -> np.ndarray:
-        """The forces, of 101 from 0 to the touch's largest, under which the vessels could rest in two states: there the
-        blood depends on whether the force has grown or fallen to what it is. [N]"""
+    def bistable_forces_n(self) -> np.ndarray:
+        """The forces, of 101 from 0 to the touch's largest, under which the vessels are bistable: they could rest in
+        two states, and the blood depends on whether the force has grown or fallen to what it is. [N]"""
         force_n = np.linspace(0.0, float(self.touch.force_n.max()), 101)
         return force_n[two_branches(self.parameters, pressure_pa=self.touch.held_pa(force_n), zones=self.zones)]
 

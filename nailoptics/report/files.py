@@ -7,7 +7,7 @@ from typing import Any
 
 import xarray as xr
 
-from ..io import turn, write_bytes, write_dataset, write_text
+from ..io import folder_lock, write_bytes, write_dataset, write_text
 from ..scene import Scene, to_toml
 from . import style
 
@@ -60,7 +60,7 @@ def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:
         that the fault of a page does not cost the data before it; None is left out.
     """
     written: dict[str, Path] = {}
-    with turn(folder):
+    with folder_lock(folder):
         for name, content in contents.items():
             path = folder / name
             made = content(path) if callable(content) else content

@@ -75,8 +75,8 @@ def check(scene: SceneIn) -> SceneCheck:
         report["assumed"] = {
             name: getattr(scene.board, name) for name in BUILD if name not in scene.board.model_fields_set
         }
-    report["warnings"] += boards.misfits(scene) + boards.crowded(scene) + _beyond_the_nail(scene) + far_from_list(scene)
-    report["warnings"] += _posture(model := blood_model(scene))
+    report["warnings"] += boards.misfits(scene) + boards.courtyard_overlaps(scene) + _beyond_the_nail(scene)
+    report["warnings"] += far_from_list(scene) + _posture(model := blood_model(scene))
     blood, pairs = np.maximum(model.over_touch().blood_fraction.values.T, 0.0), list[dict[str, Any]]()
     if backend.choose("auto").jit:
         pairs = _pairs(with_fitted_resistors(scene), blood)
@@ -87,7 +87,7 @@ def check(scene: SceneIn) -> SceneCheck:
     over = [one["led"] for one in report["exposure"] if one["nail_w_per_m2"] > SKIN_W_PER_M2]
     text = f"exposure: more than skin's {SKIN_W_PER_M2:.3g} W/m^2 over 10 s below"
     report["warnings"] += [f"{text} {led}" for led in over]
-    two = model.forces_with_two_balances_n()
+    two = model.bistable_forces_n()
     report["two_balances_n"] = [float(two.min()), float(two.max())] if two.size else None
     if scene.placement is not None:
         report["candidates"] = _candidates(scene)

@@ -7,7 +7,7 @@ import pytest
 
 from nailoptics.batch import run
 from nailoptics.batch.jobs import Job, Settings, in_order
-from nailoptics.batch.run import DEATHS, LocalSlots, Outcome
+from nailoptics.batch.run import MOST_CRASHES, LocalSlots, Outcome
 from nailoptics.errors import NotReachedError
 from nailoptics.options import TraceOptions
 
@@ -70,13 +70,13 @@ def played(tmp_path) -> Callable[..., Outcome]:
 def test_of_one_light_only_the_scene_that_kills_fails(played, which):
     outcome = played(lambda digest: digest == which)
     assert list(outcome.failed) == [which]
-    assert outcome.deaths == DEATHS
+    assert outcome.deaths == MOST_CRASHES
 
 
 def test_of_a_light_that_kills_every_worker_each_scene_fails_and_no_other(played):
     outcome = played(lambda digest: digest.startswith("1-"))
     assert sorted(outcome.failed) == sorted(f"1-{i}" for i in range(50))
-    assert outcome.deaths == 50 * DEATHS
+    assert outcome.deaths == 50 * MOST_CRASHES
 
 
 def test_a_kill_by_chance_costs_no_scene(played):

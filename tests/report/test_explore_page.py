@@ -188,7 +188,7 @@ def test_readings_are_pythons_at_random_places_sizes_turns_and_states(unchanged:
             }""",
             [colour, x, y, size, turn, state],
         )
-        table, own = explored.colours[colour], explored.polynomial
+        table, own = explored.wavelengths[colour], explored.polynomial
         assert shown_fraction == pytest.approx(reading(explored, table.coefficients, own, die, area, state), rel=1e-6)
         # Beside kinks of the table a few points miss some.
         expected = reading(explored, table.coefficients, own, die, area, state, 12)
@@ -364,7 +364,7 @@ def test_the_blood_under_a_force_is_that_of_the_vessels(unchanged: Any, explored
 def test_jackknife_polynomial_and_ambient_light_are_pythons(unchanged: Any, explored: Exploration):
     rng, polynomial = np.random.default_rng(3), explored.polynomial
     for _ in range(10):
-        values = rng.normal(size=explored.colours[0].blocks.shape[0])
+        values = rng.normal(size=explored.wavelengths[0].blocks.shape[0])
         replicates = np.concatenate([[values.mean()], values])
         assert unchanged.evaluate("jackknife", values.tolist()) == pytest.approx(float(jackknife(replicates)), rel=1e-9)
         state = np.array([*rng.uniform(0, 0.1, 2), rng.uniform(0.7, 1.0)])
@@ -383,7 +383,7 @@ def test_jackknife_polynomial_and_ambient_light_are_pythons(unchanged: Any, expl
 
 def test_the_section_shows_the_fluence_of_both_parts_of_the_selected_pair(shown: Any, explored: Exploration):
     """The made fluence is exp(-r - z): its product is highest between both parts, right below the plate."""
-    rng, table = np.random.default_rng(4), explored.colours[1].fluence
+    rng, table = np.random.default_rng(4), explored.wavelengths[1].fluence
     log = RegularGridInterpolator([table.radius_mm.values, table.depth_mm.values], half(np.log(table.values)))
     for place in rng.uniform([0.2, 0.1], [9.0, 2.9], (20, 2)).tolist():
         computed = shown.evaluate("([r, z]) => logFluence(colours[1], r, z)", place)

@@ -76,12 +76,12 @@ def test_tuned_vessels_answer_a_touch_in_their_own_way():
     assert dammed[1] < 0.9 * dammed[0]
 
 
-def test_forces_with_two_balances_are_reported():
+def test_bistable_forces_are_reported():
     """Strong feedback on soft capillaries: few of them, with walls that give way."""
     listed = SMALL_FINGER_BEST.replace("best", "listed")
     soft = listed + "[blood.tuning]\ncapillary_count = 1e3\ncapillary_stiffness_n_per_m = 1.5e4\n[touch]\n" + DISTAL
-    assert blood_model(parse_scene(listed + "[touch]\n" + DISTAL)).forces_with_two_balances_n().size == 0
-    two = blood_model(parse_scene(soft)).forces_with_two_balances_n()
+    assert blood_model(parse_scene(listed + "[touch]\n" + DISTAL)).bistable_forces_n().size == 0
+    two = blood_model(parse_scene(soft)).bistable_forces_n()
     assert 0.0 < two.min() < two.max() <= 1.0
     result = {"regions": [], "triangles": 1, "vessels": "best"}
     report = result | {"scene": "soft", "valid": True, "two_balances_n": [two.min(), two.max()]}

@@ -16,9 +16,9 @@ import numpy as np
 
 from ...scene import Led, Photodiode
 
-# Partial implicit capture: absorption ends a photon at half its rate; the other half reduces its weight. More makes
+# Partial implicit capture: this fraction of absorption is analog, it ends photons; the rest reduces weights. More makes
 # long paths rare that a reading with less absorption needs, less wastes scatterings on photons that no longer count.
-KILLED_SHARE = 0.5
+ANALOG_FRACTION = 0.5
 # From so many steps on a photon survives each doubling of them with probability 1/2 and counts twice.
 LONG_WALK = 1 << 16
 # Photons walked side by side: enough to fill the vectors of 64 cores or a graphics card. Each given an equal share of a
@@ -215,12 +215,12 @@ class PhotonQueue:
 
 def absorption_depth(u: Any) -> Any:
     """The optical depth of absorption at which a photon ends, for a uniform number u."""
-    return -dr.log(1 - u) / KILLED_SHARE
+    return -dr.log(1 - u) / ANALOG_FRACTION
 
 
 def survival(tau: Any) -> Any:
     """Fraction of its weight that a photon keeps over an optical depth of absorption; the rest ends photons."""
-    return dr.exp(-(1 - KILLED_SHARE) * tau)
+    return dr.exp(-(1 - ANALOG_FRACTION) * tau)
 
 
 @dr.syntax

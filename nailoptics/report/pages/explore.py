@@ -51,7 +51,7 @@ def _tables(exploration: explore.Exploration) -> dict[str, Any]:
     leds, fields = _led_kinds(exploration), [_fields(photodiode) for photodiode in scene.photodiodes]
     # Without those that differ in their places alone.
     diodes = [photodiode for i, photodiode in enumerate(scene.photodiodes) if fields[i] not in fields[:i]]
-    (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.colours[0].fluence
+    (nodes_u, nodes_v), fluence = exploration.ambient_nodes, exploration.wavelengths[0].fluence
     ambient: dict[str, Any] = {"nodesU": nodes_u, "nodesV": nodes_v, "aPerMm2": exploration.ambient_a_per_mm2}
     ambient |= {"names": [source.words for source in SOURCES], "usual": SOURCES.index(LAMP), "sun": SOURCES.index(SUN)}
     radial = {"radial": exploration.radial.log_coefficients, "nearestMm": NEAREST_MM}
@@ -69,7 +69,7 @@ def _tables(exploration: explore.Exploration) -> dict[str, Any]:
         "fewRelative": MIN_EFFECTIVE_TERMS**-0.5,
         "sameNm": explore.SAME_NM,
         "bloodRange": explore.BLOOD_RANGE,
-        "colours": [_colour(colour) for colour in exploration.colours],
+        "colours": list(map(_wavelength, exploration.wavelengths)),
         "ledKinds": leds,
         "photodiodeKinds": [_readout(diode, leds, scene) for diode in diodes],
         "stage": _stage(scene),
@@ -98,7 +98,7 @@ def _person(person: DrawnPerson, quantile: float) -> dict[str, Any]:
     return known | {"so2": blood.so2, "touch": explore.touch_table(person.scene), "polynomial": over}
 
 
-def _colour(table: explore.ColourTable) -> dict[str, Any]:
+def _wavelength(table: explore.WavelengthTable) -> dict[str, Any]:
     fluence = table.fluence.values
     kernels = {"coefficients": table.coefficients, "direct": table.direct, "blocks": table.blocks.transpose(1, 0, 2)}
     kernels |= {"logFluence": np.log(np.maximum(fluence, fluence[fluence > 0].min())), "people": table.people}
@@ -114,16 +114,16 @@ def _fields(part: Led | Photodiode) -> dict[str, Any]:
 
 def _led_kinds(exploration: explore.Exploration) -> list[dict[str, Any]]:
     """Every LED that can be chosen: the scene's own, by all but their places, then the further wavelengths."""
-    number = {(colour.led.wavelength_nm, colour.led.fwhm_nm): i for i, colour in enumerate(exploration.colours)}
+    number = {(one.led.wavelength_nm, one.led.fwhm_nm): i for i, one in enumerate(exploration.wavelengths)}
     kinds: list[dict[str, Any]] = []
-    for led in (*exploration.scene.leds, *(colour.led for colour in exploration.colours)):
-        colour, fields = number[led.wavelength_nm, led.fwhm_nm], _fields(led)
+    for led in (*exploration.scene.leds, *(one.led for one in exploration.wavelengths)):
+        wavelength, fields = number[led.wavelength_nm, led.fwhm_nm], _fields(led)
         known = "fields" if led in exploration.scene.leds else "colour"
-        if all(kind[known] != {"fields": fields, "colour": colour}[known] for kind in kinds):
+        if all(kind[known] != {"fields": fields, "colour": wavelength}[known] for kind in kinds):
             width, length = led.size_mm
             size = {"widthMm": width, "lengthMm": length, "fluxMw": led.flux_mw}
             title = f"{led.wavelength_nm:g} nm" + (f", {led.part}" if led.part else "")
-            kinds.append({"title": title, "colour": colour, "fields": fields, **size})
+            kinds.append({"title": title, "colour": wavelength, "fields": fields, **size})
     return kinds
 
 
@@ -180,6 +180,6 @@ EXPLORATION = Report(
     ("explore.html",),
     page,
     lambda exploration: run_summary(exploration.attributes),
-    lambda exploration, summary: [f"{summary['photons']} photons at {len(exploration.colours)} wavelengths"],
+    lambda exploration, summary: [f"{summary['photons']} photons at {len(exploration.wavelengths)} wavelengths"],
     {"board": lambda exploration: maps.top_view(exploration.scene)},
 )

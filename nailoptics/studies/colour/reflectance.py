@@ -96,8 +96,8 @@ LAMP_COSINES = (np.cos(np.radians(50.0)), np.cos(np.radians(40.0)))
 # Records that are read at once: what is left of them in all states and at all wavelengths fills the processor's cache.
 CHUNK = 1024
 # Rays are walked at so many times the least absorption that is read, where the figure of merit of the prototype's
-# colours is 1.25 times, of their changes 1.35 times that at once. With `KILLED_SHARE` of absorption ending rays, fourth
-# moments of weights are bounded up to 8/3 at any length of path, second ones up to 4.
+# colours is 1.25 times, of their changes 1.35 times that at once. With `ANALOG_FRACTION` of absorption ending rays,
+# fourth moments of weights are bounded up to 8/3 at any length of path, second ones up to 4.
 ABSORPTION = 2.5
 
 _BOX = ChebyshevBox(np.log(WAVELENGTHS_NM[:1]), np.log(WAVELENGTHS_NM[-1:]), [NODES])

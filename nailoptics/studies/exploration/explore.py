@@ -70,7 +70,7 @@ PERSON_DEGREE = 3
 
 
 @dataclass
-class ColourTable:
+class WavelengthTable:
     """What is known of one wavelength.
 
     led : what has this wavelength.
@@ -102,7 +102,7 @@ class Exploration(Displayed):
     basis: PairBasis
     radial: RadialFunction
     polynomial: BloodPolynomial
-    colours: list[ColourTable]
+    wavelengths: list[WavelengthTable]
     touch: dict[str, Any]
     ambient_nodes: tuple[Array, Array]
     ambient_a_per_mm2: Array
@@ -110,7 +110,7 @@ class Exploration(Displayed):
     attributes: dict[str, Any] = field(default_factory=dict)
 
 
-class ColourSums:
+class WavelengthSums:
     """Arrivals of one wavelength summed over the functions of a pair of places."""
 
     def __init__(self, lit: Scene, tracer: BoardTracer, number: int, basis: PairBasis, fingers: Fingers) -> None:
@@ -166,7 +166,7 @@ class ColourSums:
         return np.column_stack([*columns, rest[:, [1, 0]], rest[:, 2:]])
 
     def table(self, projection: PairProjection) -> dict[str, Any]:
-        """Fields of the `ColourTable` from all that was summed."""
+        """Fields of the `WavelengthTable` from all that was summed."""
         per_photon, first = self.area_mm2 / self.photons.sum(), self.first[:-1]
         weight = self.weight / self.arrivals * per_photon
         blocks = self.blocks * (self.area_mm2 / self.photons)[:, None, None]
@@ -227,7 +227,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     report = StageProgress(progress, options.max_seconds or scene.accuracy.max_seconds or math.inf)
     base = explored_board(scene)
     basis = pair_basis(base.layout.outline, base.layout.barriers[0] if base.layout.barriers else None)
-    sources, bare, stores = colours(base), boards.bare_board(base), LightStore.of_command(options)
+    sources, bare, stores = led_per_wavelength(base), boards.bare_board(base), LightStore.of_command(options)
     how: dict[str, Any] = {"stores": stores, "backend": options.backend, "seed": options.seed}
     lit = {(led.wavelength_nm, led.fwhm_nm): lit_by(bare, led) for led in sources}
     tracers = {light: BoardTracer(one, **how) for light, one in lit.items()}
@@ -235,7 +235,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     people = ranked_people(base, by_led, seed_of(options.seed, RANKING))
     fingers = [(base, blood_polynomial(base, chosen=True))]
     fingers += [(person.scene, blood_polynomial(person.scene, chosen=False)) for person in people]
-    sums = [ColourSums(one, tracers[light], k, basis, fingers) for k, (light, one) in enumerate(lit.items())]
+    sums = [WavelengthSums(one, tracers[light], k, basis, fingers) for k, (light, one) in enumerate(lit.items())]
     light, unmet = as_far_as_reached(_stored_light, base, sums, sources, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
     attributes |= {"backend": choose_jit(options.backend, "explore").name}
@@ -244,7 +244,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     radial, rings = RadialFunction(light["radial"]), {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
     fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
     kernels = light["coefficients"], light["direct"], light["blocks"], fluence
-    tables = list(map(ColourTable, sources, *kernels, light["photons"].tolist(), light["people"]))
+    tables = list(map(WavelengthTable, sources, *kernels, light["photons"].tolist(), light["people"]))
     ambient = (light["nodes_u"], light["nodes_v"]), light["ambient_a_per_mm2"]
     own = fingers[0][1], tables, touch_table(base)
     exploration = Exploration(base, basis, radial, *own, *ambient, people, attributes)
@@ -266,14 +266,14 @@ def blood_polynomial(scene: Scene, chosen: bool) -> BloodPolynomial:
 
 
 def _stored_light(
-    base: Scene, sums: list[ColourSums], sources: list[Led], options: TraceOptions, report: StageProgress
+    base: Scene, sums: list[WavelengthSums], sources: list[Led], options: TraceOptions, report: StageProgress
 ) -> dict[str, Array]:
     """All that is traced of a board, as arrays of which the first axis of a wavelength's is the wavelength, from the
     store if it is there; raises NotReachedError with the same of fewer photons."""
     basis = sums[0].basis
     usual = options.photons or base.accuracy.photons or (OPEN_PHOTONS if basis.wall_mm is None else WALL_PHOTONS)
-    scene_colours = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
-    photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_colours else usual // 2) for k in range(len(sums))]
+    scene_wavelengths = len({(led.wavelength_nm, led.fwhm_nm) for led in base.leds})
+    photons = [max(BLOCKS * LEAST_BATCH, usual if k < scene_wavelengths else usual // 2) for k in range(len(sums))]
 
     def trace() -> tuple[dict[str, Any], dict[str, Array]]:
         fluence = [_fluence(base, led, k, options) for k, led in enumerate(sources)]
@@ -282,11 +282,11 @@ def _stored_light(
         radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
         projection = PairProjection(basis, radial)
         tables = [band.table(projection) for band in sums]
-        of_colours = {name: np.stack([table[name] for table in tables]) for name in tables[0]}
+        by_wavelength = {name: np.stack([table[name] for table in tables]) for name in tables[0]}
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         (nodes_u, nodes_v), ambient_a = sums[0].ambient()
         light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}
-        light |= {"ambient_a_per_mm2": ambient_a, "fluence": np.stack(fluence), **of_colours, **rings}
+        light |= {"ambient_a_per_mm2": ambient_a, "fluence": np.stack(fluence), **by_wavelength, **rings}
         if (light["photons"] < photons).any():
             raise NotReachedError(cut_off or "max_seconds ended", result=light, interrupted=bool(cut_off))
         return {}, light
@@ -295,7 +295,7 @@ def _stored_light(
     return load_or_compute(entries, "-".join(map(str, photons)), trace, lambda _, arrays: arrays)[0]
 
 
-def _tables_key(sums: list[ColourSums], seed: int) -> dict[str, Any]:
+def _tables_key(sums: list[WavelengthSums], seed: int) -> dict[str, Any]:
     """Cache key of the tables: beside the light's paths what absorbs it, what reads it, and this program."""
     base, backend, fingers = sums[0].lit, sums[0].tracer.backend.name, sums[0].fingers
     read_by = {name: getattr(base, name) for name in ("blood", "finger", "photodiodes")}
@@ -307,12 +307,12 @@ def _tables_key(sums: list[ColourSums], seed: int) -> dict[str, Any]:
     return key | {"program": program_digest((*CODE, "sensor/**/*.py", "studies/exploration/**/*.py"))}
 
 
-def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) -> str:
+def _trace(sums: list[WavelengthSums], photons: list[int], report: StageProgress) -> str:
     """Trace rounds of a batch for every group of every wavelength, each round twice the last, until there are so many
     photons or the next would end late. Returns: why it was interrupted, if it was. Raises: KeyboardInterrupt where the
     first round is not complete."""
 
-    def batches() -> Iterator[tuple[ColourSums, int, int]]:
+    def batches() -> Iterator[tuple[WavelengthSums, int, int]]:
         count, round_s = LEAST_BATCH, 0.0
         while count == LEAST_BATCH or report.seconds + 2 * round_s < report.limit_s:
             begin_s = report.seconds
@@ -324,7 +324,7 @@ def _trace(sums: list[ColourSums], photons: list[int], report: StageProgress) ->
                 yield from ((band, block, size) for block in range(BLOCKS) if size > 0)
             count, round_s = 2 * count, report.seconds - begin_s
 
-    def sample(batch: tuple[ColourSums, int, int]) -> None:
+    def sample(batch: tuple[WavelengthSums, int, int]) -> None:
         band, block, size = batch
         band.add(block, size)
         done = sum(band.photons.sum() for band in sums) / sum(photons)
@@ -360,7 +360,7 @@ def explored_board(scene: Scene) -> Scene:
     return base
 
 
-def colours(base: Scene) -> list[Led]:
+def led_per_wavelength(base: Scene) -> list[Led]:
     """An LED of each wavelength that the page knows: the scene's own first, then further ones."""
     leds = list({(led.wavelength_nm, led.fwhm_nm): led for led in base.leds}.values())
     for part in FURTHER_LEDS:

@@ -30,12 +30,12 @@ STEP_PA = 100.0
 PRESSURE_SPREAD_PA, LIGHT_SPREAD = 3000.0, 0.03
 # Readings show too little of a wave with less gain than this to be scaled by it: judgement.
 LEAST_GAIN = 0.05
-# A finger rests below this force. Drift is taken from one rest to a later one: touches leave the model's misfit. [N]
+# A finger rests below this force. Drift is taken from one rest to a later one: touches leave the model's error. [N]
 REST_FORCE_N = 0.05
 # Drift in a minute of a reading and of an LED where a recording has one rest only, and the least that is believed.
 USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
-# The misfit of a held touch is taken for a polynomial of this degree in the force.
-MISFIT_DEGREE = 4
+# The model error of a held touch is taken for a polynomial of this degree in the force.
+MODEL_ERROR_DEGREE = 4
 # Of a Gaussian the median of |x| is this fraction of the standard deviation.
 MEDIAN_OF_GAUSSIAN = 0.6745
 # Spectra are of windows as long as two of the slowest waves. [s]
@@ -83,8 +83,8 @@ def estimate_noise(
         time_s, force_n = recording.time_s, np.asarray(recording.force_n)
         response = arterial_response(person, table, gain, recording)
         pressure_pa, light, unexplained = _decompose(response, leds, residual, first_v**2 + (1e-3 * rest_v) ** 2)
-        # What follows the force is the model's misfit, not the body's.
-        degree = min(MISFIT_DEGREE, len(np.unique(force_n)) - 1)
+        # What follows the force is the model's error, not the body's.
+        degree = min(MODEL_ERROR_DEGREE, len(np.unique(force_n)) - 1)
         pressure_pa -= np.polynomial.Polynomial.fit(force_n, pressure_pa, degree)(force_n)
         step_s = float(np.median(np.diff(time_s)))
         spectra.append(welch(pressure_pa, fs=1.0 / step_s, nperseg=min(len(pressure_pa), round(WINDOW_S / step_s))))

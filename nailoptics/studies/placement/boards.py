@@ -25,7 +25,7 @@ NAIL_MARGIN_MM = 0.1
 # No board that bears an LED and a photodiode is narrower.
 LEAST_BOARD_MM = 1.0
 # A bare board carries one photodiode, because every scene has one; this one is too small to matter.
-SPECK, SPECK_MM, SPECK_PLACES = "speck", 0.05, 33
+PROBE, PROBE_MM, PROBE_PLACES = "probe_photodiode", 0.05, 33
 # Bodies and courtyards that overlap by less do not. [mm]
 OVERLAP_MM = 1e-3
 # Places are rounded to so many decimals of a millimetre, below which sums of floats differ. [1]
@@ -153,7 +153,7 @@ def cut_to(scene: Scene, size_mm: Point) -> Scene:
     assert board.size_mm is not None
     corners = Rectangle.around("board", board.center_mm, board.size_mm).corners_mm
     cut = _with_edges(scene, *_on_the_nail(corners, size_mm), board.barrier_gap_mm)
-    return bare_board(cut, side=board.barrier_side) if scene.photodiodes[0].name == SPECK else cut
+    return bare_board(cut, side=board.barrier_side) if scene.photodiodes[0].name == PROBE else cut
 
 
 def _on_the_nail(corners: Sequence[Point], room: Point) -> tuple[Point, Point]:
@@ -215,7 +215,7 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
         side = scene.layout.barriers[0].name
     size, led = scene.board.size_mm, scene.leds[0].position_mm
     assert size is not None
-    reach = (size[0] / 2 - 2 * SPECK_MM, size[1] / 2 - 2 * SPECK_MM)
+    reach = (size[0] / 2 - 2 * PROBE_MM, size[1] / 2 - 2 * PROBE_MM)
     if side is None:
         # The corner that is farthest from the LED.
         place = (-reach[0] if led[0] > 0 else reach[0], -reach[1] if led[1] > 0 else reach[1])
@@ -225,15 +225,15 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
     if scene.board.outline_mm is not None:
         # The place nearest to that on which there is a board.
         lines = scene.board.outline_mm, scene.board.outline_holes_mm
-        places = product(*(np.linspace(-most, most, SPECK_PLACES).tolist() for most in reach))
+        places = product(*(np.linspace(-most, most, PROBE_PLACES).tolist() for most in reach))
         near = sorted(places, key=lambda at: math.dist(at, place))
-        place = next((at for at in near if has_room(at, (SPECK_MM, SPECK_MM), *lines)), place)
+        place = next((at for at in near if has_room(at, (PROBE_MM, PROBE_MM), *lines)), place)
     board = scene.board.model_copy(update={"barrier_side": side})
-    speck = SINGLE | dict.fromkeys(ROOM) | {"name": SPECK, "position_mm": place, "size_mm": (SPECK_MM, SPECK_MM)}
-    return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=speck),), "board": board})
+    probe = SINGLE | dict.fromkeys(ROOM) | {"name": PROBE, "position_mm": place, "size_mm": (PROBE_MM, PROBE_MM)}
+    return scene.model_copy(update={"photodiodes": (scene.photodiodes[0].model_copy(update=probe),), "board": board})
 
 
-def crowded(scene: Scene) -> list[str]:
+def courtyard_overlaps(scene: Scene) -> list[str]:
     """Parts of a board's file whose bodies or courtyards overlap, or reach over an edge or another part, in words."""
     board, (du, dv) = scene.board, scene.board.center_mm
     both: tuple[Led | Photodiode, ...] = (*scene.leds, *scene.photodiodes)

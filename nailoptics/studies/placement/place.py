@@ -200,7 +200,7 @@ def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
     if not scenes and base.board.unmapped is not None:
         scenes = [("drawn", base)]
     for name, scene in scenes:
-        for line in boards.crowded(scene):
+        for line in boards.courtyard_overlaps(scene):
             log.warning('layout "%s": %s', name, line)
     return [candidates.candidate(name, scene, "given") for name, scene in scenes]
 

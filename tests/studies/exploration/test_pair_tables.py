@@ -72,7 +72,7 @@ def test_stored_tables_are_those_of_the_blood_and_photodiodes():
         polynomial = BloodPolynomial((0.0, 0.1), (0.7, 1.0))
         bare = study.lit_by(boards.bare_board(explored_board(changed)), changed.leds[0])
         drawn = [(changed, polynomial), (at_value(changed, "finger.plate_absorption", plate), polynomial)]
-        sums = study.ColourSums(bare, BoardTracer(bare, seed=seed), 0, pair_basis(BOARD, None), drawn)
+        sums = study.WavelengthSums(bare, BoardTracer(bare, seed=seed), 0, pair_basis(BOARD, None), drawn)
         return json.dumps(study._tables_key([sums], seed), sort_keys=True)
 
     led, blood = plain.leds[0], plain.blood
@@ -129,10 +129,10 @@ def test_every_wavelength_has_the_wall_of_the_board():
     )
     for leds in ((near, far), (far, near)):
         base = explored_board(one.model_copy(update={"leds": leds}))
-        for colour in study.colours(base):
-            lit = study.lit_by(boards.bare_board(base), colour)
+        for source in study.led_per_wavelength(base):
+            lit = study.lit_by(boards.bare_board(base), source)
             assert lit.layout.barriers[0] == base.layout.barriers[0]
-            assert {led.wavelength_nm for led in lit.leds} == {colour.wavelength_nm}
+            assert {led.wavelength_nm for led in lit.leds} == {source.wavelength_nm}
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ EDGE_MM, NEAR_MM, FAR_MM = 1.0, 1.2, 3.6
 def read(explored: Exploration, die_mm: Any, size_mm: Any, places_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What square photodiodes read of a die by the table, and its stated standard error, (n,) float each."""
     t, weight = np.polynomial.legendre.leggauss(4)
-    table, weight = explored.colours[0], np.outer(weight, weight).ravel() / 4
+    table, weight = explored.wavelengths[0], np.outer(weight, weight).ravel() / 4
     square = np.stack(np.meshgrid(t / 2, t / 2), -1).reshape(-1, 2)
     die, values = square * size_mm + die_mm, []
     blood = explored.scene.blood

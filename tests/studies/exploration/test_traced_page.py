@@ -39,12 +39,12 @@ def test_readings_and_their_change_are_those_of_the_exported_scene(
     path.write_text(page(explored), encoding="utf-8")
     with monkeypatch.context() as patch:
         # What is stored is not traced again, also for other electronics.
-        patch.delattr(study.ColourSums, "traced")
+        patch.delattr(study.WavelengthSums, "traced")
         again = study.explore(
             scene.model_copy(update={"electronics": type(scene.electronics)()}), photons=EXPLORED, seed=4
         )
-    np.testing.assert_equal(again.colours[0].blocks, explored.colours[0].blocks)
-    np.testing.assert_equal(again.colours[0].fluence.values, explored.colours[0].fluence.values)
+    np.testing.assert_equal(again.wavelengths[0].blocks, explored.wavelengths[0].blocks)
+    np.testing.assert_equal(again.wavelengths[0].fluence.values, explored.wavelengths[0].fluence.values)
     np.testing.assert_equal(again.ambient_a_per_mm2, explored.ambient_a_per_mm2)
     shown = browser.new_page()
     shown.goto(path.as_uri())

@@ -132,7 +132,7 @@ def test_what_a_search_finds_is_clear_on_the_written_board(tmp_path, barrier):
     layouts = search.shortlist(one.base, one.rules, [*result, *one.regular])
     assert len(layouts) >= 2
     for layout in layouts:
-        assert not boards.crowded(layout.scene)
+        assert not boards.courtyard_overlaps(layout.scene)
         named, text = kicad_board.own_board(layout.scene, tmp_path)
         (tmp_path / "best.kicad_pcb").write_text(text)
         parts = read_board(tmp_path / "best.kicad_pcb").footprints
@@ -183,7 +183,7 @@ def test_without_packages_dies_come_nearer(tmp_path):
 def test_crowded_packages_of_a_drawn_board_are_said(coarse_light, few_photons_beside, tmp_path, caplog):
     near = BOARD.replace("(at 102 103)", "(at 102.2 98.6)").replace("(at 96.6 103)", "(at 95.8 103)")
     scene = written(tmp_path, barrier="false", board=near.replace("(at 99.5 97 45)", "(at 101 96.3 45)"))
-    lines = boards.crowded(scene)
+    lines = boards.courtyard_overlaps(scene)
     assert [line.split(";")[0] for line in lines if "overlap by" in line] == [
         "body or courtyard of PD1 and PD2 overlap by 0.4 mm"
     ]
@@ -191,7 +191,7 @@ def test_crowded_packages_of_a_drawn_board_are_said(coarse_light, few_photons_be
     assert {*lines} <= {*scene_check.check(scene)["warnings"]}
     place.given(boards.base_board(scene), boards.rules(scene))
     assert 'layout "drawn": body or courtyard of PD1 and PD2 overlap' in caplog.text
-    assert not boards.crowded(written(tmp_path, barrier="false"))
+    assert not boards.courtyard_overlaps(written(tmp_path, barrier="false"))
 
 
 def test_a_box_may_be_given_from_any_corner(tmp_path):
