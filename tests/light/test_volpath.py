@@ -195,9 +195,6 @@ def test_what_stock_mitsuba_cannot_do_is_said():
     )
     with pytest.raises(InputError, match="measured"):
         fractions(scene, THROUGH_SQUARE, batches=1, paths=256, seed=1, backend=backend.choose("scalar"))
-    plain = slab(mu_a=0.1, mu_s=1, g=0, n=1, photodiodes=[SQUARE])
-    with pytest.raises(ValueError, match="float32"):
-        fractions(plain, THROUGH_SQUARE, batches=1, paths=10**8, seed=1, backend=backend.choose("scalar"))
 
 
 def test_the_bed_varies_along_the_nail_as_requested():
