@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..scene import Scene
-from ..scene.importers.outlines import encloses
-from ..scene.rectangles import Rectangle
+from ..scene.rectangles import Rectangle, encloses, sides_of
 from .regions import AIR, BARRIER, COVER, EPOXY, KAPTON, REGIONS, SILICON, region_names
 from .surfaces import Array, FingerSurfaces
 
@@ -63,7 +62,7 @@ class BentBoard:
         self.step_mm = STEP_MM if layout.border_mm else NAIL_STEP_MM
         ends = (self.rim.u_min, self.rim.v_min), (self.rim.u_max, self.rim.v_max)
         for line in layout.border_mm:
-            for edge in zip(line, (*line[1:], line[0]), strict=True):
+            for edge in sides_of(line):
                 if np.ptp(edge, axis=0).min() < STRAIGHT_MM:
                     (a, b), (c, d) = np.sort(np.clip(edge, *ends), axis=0).tolist()
                     self.rectangles.append(Rectangle("edge", a, c, b, d))

@@ -93,6 +93,11 @@ class Slot(Table):
     length_ms: Positive
     """Duration. [ms]"""
 
+    @property
+    def end_ms(self) -> float:
+        """From the start of the frame. [ms]"""
+        return self.start_ms + self.length_ms
+
 
 class Oximeter(Table):
     """The timing of a pulse oximeter, repeated every frame."""
@@ -111,13 +116,12 @@ class Oximeter(Table):
     def _check(self) -> None:
         slots = self.slots or ()
         for i, (before, after) in enumerate(pairwise(slots)):
-            end_ms = before.start_ms + before.length_ms
-            if after.start_ms < end_ms - 1e-9:
-                why = f"which ends at {end_ms:g} ms; start it later, or shorten that one"
+            if after.start_ms < before.end_ms - 1e-9:
+                why = f"which ends at {before.end_ms:g} ms; start it later, or shorten that one"
                 raise ValueError(f"slots[{i + 1}].start_ms = {after.start_ms:g} overlaps slots[{i}], {why}")
-        if slots and slots[-1].start_ms + slots[-1].length_ms > 1e3 / self.frame_hz + 1e-9:
+        if slots and slots[-1].end_ms > 1e3 / self.frame_hz + 1e-9:
             why = f"after their frame of {1e3 / self.frame_hz:g} ms; shorten them or lower frame_hz"
-            raise ValueError(f"slots end at {slots[-1].start_ms + slots[-1].length_ms:g} ms, {why}")
+            raise ValueError(f"slots end at {slots[-1].end_ms:g} ms, {why}")
         check_unique([slot.light for slot in slots], "slots")
 
     def schedule(self, leds: Sequence[Led]) -> tuple[Slot, ...]:

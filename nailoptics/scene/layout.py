@@ -9,9 +9,8 @@ import numpy as np
 
 from .base import Point, Polygon, shifted
 from .finger import Finger
-from .importers.outlines import has_room
 from .parts import Board, Led, Photodiode
-from .rectangles import Rectangle, area_mm2, turned
+from .rectangles import Rectangle, area_mm2, has_room, turned
 
 Border = tuple[Polygon, ...]  # a drawn line, then its holes
 ROUNDING_MM = 1e-6  # what parts may overlap without a complaint
@@ -63,10 +62,8 @@ class Layout:
 @lru_cache(LAYOUTS_KEPT)
 def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tuple[Photodiode, ...]) -> Layout:
     """The layout of the board on a finger's nail; raises ValueError where it is impossible."""
-    du, dv = board.center_mm
     dies = tuple(
-        Rectangle.around(led.name, (led.position_mm[0] + du, led.position_mm[1] + dv), led.size_mm, led.rotation_deg)
-        for led in leds
+        Rectangle.around(led.name, board.on_nail(led.position_mm), led.size_mm, led.rotation_deg) for led in leds
     )
     wired, unwired = lay_elements(board, photodiodes)
     for what, one in [*(("leds", led) for led in leds), *(("photodiodes", diode) for diode in photodiodes)]:
@@ -164,15 +161,13 @@ def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[lis
     """Photodiode elements that are read, and those that are there but not wired."""
     wired: list[Element] = []
     unwired: list[Rectangle] = []
-    du, dv = board.center_mm
     for photodiode in photodiodes:
-        u, v = photodiode.position_mm
+        u, v = board.on_nail(photodiode.position_mm)
         resistors = iter(photodiode.feedback_ohm) if isinstance(photodiode.feedback_ohm, tuple) else None
         pitch = photodiode.pitch_mm or photodiode.size_mm[1]
         for i, name in enumerate(photodiode.element_names()):
             along, up = turned((0.0, (i - (photodiode.elements - 1) / 2) * pitch), photodiode.rotation_deg)
-            center = (u + du + along, v + dv + up)
-            area = Rectangle.around(name, center, photodiode.size_mm, photodiode.rotation_deg)
+            area = Rectangle.around(name, (u + along, v + up), photodiode.size_mm, photodiode.rotation_deg)
             if photodiode.wired is None or i in photodiode.wired:
                 one = photodiode.model_copy(update={"feedback_ohm": next(resistors)}) if resistors else photodiode
                 wired.append(Element(area, one))

@@ -274,6 +274,10 @@ class Board(BoardFile):
         """Height of the board's underside above the nail: clear epoxy, adhesive and air. [mm]"""
         return (self.clear_epoxy_um + self.adhesive_um + (self.air_gap_um or 0.0)) * 1e-3
 
+    def on_nail(self, place_mm: Point) -> Point:
+        """A place on the board from the nail's centre (u, v). [mm]"""
+        return place_mm[0] + self.center_mm[0], place_mm[1] + self.center_mm[1]
+
     def _check(self) -> None:
         super()._check()
         if 0 < self.cover_um < 20:

@@ -1,9 +1,10 @@
-"""Rectangles on the flat board: the faces of dies, walls and outlines, along its axes or turned."""
+"""Rectangles on the flat board, of dies, walls and outlines, along its axes or turned; and the room within a border."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,7 @@ class Rectangle:
         for low, high in zip(lines, lines[1:], strict=False):
             piece = _between(_between(self.corners_mm, float(low), 1), -float(high), -1)
             if high > low and (area := area_mm2(piece)) > 0:
-                sides = zip(piece, (*piece[1:], *piece[:1]), strict=True)
-                middle = sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides) / (6 * area)
+                middle = sum((a + c) * (a * d - c * b) for (a, b), (c, d) in sides_of(piece)) / (6 * area)
                 half = area / (high - low) / 2
                 strips.append(Rectangle(self.name, middle - half, middle + half, float(low), float(high)))
         return tuple(strips)
@@ -101,10 +101,15 @@ class Rectangle:
         return Rectangle(name, u - half_u, u + half_u, v - half_v, v + half_v, angle, (du, dv))
 
 
+def sides_of(corners: Sequence[Point]) -> Iterator[tuple[Point, Point]]:
+    """The sides of a closed line, each from corner to corner."""
+    return pairwise((*corners, *corners[:1]))
+
+
 def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
     """What of a convex polygon has sign times v of at least low."""
     inside: list[Point] = []
-    for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True):
+    for (a, b), (c, d) in sides_of(corners):
         if sign * b >= low:
             inside.append((a, b))
         if (sign * b >= low) != (sign * d >= low):
@@ -115,7 +120,7 @@ def _between(corners: Sequence[Point], low: float, sign: int) -> list[Point]:
 
 def area_mm2(corners: Sequence[Point]) -> float:
     """Area of a polygon, negative where its corners follow the clock. [mm^2]"""
-    return sum(a * d - c * b for (a, b), (c, d) in zip(corners, (*corners[1:], *corners[:1]), strict=True)) / 2
+    return sum(a * d - c * b for (a, b), (c, d) in sides_of(corners)) / 2
 
 
 def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
@@ -128,3 +133,25 @@ def turned(point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
         cos, sin = math.cos(math.radians(rest)), math.sin(math.radians(rest))
         x, y = cos * x - sin * y, sin * x + cos * y
     return x, y
+
+
+def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:
+    """Whether a rectangle of half a size lies within a border and outside of its holes; it may touch their lines."""
+    # Quick with many corners, and everywhere, while shapely is an extra.
+    from matplotlib.path import Path as Line
+    from matplotlib.transforms import Bbox
+
+    least = np.asarray(half_mm) - 1e-9
+    box = Bbox([center - least, center + least])
+    border, *others = (Line([*line, line[0]]) for line in (corners, *holes))
+    inside = border.contains_point(center) and not any(hole.contains_point(center) for hole in others)
+    return inside and not any(line.intersects_bbox(box, filled=False) for line in (border, *others))
+
+
+def encloses(x: np.ndarray, y: np.ndarray, corners: Sequence[Point], *holes: Sequence[Point]) -> np.ndarray:
+    """Which points [mm] of any shape lie within a border and outside of its holes, bool of that shape."""
+    from matplotlib.path import Path as Line
+
+    points = np.column_stack([x.ravel(), y.ravel()])
+    inside, *others = (Line([*line, line[0]]).contains_points(points) for line in (corners, *holes))
+    return np.logical_and.reduce([inside, *(~hole for hole in others)]).reshape(x.shape)

@@ -87,12 +87,12 @@ class SampledFrontEnd:
         level, out = none, np.zeros_like(lights)
         # Twice around: after the first the stage has forgotten how it began.
         for _ in range(2):
-            end_ms = slots[-1].start_ms + slots[-1].length_ms - frame_ms
+            end_ms = slots[-1].end_ms - frame_ms
             for k, slot in enumerate(slots):
                 level = settled(level, none, slot.start_ms - end_ms)
                 out[k] = np.mean([settled(level, lights[k], t) for t in self.sample_times_ms(slot.length_ms)], axis=0)
                 level = settled(level, lights[k], slot.length_ms)
-                end_ms = slot.start_ms + slot.length_ms
+                end_ms = slot.end_ms
         return out
 
     @property

@@ -571,8 +571,8 @@ MUTATIONS = (
     Mutation(
         "the mean of a turned rectangle's strips lies twice as far aside",
         "scene/rectangles.py",
-        "for (a, b), (c, d) in sides) / (6 * area)",
-        "for (a, b), (c, d) in sides) / (3 * area)",
+        "for (a, b), (c, d) in sides_of(piece)) / (6 * area)",
+        "for (a, b), (c, d) in sides_of(piece)) / (3 * area)",
         "scene/test_rectangles.py",
     ),
     Mutation(

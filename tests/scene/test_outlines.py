@@ -9,8 +9,8 @@ import pytest
 from nailoptics.errors import InputError
 from nailoptics.scene.importers.board_files import read_outline
 from nailoptics.scene.importers.kicad import write_board
-from nailoptics.scene.importers.outlines import Outline, has_room, join, write_outline
-from nailoptics.scene.rectangles import area_mm2
+from nailoptics.scene.importers.outlines import Outline, join, write_outline
+from nailoptics.scene.rectangles import area_mm2, has_room
 
 SQUARE = ((-4.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-4.0, 5.0))
 HOLE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))

@@ -16,7 +16,7 @@ import numpy as np
 from ...errors import InputError
 from ...io import write_text
 from ..base import Box, Point, Polygon, shifted
-from ..rectangles import turned
+from ..rectangles import sides_of, turned
 from ..text_files import read_text
 from .outlines import FLAT_MM, Outline, around, middle
 from .positions import PlacedPart
@@ -303,7 +303,7 @@ def _filled(template: str, fields: Mapping[str, str]) -> str:
 
 def _drawn(kind: str, line: Sequence[Point], layer: str, width_mm: float) -> str:
     """A closed line on a layer, of a board (gr) or a part (fp)."""
-    ends = [f"(start {_place(a)}) (end {_place(b)})" for a, b in zip(line, (*line[1:], line[0]), strict=True)]
+    ends = [f"(start {_place(a)}) (end {_place(b)})" for a, b in sides_of(line)]
     return "\n".join(f'    ({kind}_line {both} (layer "{layer}") (width {width_mm:g}))' for both in ends)
 
 

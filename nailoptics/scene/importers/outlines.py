@@ -1,4 +1,4 @@
-"""Outlines of boards: read from drawings, lines joined into a border and its holes, and the room within them."""
+"""Outlines of boards: read from drawings, and lines joined into a border and its holes."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -267,25 +267,3 @@ def _check_closed(areas: list["shapely.Polygon"], loose: list["shapely.LineStrin
         next_mm = min(math.dist((x, y), other) for other in others)
         why = f"from where it is {next_mm:.3g} mm to the next end of a line; close it."
         raise InputError(f"{name}: the outline is open at ({x:g}, {y:g}) mm, {why}")
-
-
-def has_room(center: Point, half_mm: Point, corners: Sequence[Point], holes: Sequence[Sequence[Point]]) -> bool:
-    """Whether a rectangle of half a size lies within a border and outside of its holes; it may touch their lines."""
-    # Quick with many corners, and everywhere, while shapely is an extra.
-    from matplotlib.path import Path as Line
-    from matplotlib.transforms import Bbox
-
-    least = np.asarray(half_mm) - 1e-9
-    box = Bbox([center - least, center + least])
-    border, *others = (Line([*line, line[0]]) for line in (corners, *holes))
-    inside = border.contains_point(center) and not any(hole.contains_point(center) for hole in others)
-    return inside and not any(line.intersects_bbox(box, filled=False) for line in (border, *others))
-
-
-def encloses(x: np.ndarray, y: np.ndarray, corners: Sequence[Point], *holes: Sequence[Point]) -> np.ndarray:
-    """Which points [mm] of any shape lie within a border and outside of its holes, bool of that shape."""
-    from matplotlib.path import Path as Line
-
-    points = np.column_stack([x.ravel(), y.ravel()])
-    inside, *others = (Line([*line, line[0]]).contains_points(points) for line in (corners, *holes))
-    return np.logical_and.reduce([inside, *(~hole for hole in others)]).reshape(x.shape)

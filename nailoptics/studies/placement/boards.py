@@ -14,10 +14,9 @@ from ...scene import Finger, FingerCase, Led, Photodiode, Placement, Scene
 from ...scene.base import Point, shifted
 from ...scene.finger import ABSORBING, SCATTERING
 from ...scene.importers.board_files import View
-from ...scene.importers.outlines import has_room
 from ...scene.layout import SIDES, lay_elements, room_of
 from ...scene.parts import DEEPEST_EPOXY_UM, ROOM, check_one_response
-from ...scene.rectangles import Rectangle
+from ...scene.rectangles import Rectangle, has_room
 from ..prior_uncertainty import at_value, draw_people
 
 PartT = TypeVar("PartT", Led, Photodiode)
@@ -235,11 +234,9 @@ def bare_board(scene: Scene, *, side: str | None = None) -> Scene:
 
 def courtyard_overlaps(scene: Scene) -> list[str]:
     """Parts of a board's file whose bodies or courtyards overlap, or reach over an edge or another part, in words."""
-    board, (du, dv) = scene.board, scene.board.center_mm
+    board = scene.board
     both: tuple[Led | Photodiode, ...] = (*scene.leds, *scene.photodiodes)
-    parts = [
-        (p, room_of(p, (p.position_mm[0] + du, p.position_mm[1] + dv))) for p in both if p.body_mm or p.courtyard_mm
-    ]
+    parts = [(p, room_of(p, board.on_nail(p.position_mm))) for p in both if p.body_mm or p.courtyard_mm]
     lines = [
         f"body or courtyard of {one.name} and {other.name} overlap by {room.overlap_mm(its):.2g} mm; move one of them"
         for (one, room), (other, its) in combinations(parts, 2)

@@ -95,8 +95,7 @@ def _placed_parts(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodi
 
 def _at(base: Scene, part: PartT, place_mm: Point, **changes: Any) -> PartT:
     """A part at a place on the nail. [mm]"""
-    du, dv = base.board.center_mm
-    at_mm = round(place_mm[0] - du, DECIMALS), round(place_mm[1] - dv, DECIMALS)
+    at_mm = tuple(round(at - middle, DECIMALS) for at, middle in zip(place_mm, base.board.center_mm, strict=True))
     return part.model_copy(update={"position_mm": at_mm} | changes)
 
 
@@ -159,13 +158,13 @@ def _named(base: Scene, placement: Placement, places: Sequence[Point]) -> list[t
     """Names and references of photodiodes at places on the nail: of the nearest alike in a board's file, else new."""
     from scipy.optimize import linear_sum_assignment
 
-    (_, loose), like, (du, dv) = fixed_and_loose(base, placement), base.photodiodes[0], base.board.center_mm
+    (_, loose), like = fixed_and_loose(base, placement), base.photodiodes[0]
     same = (1, like.part, like.size_mm, like.body_mm, like.courtyard_mm)
     alike = [p for p in loose if p.reference and (p.elements, p.part, p.size_mm, p.body_mm, p.courtyard_mm) == same]
     # What a file has stays on its board, whether its light is searched or not.
     kept = [p for p in base.photodiodes if p.reference or p not in loose]
     taken = {word for p in kept for word in (p.name, p.reference)}
-    distance_mm = np.array([[math.dist(place, np.add(p.position_mm, (du, dv))) for p in alike] for place in places])
+    distance_mm = np.array([[math.dist(place, base.board.on_nail(p.position_mm)) for p in alike] for place in places])
     nearest = dict(zip(*linear_sum_assignment(distance_mm.reshape(len(places), len(alike))), strict=True))
     new = (name for name in (f"PD{i}" for i in count(1)) if name not in taken)
     return [

@@ -10,9 +10,8 @@ from scipy.sparse import csr_array
 
 from ...scene import Led, Photodiode, Placement, Scene
 from ...scene.base import Point
-from ...scene.importers.outlines import has_room
 from ...scene.layout import SIDES, WALL_ROOM_MM, lay_elements, room_of, span_mm
-from ...scene.rectangles import Rectangle
+from ...scene.rectangles import Rectangle, has_room
 from . import boards
 
 # A wall that leaves less than this fraction of the board to the photodiodes is not tried.
@@ -132,9 +131,8 @@ class Sites:
 
     def obstacles(self, spare_mm: float = 0.0) -> list[Rectangle]:
         """The room of every photodiode that stays, as of `room_of`."""
-        du, dv = self.base.board.center_mm
         staying = (p for p in self.base.photodiodes if self.rules.wire or p.name in self.rules.fixed)
-        return [room_of(p, (p.position_mm[0] + du, p.position_mm[1] + dv), spare_mm) for p in staying]
+        return [room_of(p, self.base.board.on_nail(p.position_mm), spare_mm) for p in staying]
 
     def die(self, led: int, place_mm: Point) -> Rectangle:
         """An LED's die at a place."""
@@ -152,8 +150,7 @@ class Sites:
 
     def place_of(self, led: int) -> Point:
         """Where the scene has an LED."""
-        (u, v), (du, dv) = self.base.leds[led].position_mm, self.base.board.center_mm
-        return u + du, v + dv
+        return self.base.board.on_nail(self.base.leds[led].position_mm)
 
     def may_lie(self, led: int, place_mm: Point) -> bool:
         """Whether an LED may lie at a place of the board, photodiodes that are still to be placed aside."""
