@@ -3,7 +3,6 @@
 import json
 import logging
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -18,7 +17,7 @@ from ..geometry import Geometry
 from ..options import Requested, TraceOptions
 from ..scene import Led, Scene
 from ..statistics import quotient, upper_limit_95
-from ..variables import described, from_record, to_record
+from ..variables import described, from_record, stopwatch, to_record
 from . import backend as backends, optics
 from .identity import led_digest, light_scene
 from .reference import readings as volpath
@@ -120,7 +119,7 @@ def read_rest(
     scene: Scene, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]
 ) -> RestReadings:
     """Trace a scene and read it at rest; raises NotReachedError with the RestReadings so far as result."""
-    cpu, begin = time.process_time(), time.perf_counter()
+    run_time = stopwatch()
     options, engine = _options(scene, requested)
     if engine == "volpath":
         zones, blood = optics.zones(scene).count, scene.blood.rest_blood_fraction
@@ -135,8 +134,7 @@ def read_rest(
     else:
         transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
         result = rest_of(transfer)
-    result = replace(result, cpu_seconds=time.process_time() - cpu, wall_seconds=time.perf_counter() - begin)
-    return unless_cut_off(result, unmet)
+    return unless_cut_off(replace(result, **run_time()), unmet)
 
 
 def _options(scene: Scene, requested: Requested) -> tuple[TraceOptions, str]:
@@ -265,15 +263,13 @@ def _light_by_volpath(
     log.warning(
         "volpath traces three blood states to a relative error of %g and takes Beer-Lambert (8) between them", target
     )
-    begin, cpu = time.perf_counter(), time.process_time()
-    corners = volpath.corner_states(states)
+    run_time, corners = stopwatch(), volpath.corner_states(states)
     traced = volpath.read_leds(scene, options, progress, corners)
     relative = np.stack([quotient(reading.fraction_stderr[:, 0], reading.fraction[:, 0]) for reading in traced])
     absorbers = optics.absorbers(scene)
     no_path = np.full((*relative.shape, len(absorbers)), np.nan)
     made: dict[str, Any] = {"engine": "volpath", "backend": options.backend, "seeds": str(options.seed)}
-    made = provenance(scene, photons=sum(reading.paths for reading in traced), **made)
-    made |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
+    made = provenance(scene, photons=sum(reading.paths for reading in traced), **made) | run_time()
     made["accuracy_reached"] = _reached(relative) + "; three blood states traced, Beer-Lambert (8) between them"
     readings_at = partial(volpath.between, traced, corners)
     return unless_cut_off(DetectedLight(readings_at, no_path, no_path, absorbers, made), _unmet(traced))

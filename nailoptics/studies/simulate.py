@@ -1,7 +1,6 @@
 """The main job: touch, blood, traced light, volts, beside the paper's Beer-Lambert (8) and Taylor (9)."""
 
 import logging
-import time
 from typing import Unpack
 
 import numpy as np
@@ -15,6 +14,7 @@ from ..options import Requested, TraceOptions
 from ..paper.reduced_optics import FIT_SAMPLES, fit_reduced_optics
 from ..scene import Scene, SceneIn, as_scene
 from ..sensor.volts import WornLight, read_volts, replicates_v, worn_light
+from ..variables import stopwatch
 from .prior_uncertainty import ReadingUncertainty, readings_over_priors
 
 log = logging.getLogger(__name__)
@@ -35,8 +35,7 @@ def simulate(
     Raises: InputError; NotReachedError, whose result is the Dataset as far as the accuracy went.
     """
     scene = as_scene(scene)
-    cpu, begin = time.process_time(), time.perf_counter()
-    options = TraceOptions(**requested)
+    run_time, options = stopwatch(), TraceOptions(**requested)
     if options.max_seconds and scene.priors.spread and not (options.relative_error or options.photons):
         requested["max_seconds"] = options.max_seconds / 2  # the other half is for the priors
     if scene.finger is None:
@@ -60,7 +59,7 @@ def simulate(
     if (full := result.saturated.any(("led", "time")).values).any():
         how = 'lower leds.flux_mw or electronics.feedback_ohm ("auto" fits it)'
         log.warning("saturated: %s; %s.", ", ".join(result.photodiode.values[full]), how)
-    result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
+    result.attrs |= run_time()
     return unless_cut_off(result, unmet)
 
 

@@ -4,7 +4,6 @@ Rays go to each place of a bare nail until its colour and its changes reach thei
 """
 
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
@@ -26,8 +25,8 @@ from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import Illuminant, LightFrom, Observer, Requested, TraceOptions
 from ...scene import Scene, SceneIn, Viewing, as_scene
 from ...statistics import Array, jackknife, quotient, seed_of
-from ...variables import described, jackknifed
-from ..prior_uncertainty import only_absorbs, over_priors
+from ...variables import described, jackknifed, stopwatch
+from ..prior_uncertainty import only_absorbs, over_priors, prior_variables
 from .reflectance import WAVELENGTHS_NM, ColourRays, Viewer, delta_e_2000, linear, walk_colour
 
 # Rays of all nodes of the first round, from whose errors the allocation follows, and the most of one part.
@@ -192,8 +191,7 @@ def colour(
         raise InputError("colour has no relative_error; give tolerance, a difference of colour (CIEDE2000).")
     viewing = Viewing(**dict(scene.colour) | {name: value for name, value in given.items() if value is not None})
     viewer = Viewer(viewing.illuminant, viewing.observer)
-    cpu, begin = time.process_time(), time.perf_counter()
-    chosen = backend.choose_jit(options.backend, "colour")
+    run_time, chosen = stopwatch(), backend.choose_jit(options.backend, "colour")
     stage = StageProgress(progress, options.max_seconds or math.inf, unit="CIEDE2000")
     stores = LightStore.of_command(options) if stores is None else stores
     states = steady_blood(scene, viewing.forces_n)
@@ -206,8 +204,7 @@ def colour(
             unmet = f"{stage.why} before the spread of colours over unknown fingers."
         else:
             result = result.merge(spread_of_colours(nail, rays, viewer, viewing, seed=options.seed))
-    result.attrs = _attributes(scene, viewing, options, chosen, rays.photons)
-    result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
+    result.attrs = _attributes(scene, viewing, options, chosen, rays.photons) | run_time()
     return unless_cut_off(result, unmet)
 
 
@@ -291,10 +288,9 @@ def spread_of_colours(
 
     answers = over_priors(scene, priors, lambda changed: lab(rays, changed), walked)
     data = answers.variables("lab", ("site", "band"), "L*a*b* at the first force")
-    ends, fields = [[p.low, p.high] for p in priors], [p.field for p in priors]
-    data |= described(__package__, prior_lab=answers.nodes[:, :, 0], prior_range=ends, prior_field=fields)
-    names = {"prior": [p.name for p in priors], "site": ["nail", "skin"], "node": ["low", "middle", "high"]}
-    return xr.Dataset(data, names)
+    data |= described(__package__, prior_lab=answers.nodes[:, :, 0])
+    names = {"site": ["nail", "skin"], "node": ["low", "middle", "high"]}
+    return xr.Dataset(data, names).merge(prior_variables(priors, [], scene))
 
 
 def photographs(scene: Scene, result: xr.Dataset, *, states: Sequence[int], backend: str) -> list[NDArray[np.uint8]]:

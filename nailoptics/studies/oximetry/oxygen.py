@@ -1,6 +1,5 @@
 """A pulse oximeter from touch to SpO2: curve and lines of every photodiode, their error, and what disturbs them."""
 
-import time
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
@@ -17,7 +16,7 @@ from ...scene import Oximeter, Scene, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
 from ...sensor.front_end import AVERAGE_S, CAUSES, SampledFrontEnd, front_end_of, oximeter_leds, ratio_stderr
 from ...statistics import Array, jackknife, seed_of
-from ...variables import Estimate, Variables, described, jackknifed, variable
+from ...variables import Estimate, Variables, described, jackknifed, stopwatch, variable
 from ..prior_uncertainty import at_value
 from . import ratio as pulsations
 
@@ -155,8 +154,7 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
     """
     scene = as_scene(scene)
     scene.require_blood("oximeter")
-    cpu, begin = time.process_time(), time.perf_counter()
-    options, leds = TraceOptions(**requested), oximeter_leds(scene)
+    run_time, options, leds = stopwatch(), TraceOptions(**requested), oximeter_leds(scene)
     states = [(scene.blood.so2, rest_beat(scene))]
 
     def error_of(light: Transfer) -> float:
@@ -165,7 +163,7 @@ def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requ
 
     transfer, unmet = as_far_as_reached(pulsations.trace_for_ratio, scene, error_of, options, progress)
     result = oximeter_from(transfer, options=options)
-    result.attrs |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
+    result.attrs |= run_time()
     return unless_cut_off(result, unmet)
 
 

@@ -3,7 +3,6 @@
 Each quantity states whether the model was fitted to these people (assets/real/quantities.toml).
 """
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from ...light import ProgressCallback, trace
 from ...options import Requested, TraceOptions
 from ...scene import Body, Scene, load_scene
 from ...scene.priors import shipped_priors
+from ...variables import stopwatch
 from ..oximetry.ratio import FIT_SO2, calibrate_curve, saturation_curve
 from ..prior_uncertainty import at_value, only_absorbs, over_priors
 from . import people_tables
@@ -67,7 +67,7 @@ def validate(
 
     Raises: InputError for a table that lacks columns or rows, or has values that none can have.
     """
-    cpu, begin, options = time.process_time(), time.perf_counter(), TraceOptions(**requested)
+    run_time, options = stopwatch(), TraceOptions(**requested)
     if options.relative_error is not None or options.max_seconds is not None:
         raise InputError("validate has no relative_error and no max_seconds; give photons.")
     if data is not None and not any((data / f"{name}.csv").is_file() for name in COLUMNS):
@@ -83,8 +83,7 @@ def validate(
             result |= compare(spectra[there])
         else:
             no_data.append(place)
-    seconds = {"cpu_seconds": time.process_time() - cpu, "wall_seconds": time.perf_counter() - begin}
-    return Validation(result, {"seed": options.seed, "engine": "photons"} | seconds, no_data)
+    return Validation(result, {"seed": options.seed, "engine": "photons"} | run_time(), no_data)
 
 
 def _waves(people: pd.DataFrame) -> dict[str, Comparison]:
