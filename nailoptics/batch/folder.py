@@ -266,7 +266,7 @@ def open_results(folder: str | Path, *, course: bool = False) -> xr.Dataset:
         values = one.transpose(_SCENE, ...).values.reshape(*dims.values(), *one.isel({_SCENE: 0}).shape)
         dataset[name] = (*dims, *one.isel({_SCENE: 0}).dims), values, one.attrs
     attributes = {k: v for k, v in joined.attrs.items() if k in ("engine", "versions")}
-    attributes |= {"title": f"nailoptics: batch {plan.sweep}", "Conventions": "CF-1.11"}
+    attributes |= {"title": f"nailoptics: batch {plan.sweep}"}
     return dataset.assign_attrs(attributes, seed=plan.made.seed, backend=plan.made.backend, study=plan.study)
 
 

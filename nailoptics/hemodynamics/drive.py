@@ -147,7 +147,6 @@ def waveform_of(name: str, value: Any, time_s: np.ndarray) -> Waveform:
         return value
     samples = finite(name, value)
     if samples.shape not in ((), time_s.shape):
-        raise InputError(
-            f"{name} must be a waveform, one number or one for each of {time_s.size} times, got shape {samples.shape}."
-        )
+        why = f"one number or one for each of {time_s.size} times, got shape {samples.shape}."
+        raise InputError(f"{name} must be a waveform, {why}")
     return Waveform(time_s=time_s[:1] if samples.shape == () else time_s, pressure_pa=np.atleast_1d(samples))

@@ -397,10 +397,8 @@ class BloodBeat:
 def heart_rate_per_min(body: Body | None) -> float:
     """Beats in a minute of a body's heart; raises InputError where it does not beat."""
     if body is None or body.heartbeat is None or body.heartbeat.pulse_pressure_pa == 0:
-        raise InputError(
-            "body: no heart beats, and without a pulse the arterial saturation cannot be measured; "
-            "give [body.heartbeat] with pulse_pressure_pa above 0, such as 2000."
-        )
+        why = "give [body.heartbeat] with pulse_pressure_pa above 0, such as 2000."
+        raise InputError(f"body: no heart beats, and without a pulse the arterial saturation cannot be measured; {why}")
     return body.heartbeat.rate_per_min
 
 

@@ -117,7 +117,6 @@ def _dataset(
     coordinates = described(__package__, time=time, zone_position=zones.position)
     coordinates["zone"] = ("zone",), np.array(zones.names), {"long_name": "capillary unit, from the cuticle to the tip"}
     about = {
-        "Conventions": "CF-1.11",
         "title": "touch to blood: vessel diameters and pressures under the nail",
         "references": "Mascaro and Asada 2001, IEEE Trans. Robotics and Automation 17(5), eq. (1)-(4)",
     }
@@ -161,9 +160,8 @@ def integrate_with_mass(
         how: Any = {"args": ((first, last),), "jac": jacobian, "rtol": max(rtol, 3e-14), "atol": rtol}
         solution = solve_ivp(rates, (begin, end), state, "Radau", samples_s, **how)
         if not solution.success:
-            raise NotReachedError(
-                f"hemodynamics: the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."
-            )
+            why = f"the inertial model stopped at {begin:g} s ({solution.message}); raise rtol."
+            raise NotReachedError(f"hemodynamics: {why}")
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
     diameter, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ..assets import read_toml
-from ..scene.text_files import frozen
 from .walls import MasslessNetwork, Walls
 
 Jacobian = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -28,14 +27,14 @@ class Method:
     """
 
     gamma: float
-    instants: tuple[float, ...]
-    in_time: tuple[float, ...]
-    states: tuple[tuple[float, ...], ...]
-    slopes: tuple[tuple[float, ...], ...]
-    result: tuple[float, ...]
+    instants: Sequence[float]
+    in_time: Sequence[float]
+    states: Sequence[Sequence[float]]
+    slopes: Sequence[Sequence[float]]
+    result: Sequence[float]
 
 
-_COEFFICIENTS = frozen(read_toml("rodas.toml"))
+_COEFFICIENTS = dict(read_toml("rodas.toml"))
 # Weights of its stages in the curve between.
 RODAS_CURVE = _COEFFICIENTS.pop("curve")
 # Stiffly accurate, L-stable, of order 4 (Hairer and Wanner 1996, Solving Ordinary Differential Equations II, IV.7).

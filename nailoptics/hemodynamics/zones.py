@@ -51,18 +51,21 @@ class Zones:
         return ["proximal", "distal"] if self.count == 2 else [f"zone_{i + 1}" for i in range(self.count)]
 
     @property
+    def ends(self) -> np.ndarray:
+        """(N+1,) float. Where units begin and end along the bed, 0 at the cuticle and 1 at the tip. [1]"""
+        return np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
+
+    @property
     def position(self) -> np.ndarray:
-        """(N,) float. Centre of each unit along the bed, 0 at the cuticle and 1 at the tip. [1]"""
-        edges = np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
-        return 0.5 * (edges[:-1] + edges[1:])
+        """(N,) float. Centre of each unit on the same axis. [1]"""
+        return 0.5 * (self.ends[:-1] + self.ends[1:])
 
     def of_beds(self, value: Any) -> list[Any]:
         """A constant of each unit, from one of both beds or a pair: its mean over the unit."""
         proximal, distal = beds(value)
         if proximal is distal:
             return [value] * self.count
-        ends = np.concatenate(([0.0], np.cumsum(self.share))) / sum(self.share)
-        parts = np.round(np.clip((0.5 - ends[:-1]) / np.diff(ends), 0.0, 1.0), 12)
+        parts = np.round(np.clip((0.5 - self.ends[:-1]) / np.diff(self.ends), 0.0, 1.0), 12)
         return [part * proximal + (1.0 - part) * distal for part in parts.tolist()]
 
     def on_walls(self, touch_pa: np.ndarray) -> np.ndarray:
