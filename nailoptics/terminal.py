@@ -59,9 +59,8 @@ def text_lines(stream: TextIO | None) -> Iterator[str]:
     try:
         while line := stream.readline(MOST_CHARACTERS):
             if len(line) == MOST_CHARACTERS:
-                raise InputError(
-                    f"stdin: has a line of {MOST_CHARACTERS} characters or more; pipe a recording into it."
-                )
+                why = "pipe a recording into it."
+                raise InputError(f"stdin: has a line of {MOST_CHARACTERS} characters or more; {why}")
             yield line
     except OSError as error:
         raise InputError(f"stdin: cannot be read: {error.strerror}; pipe a recording into it.") from None

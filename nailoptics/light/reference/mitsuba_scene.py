@@ -214,10 +214,8 @@ def rectangle(to_world: Any, **more: Any) -> dict[str, Any]:
 def check_pattern(led: Led) -> None:
     """Raise InputError for an LED that stock sensors cannot stand for."""
     if led.pattern == "measured":
-        raise InputError(
-            f'led "{led.name}": pattern = "measured" needs the photons engine; set light.engine = "photons" (with a '
-            'backend that compiles kernels) or pattern = "lambertian".'
-        )
+        why = 'set light.engine = "photons" (with a backend that compiles kernels) or pattern = "lambertian".'
+        raise InputError(f'led "{led.name}": pattern = "measured" needs the photons engine; {why}')
 
 
 def phantom_scene(mi: Any, phantom: Phantom, led: Led, windows: Sequence[Window]) -> dict[str, Any]:

@@ -245,9 +245,8 @@ class Transfer(Displayed):
             made = {name: header[name] for name in ("engine", "backend", *EFFORT)}
             return Transfer(scene, tuple(traces), versions=dict(header["version_table"]), **made)
         except (OSError, io.CorruptError, LookupError, AttributeError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: is not a transfer that this version can read ({error}); trace the scene again."
-            ) from None
+            why = f"is not a transfer that this version can read ({error}); trace the scene again."
+            raise InputError(f"{path}: {why}") from None
 
     def _mu_a(
         self, led: int, blood: ArrayLike | None, so2: ArrayLike | None, override: Mapping[str, float] | None
@@ -257,9 +256,8 @@ class Transfer(Displayed):
         mu_a = optics.absorption(self.scene, wavelengths, blood_fraction=blood, so2=so2)
         for name, value in (override or {}).items():
             if name not in self.absorbers:
-                raise InputError(
-                    f'mu_a_per_mm names "{name}", which is not an absorber here; known: {", ".join(self.absorbers)}.'
-                )
+                why = f"known: {', '.join(self.absorbers)}."
+                raise InputError(f'mu_a_per_mm names "{name}", which is not an absorber here; {why}')
             if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"mu_a_per_mm of {name} = {value}; must be a number of at least 0.")
             mu_a[..., self.absorbers.index(name)] = value

@@ -12,6 +12,7 @@ from ...hemodynamics.beat_detection import beats_per_second
 from ...hemodynamics.steady import linear_response
 from ...hemodynamics.waves import HARMONIC_BAND, CardiacOscillator, resolved_harmonics, slow_waves
 from ...scene.importers.sensor_recordings import Recording
+from ...statistics import MEDIAN_OF_GAUSSIAN
 from .person import Array, Person
 from .reading_table import ReadingTable
 from .scores import runs
@@ -36,8 +37,6 @@ REST_FORCE_N = 0.05
 USUAL_DRIFT, USUAL_LED_DRIFT, LEAST_DRIFT = 1e-3, 2e-3, 1e-4
 # The model error of a held touch is taken for a polynomial of this degree in the force.
 MODEL_ERROR_DEGREE = 4
-# Of a Gaussian the median of |x| is this fraction of the standard deviation.
-MEDIAN_OF_GAUSSIAN = 0.6745
 # Spectra are of windows as long as two of the slowest waves. [s]
 WINDOW_S = 40.0
 

@@ -14,7 +14,8 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from ...scene.importers.sensor_recordings import Recording
-from .body_noise import MEDIAN_OF_GAUSSIAN, arterial_response
+from ...statistics import MEDIAN_OF_GAUSSIAN
+from .body_noise import arterial_response
 from .person import NAMES, SPREAD_LN, Array, NominalFinger
 from .reading_table import ReadingTable
 from .subject import LINEAR

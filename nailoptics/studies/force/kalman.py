@@ -61,7 +61,7 @@ def touch_pressure(coordinate_n_per_cm2: Array) -> Array:
 class StateSpace:
     """Process and measurement of one person's sensor; holds no estimate.
 
-    person : the calibrated one. size : number of states. beat, waves, drift : slices of the state.
+    person : the calibrated one. size : number of states. beat, harmonics, waves, drift : slices of the state.
     touch_bounds_n_per_cm2 : the least and the largest coordinates of both pressures, (2,) float each. [N/cm^2]
     """
 
@@ -69,12 +69,13 @@ class StateSpace:
         self.subject, self.person, noise = subject, subject.person, subject.noise
         beat = noise.beat.size if noise.beat else 0
         self.beat = slice(FIRST_WAVE, FIRST_WAVE + beat)
+        self.harmonics = slice(self.beat.start + 1, self.beat.stop, 2)
         self.waves = slice(self.beat.stop, self.beat.stop + 2 * len(noise.waves))
         self.drift = slice(self.waves.stop, self.waves.stop + len(subject.rest_v))
         self.size = self.drift.stop
         # Weights of the state that give the pressure of the beat and that of the slow waves.
         self.beat_weights, self.wave_weights = np.zeros(self.size), np.zeros(self.size)
-        self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = 1.0
+        self.beat_weights[self.harmonics] = 1.0
         self.wave_weights[self.waves.start : self.waves.stop : 2] = 1.0
         highest_n_per_cm2 = PAST_CLOSURE * self.person.closure_n_per_cm2()
         self.touch_bounds_n_per_cm2 = np.full(2, LOWEST_N_PER_CM2), highest_n_per_cm2
@@ -112,7 +113,7 @@ class StateSpace:
     def resolve_harmonics(self, since_s: float) -> None:
         """Leave out the heart's harmonics that samples so far apart do not show."""
         if beat := self.subject.noise.beat:
-            self.beat_weights[self.beat.start + 1 : self.beat.stop : 2] = beat.resolved_harmonics(since_s)
+            self.beat_weights[self.harmonics] = beat.resolved_harmonics(since_s)
 
     def arterial_pa(self, state: Array) -> float:
         """By how much P_H is off its mean. [Pa]"""

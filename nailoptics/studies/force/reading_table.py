@@ -25,6 +25,8 @@ from .person import MOST_GAIN, TABLE, Array, Numbers, require_shapes, within
 # The logarithm of a reading is nearly linear in blood: polynomials of this degree in both zones' blood together.
 DEGREE = 3
 POWERS = tuple(p for p in itertools.product(range(DEGREE + 1), repeat=2) if sum(p) <= DEGREE)
+# Which of them are linear in the blood of the proximal and of the distal zone.
+LINEAR_POWERS = [POWERS.index((1, 0)), POWERS.index((0, 1))]
 # Points along each zone's blood at which light is read for the table.
 NODES = 12
 # Which stream of random numbers the noise of a recording takes, beside those of the light and the body.
@@ -89,7 +91,7 @@ class ReadingTable:
     def steeper(self, by_blood: Array, rest_blood: float) -> "ReadingTable":
         """The table whose ln volts have an additional slope (R, 2) by each zone's blood, the same at rest."""
         changed = self.coefficients.copy()
-        changed[:, [POWERS.index((1, 0)), POWERS.index((0, 1))]] += by_blood * self.most_blood_fraction
+        changed[:, LINEAR_POWERS] += by_blood * self.most_blood_fraction
         changed[:, POWERS.index((0, 0))] -= rest_blood * by_blood.sum(1)
         return replace(self, ln_volts=dict(zip(self.names, changed, strict=True)))
 

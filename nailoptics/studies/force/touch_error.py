@@ -26,7 +26,7 @@ from . import kalman
 from .body_noise import HARMONICS, cardiac_oscillator, pressure_to_blood_gain
 from .kalman import TOUCH, StateSpace
 from .person import NAMES, Array, Person, nominal_finger
-from .reading_table import POWERS, ReadingTable
+from .reading_table import LINEAR_POWERS, POWERS, ReadingTable
 from .scores import TOUCH_N
 from .subject import LINEAR, READING_CORRELATION_S, Noise, Quality, Readings, Subject
 
@@ -91,7 +91,7 @@ class TouchError:
         touch = self.person.pressures_n_per_cm2(self._force_n, self._proximal.astype(float))
         state, relaxed, size = model.initial()[0], np.zeros(2), model.drift.start
         if self.noise.beat:
-            state[model.beat.start + 1 : model.beat.stop : 2] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
+            state[model.harmonics] = np.sqrt(2.0) * np.array(self.noise.beat.rms_pa)
         # Waves turn and fade by themselves: back at the beginning only what is added to them on the way changes them.
         waves, onward, before = slice(kalman.FIRST_WAVE, size), np.eye(size), np.zeros((2, 2))
         for moved in np.diff(touch, axis=1, prepend=0.0).T:
@@ -224,7 +224,7 @@ def _blood_meter(scene: Scene, noise: Noise) -> Subject:
     finger, count = nominal_finger(scene), 2
     most_blood = min(1.0, 10.0 * finger.rest_blood_fraction)
     coefficients = np.zeros((count, len(POWERS)))
-    coefficients[range(count), [POWERS.index((1, 0)), POWERS.index((0, 1))]] = most_blood / finger.rest_blood_fraction
+    coefficients[range(count), LINEAR_POWERS] = most_blood / finger.rest_blood_fraction
     zeros, ones = np.zeros(count), np.ones(count)
     light = ReadingTable(dict(zip("ab", coefficients, strict=True)), zeros, most_blood, np.zeros((2, 2)), ones, 1.0)
     return Subject(

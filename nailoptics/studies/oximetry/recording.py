@@ -13,7 +13,7 @@ from ...scene.electronics import DARK
 from ...scene.importers.sensor_recordings import OximeterRecording, read_oximeter_recording
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
-from ...statistics import Z95, Array, seed_of
+from ...statistics import MEDIAN_OF_GAUSSIAN, Z95, Array, seed_of
 from ...variables import Estimate, described, variable
 from ...version import code_attributes
 from .ratio import saturation_of
@@ -216,10 +216,10 @@ def _noise_covariance(both: Array, rate_hz: float) -> Array:
 
 def _motion(recording: OximeterRecording, j: int, even_s: Array, pulse: Array) -> Marks:
     """Where the finger moved: a gap, a jump of the light, or a change that both LEDs do not share as in a pulse."""
-    usual = np.median(np.abs(pulse), axis=1) / 0.6745
+    usual = np.median(np.abs(pulse), axis=1) / MEDIAN_OF_GAUSSIAN
     slope = float(np.median(np.abs(pulse[0]))) / max(float(np.median(np.abs(pulse[1]))), np.finfo(float).tiny)
     unshared = pulse[0] - slope * pulse[1]
-    spread = np.median(np.abs(unshared - np.median(unshared))) / 0.6745
+    spread = np.median(np.abs(unshared - np.median(unshared))) / MEDIAN_OF_GAUSSIAN
     marks = np.abs(unshared) > max(MOST_UNSHARED * float(spread), float(usual[0]), np.finfo(float).tiny)
     marks |= (np.abs(pulse) > MOST_JUMP * usual[:, None]).any(0)
     gaps = recording.time_s[~np.isfinite(recording.volts[:, j]).all(0)]
