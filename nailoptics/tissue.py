@@ -225,11 +225,6 @@ class BloodZones:
     edges_mm: tuple[float, ...] = (0.0,)
     width_mm: float = 2.0
 
-    @property
-    def count(self) -> int:
-        """The number of zones K, one more than edges."""
-        return len(self.edges_mm) + 1
-
     def weights(self, v_mm: ArrayLike) -> Array:
         """How much of each zone is at v, (..., K) float in 0-1, summing to exactly 1.
 

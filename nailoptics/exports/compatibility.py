@@ -40,7 +40,7 @@ def _lacking(scene: Scene, *, reflecting: bool) -> list[tuple[str, str, str]]:
             there = "a flat face, which takes all alike"
             lacking.append((f"angular response of photodiode {photodiode.name}", "rows over the angle", there))
     edges = ", ".join(f"{edge:g}" for edge in scene.zone_edges_mm)
-    zones = f"{len(scene.zone_edges_mm) + 1} zones that pass into each other over {scene.zone_width_mm:g} mm"
+    zones = f"{scene.zone_count} zones that pass into each other over {scene.zone_width_mm:g} mm"
     electronics = "flux, line and responsivity, amplifier, converter, noise"
     touch = "touch and what it does to the blood", f'"{scene.touch.profile}", over time'
     lacking += [

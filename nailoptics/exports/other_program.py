@@ -192,7 +192,7 @@ def compared(ours: LedTrace, theirs: OtherDetection) -> ProgramComparison:
     changes = {}
     for factor in BLOOD_FACTORS:
         fraction = min(factor * scene.blood.rest_blood_fraction, 1.0)
-        mu_a = optics.absorption(scene, wavelength, blood_fraction=np.full(optics.zones(scene).count, fraction))
+        mu_a = optics.absorption(scene, wavelength, blood_fraction=np.full(scene.zone_count, fraction))
         changes[fraction] = _pair(_ratio(t, t.weight_at(mu_a, np.ones(1)) - w, w) for t, w, _ in made)
     by_region = {name: [_ratio(t, w * path[:, r], w) for t, w, path in made] for r, name in enumerate(regions)}
     return ProgramComparison(

@@ -112,12 +112,12 @@ def zones_between(
 
 def capillary_zones(scene: Scene) -> Zones:
     """How the scene cuts the nail bed into capillary units, and how far the touch's pressures reach."""
-    blood, edges_mm, touch = scene.blood, scene.zone_edges_mm, scene.touch
-    if len(edges_mm) == 1 and blood.decay_length is None:
+    blood, touch = scene.blood, scene.touch
+    if scene.zone_count == 2 and blood.decay_length is None:
         cut = PAPER_ZONES
     else:
         length_mm = scene.fingertip.nail_length_mm
-        edges = [0.5 + edge / length_mm for edge in edges_mm]
+        edges = [0.5 + edge / length_mm for edge in scene.zone_edges_mm]
         shield = 0.5 + scene.fingertip.bone_end_mm / length_mm, blood.bone_edge_mm / length_mm
         cut = zones_between(edges, shield=shield, decay_length=blood.decay_length)
     if (everywhere := blood.distal_reach) > 0.0:

@@ -122,8 +122,8 @@ def read_rest(
     run_time = stopwatch()
     options, engine = _options(scene, requested)
     if engine == "volpath":
-        zones, blood = optics.zones(scene).count, scene.blood.rest_blood_fraction
-        rest = None if scene.phantom is not None else np.full((1, zones), blood)
+        blood = scene.blood.rest_blood_fraction
+        rest = None if scene.phantom is not None else np.full((1, scene.zone_count), blood)
         traced, rows = volpath.read_leds(scene, options, progress, rest), list[dict[str, Any]]()
         for led, r in zip(scene.leds, traced, strict=True):
             values = zip(photodiode_names(scene), r.fraction[:, 0], r.fraction_stderr[:, 0], strict=True)
@@ -253,11 +253,9 @@ def _light_by_volpath(
     scene: Scene, states: np.ndarray, options: TraceOptions, progress: ProgressCallback | None
 ) -> DetectedLight:
     """Trace rest and one changed state per zone; between them each zone dims as in Beer-Lambert (8)."""
-    if optics.zones(scene).count > 2:
-        raise InputError(
-            f"blood: volpath reads three blood states, enough for two zones, and the scene has "
-            f'{optics.zones(scene).count}; take light.engine = "photons", or two zones.'
-        )
+    if scene.zone_count > 2:
+        why = f'and the scene has {scene.zone_count}; take light.engine = "photons", or two zones.'
+        raise InputError(f"blood: volpath reads three blood states, enough for two zones, {why}")
     target = max(options.relative_error or 0.0, VOLPATH_RELATIVE_ERROR)
     options = replace(options, relative_error=target, photons=None)
     log.warning(

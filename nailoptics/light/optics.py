@@ -60,7 +60,7 @@ def absorbing(scene: Scene) -> tuple[Absorber, ...]:
     """The absorbers of a scene, in the order of a trace's paths."""
     if scene.phantom is not None:
         return tuple(Absorber(layer.name, layer.name) for layer in scene.phantom.layers)
-    beds = [Absorber(tissue.bed_zone_name(k), "bed", zone=k) for k in range(zones(scene).count)]
+    beds = [Absorber(tissue.bed_zone_name(k), "bed", zone=k) for k in range(scene.zone_count)]
     return (Absorber("plate", "plate"), *beds, *(Absorber(name, name) for name in TISSUES[2:]))
 
 
@@ -123,14 +123,13 @@ def absorption(
         if blood_fraction is not None or so2 is not None:
             raise InputError("a phantom has no blood; give mu_a_per_mm by layer name instead of blood_fraction or so2.")
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
-    count = zones(scene).count
+    count = scene.zone_count
     fraction = np.full(count, scene.blood.rest_blood_fraction)
     if blood_fraction is not None:
         fraction = checks.fraction("blood_fraction", blood_fraction)
     if fraction.shape[-1:] != (count,):
-        raise InputError(
-            f"blood_fraction has shape {fraction.shape}; its last axis needs one value for each of the {count} zones."
-        )
+        why = f"its last axis needs one value for each of the {count} zones."
+        raise InputError(f"blood_fraction has shape {fraction.shape}; {why}")
     saturation = np.asarray(scene.blood.rest_so2 if so2 is None else so2, float)[..., None]
     pooled = so2_of_zones(scene.blood, fraction) if so2 is None and scene.blood.venous_so2 is not None else None
     columns = []

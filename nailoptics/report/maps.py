@@ -8,10 +8,10 @@ import numpy as np
 import xarray as xr
 
 from ..errors import InputError
+from ..light import optics
 from ..scene import Scene
 from ..scene.base import Point
 from ..scene.rectangles import Rectangle
-from ..tissue import BloodZones
 from . import style
 from .html import texts
 
@@ -105,7 +105,7 @@ def _blood_zones(axes: "style.Axes", scene: Scene, half_u: float, half_v: float)
     from matplotlib.colors import to_rgb
 
     v = np.linspace(-half_v, half_v, 256)
-    weights = BloodZones(scene.zone_edges_mm, scene.zone_width_mm).weights(v)
+    weights = optics.zones(scene).weights(v)
     tint = weights @ np.array([to_rgb(c) for c in style.place_colours(weights.shape[1])])
     image = np.concatenate([tint, np.full((len(v), 1), 0.30)], axis=1)[:, None]
     axes.imshow(image, extent=(-half_u, half_u, -half_v, half_v), origin="lower", aspect="auto", zorder=1)

@@ -40,9 +40,8 @@ def blood_words(scene: Scene) -> str:
     words += f" with {', '.join(changes)}" if changes else ""
     if blood.distal_reach:
         words += f", {100 * blood.distal_reach:g} % of the distal pressure on the whole bed"
-    zones = len(scene.zone_edges_mm) + 1
-    if zones > 2 or blood.decay_length is not None:
-        words += f", {zones} zones along the nail"
+    if scene.zone_count > 2 or blood.decay_length is not None:
+        words += f", {scene.zone_count} zones along the nail"
     if blood.venous_so2 is None:
         return words + f", {100 * blood.so2:g} % saturated"
     return words + f", {100 * blood.so2:g} % saturated in arteries and {100 * blood.venous_so2:g} % in veins"

@@ -248,6 +248,11 @@ class Scene(Displayed, Table):
         return tuple(self.finger.nail_length_mm * (k / count - 0.5) for k in range(1, count))
 
     @property
+    def zone_count(self) -> int:
+        """Number of blood zones of the nail bed."""
+        return len(self.zone_edges_mm) + 1
+
+    @property
     def zones_of_photodiodes(self) -> tuple[int, ...]:
         """The blood zone above which each photodiode lies: 0 is the most proximal."""
         return tuple(bisect_right(self.zone_edges_mm, one.area.center_mm[1]) for one in self.layout.photodiodes)
@@ -266,7 +271,7 @@ class Scene(Displayed, Table):
         blood, without = self.blood, set(self.touch.stated_contact)
         if not blood.rest_blood_fraction:
             without.add("blood.rest_blood_fraction")
-        if len(self.zone_edges_mm) == 1 or blood.decay_length is not None:
+        if self.zone_count == 2 or blood.decay_length is not None:
             without.add("blood.bone_edge_mm")
         return self.priors.of_finger(without)
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ..options import Illuminant, LightFrom, Observer
+from ..options import MAX_PHOTONS, Illuminant, LightFrom, Observer
 from .base import Positive, Table
 from .touch import Force
 
@@ -31,7 +31,7 @@ class Accuracy(Table):
     """Required relative standard error of every reading."""
     max_seconds: Positive | None = None
     """Wall time after which tracing stops. [s]"""
-    photons: Annotated[int, Field(ge=1, le=10_000_000_000)] | None = None
+    photons: Annotated[int, Field(ge=1, le=MAX_PHOTONS)] | None = None
     """Photons per LED wavelength, instead of a tolerance."""
 
 

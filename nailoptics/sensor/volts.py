@@ -105,7 +105,7 @@ def with_fitted_resistors(scene: Scene) -> Scene:
     if electronics.has_resistors(scene):
         return scene
     ambient_a = ambient_bound_a(scene, usual=LAMP)
-    read = rough_readings(scene, np.zeros((1, len(scene.zone_edges_mm) + 1)))
+    read = rough_readings(scene, np.zeros((1, scene.zone_count)))
     bound = (read.fraction + Z95 * np.nan_to_num(read.stderr))[..., 0]
     lit_a = [electronics.photocurrent_a(*both, scene.elements) for both in zip(bound, scene.leds, strict=True)]
     return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_a)

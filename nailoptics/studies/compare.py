@@ -51,7 +51,7 @@ class StateSweep:
 
 @dataclass(frozen=True)
 class TracedSweep:
-    """One photodiode's traced light over a sweep, (r, t) float each; replicates (r) are those of `read_led`.
+    """One photodiode's traced light over a sweep, (r, t) float each; replicates (r) are those of `read_replicates`.
 
     own : index of the zone above which it lies.
     mu_a : (t, zones) float. Absorption of the blood in each zone, averaged over the LED's line. [mm^-1]
@@ -119,7 +119,7 @@ def compare(
 
 def state_sweep(scene: Scene, over: Over) -> StateSweep:
     """The steady force from 0 to the touch's largest, the blood fraction of all zones, or the saturation."""
-    along, every = np.linspace(0, 1, POINTS), np.ones((POINTS, optics.zones(scene).count))
+    along, every = np.linspace(0, 1, POINTS), np.ones((POINTS, scene.zone_count))
     if over == "blood":
         setting = along * LARGEST_BLOOD_FRACTION
         blood = setting[:, None] * every

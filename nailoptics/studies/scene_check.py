@@ -134,7 +134,7 @@ def _pairs(scene: Scene, blood_fraction: np.ndarray) -> list[dict[str, Any]]:
     """
     layout, stage, rules, pairs = scene.layout, scene.electronics, boards.rules(scene), list[dict[str, Any]]()
     at, near, ambient_a = None, blood_fraction[:0], ambient_bound_a(scene)
-    if len(scene.zone_edges_mm) == 1:
+    if scene.zone_count == 2:
         at = operating_point(scene, rules.force_n, since_rest_s=rules.since_rest_s)
         near = at.blood_fraction * (1 + BLOOD_STEP * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
     read = rough_readings(scene, np.concatenate([blood_fraction, near]))

@@ -52,7 +52,7 @@ def modulation(scene: nail.Scene, walk: nail.Transfer) -> None:
     means, variances, cpu = [], [], 0.0
     for k, state in enumerate(states):
         mu_a = optics.absorption(scene, led, blood_fraction=state)[0]
-        bed = BedAbsorption(v, (zones.weights(v) @ mu_a[1 : 1 + zones.count])[None])
+        bed = BedAbsorption(v, (zones.weights(v) @ mu_a[1 : 1 + scene.zone_count])[None])
         paths = finger_paths(
             shape,
             optics.finger_media(scene, shape.regions, led),

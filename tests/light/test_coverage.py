@@ -117,7 +117,7 @@ def of_several_photodiodes(transfer: Transfer) -> Estimates:
     slopes["ratio"] = np.eye(n)[:-1] / b[:, None] - np.eye(n)[1:] * (a / b**2)[:, None]
     values = {"difference": a - b, "sum": slopes["sum"] @ x, "ratio": a / b}
     out = {k: (values[k], np.sqrt(np.einsum("ij,jk,ik->i", s, covariance, s))) for k, s in slopes.items()}
-    rest = np.full((1, optics.zones(transfer.scene).count), transfer.scene.blood.rest_blood_fraction)
+    rest = np.full((1, transfer.scene.zone_count), transfer.scene.blood.rest_blood_fraction)
     wavelength, _ = optics.spectrum(transfer.scene.leds[0])
     mu_a = optics.absorption(transfer.scene, wavelength, blood_fraction=rest)
     read = read_replicates(transfer, 0, mu_a, np.ones(len(wavelength)))[0][..., 0]

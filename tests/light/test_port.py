@@ -19,7 +19,7 @@ def test_a_port_loses_red_light_and_no_blue(jit_backend):
     nail = NailReflectance(scene, backend=jit_backend.name)
     patches = [Patch((0.0, 0.0), (3.0, 3.0), port_mm=port) for port in (5.0, 11.0, 60.0)]
     rays = walk_colour(nail, patches, photons=18_000, seed=1)
-    blood = np.full((1, nail.zones.count), scene.blood.rest_blood_fraction)
+    blood = np.full((1, nail.scene.zone_count), scene.blood.rest_blood_fraction)
     read = rays.read(blood, scene.colour, scene=nail.scene).reflectance[:, :, 0]
     blue, red = (int(np.abs(WAVELENGTHS_NM - nm).argmin()) for nm in (400.0, 700.0))
     ratio = read / read[:, 2:]

@@ -60,7 +60,7 @@ def readings_over_states(transfer: Transfer, blood_fraction: np.ndarray) -> Read
     """
     states = np.asarray(blood_fraction)
     states = states if states.dtype == np.float32 else states.astype(float, copy=False)
-    count, blood = optics.zones(transfer.scene).count, transfer.scene.blood
+    count, blood = transfer.scene.zone_count, transfer.scene.blood
     if states.ndim != 2 or states.shape[1] != count or not len(states):
         raise InputError(f"blood_fraction has shape {states.shape}; give (states, {count}), one value for each zone.")
     course = _Course(transfer, states)
@@ -182,7 +182,7 @@ def _nodes_needed(transfer: Transfer, direction: np.ndarray, span: float) -> int
     """Chebyshev nodes that interpolate exp(-x) over the optical depths that a range of blood in a direction spans, (K,)
     float, the change of each zone's blood in one step; `span` is their number."""
     depth, columns = 0.0, list(optics.bed_columns(transfer.scene))
-    no_and_all = np.repeat([[0.0], [1.0]], optics.zones(transfer.scene).count, 1)
+    no_and_all = np.repeat([[0.0], [1.0]], transfer.scene.zone_count, 1)
     for trace, led in zip(transfer.traces, transfer.scene.leds, strict=True):
         if len(trace.weight):
             mu_a = optics.absorption(transfer.scene, led.wavelength_nm, blood_fraction=no_and_all)

@@ -191,7 +191,7 @@ def walk_colour(
     progress : called after each node with its rays.
     """
     # The same for all fingers of one shape, whatever they absorb, so that they share their rays.
-    usual, none = light_scene(nail.scene), np.zeros(nail.zones.count)
+    usual, none = light_scene(nail.scene), np.zeros(nail.scene.zone_count)
     traced = ABSORPTION * optics.absorption(usual, WAVELENGTHS_NM, blood_fraction=none).min(0)
     # All nodes take the same random numbers, so that their errors hardly change the hue.
     how: dict[str, Any] = {"seed": seed, "groups": GROUPS, "mu_a": traced}

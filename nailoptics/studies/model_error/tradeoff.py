@@ -302,7 +302,7 @@ def _timed_course(scene: Scene, **way: Any) -> tuple[xr.Dataset, float]:
 
 def other_zones(scene: Scene, base: PairedReadings, tracer: PairedTracer) -> Level:
     """The scene with eight blood zones, or with two if it has more: other blood under a touch, none at rest."""
-    two = len(scene.zone_edges_mm) == 1
+    two = scene.zone_count == 2
     changes: Changes = {"blood": {"zones": 8 if two else None, "zone_edges_mm": (0.0,)}}
     other = tracer.trace(revised(base.transfer.scene, changes))
     level = measured(scene, "eight zones" if two else "two zones", base, other)

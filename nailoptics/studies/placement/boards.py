@@ -55,10 +55,9 @@ def check_two_zones(scene: Scene, command: str) -> None:
     if scene.finger is None:
         raise InputError(f"{command} needs a [finger] scene; a phantom has no board and no force.")
     scene.require_blood(command)
-    if (zones := len(scene.zone_edges_mm) + 1) > 2:
-        raise InputError(
-            f"blood: {command} supports two blood zones, and the scene has {zones}; leave zones out, or give one edge."
-        )
+    if scene.zone_count > 2:
+        why = f"and the scene has {scene.zone_count}; leave zones out, or give one edge."
+        raise InputError(f"blood: {command} supports two blood zones, {why}")
 
 
 def fingers(scene: Scene) -> tuple[FingerCase, ...]:

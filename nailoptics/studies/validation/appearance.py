@@ -10,7 +10,6 @@ from scipy.ndimage import uniform_filter1d
 from ...checks import Array
 from ...light import backend
 from ...light.identity import light_digest
-from ...light.optics import zones
 from ...light.tracing.store import LightStore
 from ...light.walk.nail_reflectance import NailReflectance, Patch
 from ...options import TraceOptions
@@ -65,7 +64,7 @@ class _Reflectance:
 
     def read(self, scene: Scene, rays: ColourRays | None = None, *, gloss: bool = False) -> Array:
         """At the wavelengths of colours, by all rays and without each group of them, (1 + groups, q) float."""
-        rest = np.full((1, zones(scene).count), scene.blood.rest_blood_fraction)
+        rest = np.full((1, scene.zone_count), scene.blood.rest_blood_fraction)
         viewing = scene.colour.model_copy(update={"gloss": gloss})
         return (rays or self.rays).read(rest, viewing, scene=scene).reflectance[:, 0, 0]
 
