@@ -25,10 +25,8 @@ def data_dir(name: Literal["assets", "scenes"]) -> Path:
     for folder in (_PACKAGE / f"_{name}", _PACKAGE.parent / name):
         if folder.is_dir():
             return folder
-    raise InputError(
-        f"the folder of the shipped {name} is missing: neither {_PACKAGE / f'_{name}'} nor {_PACKAGE.parent / name} "
-        "exists; install nailoptics again"
-    )
+    why = f"neither {_PACKAGE / f'_{name}'} nor {_PACKAGE.parent / name} exists; install nailoptics again"
+    raise InputError(f"the folder of the shipped {name} is missing: {why}")
 
 
 def asset_path(relative: str) -> Path:

@@ -76,11 +76,11 @@ def own_board(scene: Scene, folder: Path) -> tuple[Scene, str]:
             raise InputError(f"{path}: {ref} is one footprint, whose dies cannot move by themselves: keep them fixed.")
     added = []
     for part in (parts[ref] for ref in new):
-        length_mm = part.size_mm[1] + (getattr(part, "elements", 1) - 1) * (getattr(part, "pitch_mm", None) or 0.0)
-        package = f"{'LED' if isinstance(part, Led) else 'PD'}_{part.size_mm[0]:g}x{length_mm:g}mm"
+        size_mm = part.size_mm[0], part.length_mm
+        package = f"{'LED' if isinstance(part, Led) else 'PD'}_{size_mm[0]:g}x{size_mm[1]:g}mm"
         at = view.place_in_file(part.position_mm), view.angle_in_file(part.rotation_deg), str(scene.board.faces_nail)
         own: dict[str, Any] = {room: view.box(box) for room in ROOM if (box := getattr(part, room))}
-        added.append((PlacedPart(str(part.reference), part.name, package, *at, **own), (part.size_mm[0], length_mm)))
+        added.append((PlacedPart(str(part.reference), part.name, package, *at, **own), size_mm))
     return scene, moved_board(path, places, added)
 
 

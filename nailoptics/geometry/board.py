@@ -92,10 +92,8 @@ class BentBoard:
                 # Steps of neighbours that touch may overlap by less than a strip.
                 cells &= result[..., film] == KAPTON
             if not cells.any() or (result[cells][:, film] != KAPTON).any():
-                raise InputError(
-                    f'board: "{r.name}" is smaller than the geometry can show, or lies on another part; '
-                    "make it larger than 1 um and move it."
-                )
+                why = "or lies on another part; make it larger than 1 um and move it."
+                raise InputError(f'board: "{r.name}" is smaller than the geometry can show, {why}')
             result[cells, film] = SILICON if height_mm else region
             for k, (below, above) in enumerate(zip(self.depths_mm, [*self.depths_mm, 0.0][1:], strict=True), start=1):
                 if below <= height_mm:

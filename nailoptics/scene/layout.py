@@ -58,6 +58,11 @@ class Layout:
         """Areas of the elements that are read."""
         return tuple(element.area for element in self.photodiodes)
 
+    @property
+    def barrier_gap_mm(self) -> float | None:
+        """From the first wall to the LED nearest to it; None without a wall. [mm]"""
+        return min(-self.barriers[0].overlap_mm(led) for led in self.leds) if self.barriers else None
+
 
 @lru_cache(LAYOUTS_KEPT)
 def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tuple[Photodiode, ...]) -> Layout:
@@ -95,9 +100,7 @@ def lay_out(finger: Finger, board: Board, leds: tuple[Led, ...], photodiodes: tu
 def room_of(part: Led | Photodiode, center_mm: Point, spare_mm: float = 0.0) -> Rectangle:
     """What a part takes of a board where it has its centre: its courtyard, and its body, or its dies where none is
     known, with so much beside it. [mm]"""
-    u, v = part.size_mm
-    if isinstance(part, Photodiode):
-        v += (part.elements - 1) * (part.pitch_mm or v)
+    u, v = part.size_mm[0], part.length_mm
     boxes = [(-u / 2, -v / 2, u / 2, v / 2), *([part.body_mm] if part.body_mm else [])]
     corners = np.concatenate([np.reshape(boxes, (-1, 2)) + sign * spare_mm for sign in (-1, 1)])
     corners = np.concatenate([corners, np.reshape(part.courtyard_mm or (), (-1, 2))])
@@ -168,7 +171,7 @@ def lay_elements(board: Board, photodiodes: tuple[Photodiode, ...]) -> tuple[lis
         for i, name in enumerate(photodiode.element_names()):
             along, up = turned((0.0, (i - (photodiode.elements - 1) / 2) * pitch), photodiode.rotation_deg)
             area = Rectangle.around(name, (u + along, v + up), photodiode.size_mm, photodiode.rotation_deg)
-            if photodiode.wired is None or i in photodiode.wired:
+            if i in photodiode.wired_elements:
                 one = photodiode.model_copy(update={"feedback_ohm": next(resistors)}) if resistors else photodiode
                 wired.append(Element(area, one))
             else:

@@ -1,6 +1,6 @@
 """What lies on the nail: the LEDs, the photodiodes, and the board that carries them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -113,6 +113,11 @@ class Led(Mounted):
     size_mm: Size = (0.25, 0.25)
     """Size of the die (u, v); a pencil beam has none. [mm]"""
 
+    @property
+    def length_mm(self) -> float:
+        """Length of the die along v. [mm]"""
+        return self.size_mm[1]
+
     @classmethod
     def _filled(cls, data: dict[str, Any], folder: Path | None) -> dict[str, Any]:
         return with_part(data, LedPart, folder)
@@ -144,6 +149,16 @@ class Photodiode(PhotodiodeElements, Mounted):
     """Feedback resistance of its stage, or of the stage of each wired element from the proximal end on; that of
     [electronics] if not given. [ohm]"""
 
+    @property
+    def length_mm(self) -> float:
+        """Length of the row of elements along v. [mm]"""
+        return self.size_mm[1] + (self.elements - 1) * (self.pitch_mm or self.size_mm[1])
+
+    @property
+    def wired_elements(self) -> Sequence[int]:
+        """Which of its elements are read, counted from 0 at the proximal end."""
+        return self.wired or range(self.elements)
+
     def dark_current_a(self, temperature_k: float) -> float:
         """Dark current of one element at a temperature. [A]"""
         warmer = 0.0 if self.dark_current_doubling_k is None else temperature_k - USUAL_TEMPERATURE_K
@@ -169,7 +184,7 @@ class Photodiode(PhotodiodeElements, Mounted):
                 raise ValueError(f"wired names element {index}, but the array has elements 0 to {self.elements - 1}")
         if self.wired is not None and len(set(self.wired)) < len(self.wired):
             raise ValueError(f"wired names an element twice: {list(self.wired)}")
-        count = len(self.wired or range(self.elements))
+        count = len(self.wired_elements)
         if isinstance(self.feedback_ohm, tuple) and len(self.feedback_ohm) != count:
             raise ValueError(f"feedback_ohm has {len(self.feedback_ohm)} values for {count} wired elements; give each")
         if self.elements > 1 and self.pitch_mm is not None and self.pitch_mm < self.size_mm[1]:

@@ -107,14 +107,12 @@ def has_resistors(scene: Scene) -> bool:
 def with_resistors(scene: Scene, largest_a: Array) -> Scene:
     """The scene with a resistor at every photodiode where it has "auto", fitted to the largest photocurrents of the
     layout's elements, (photodiodes,) float. [A]"""
-    ohm = stage_ohm(scene.elements, scene.electronics, largest_a=largest_a)
-    photodiodes, first = [], 0
+    ohm = iter(stage_ohm(scene.elements, scene.electronics, largest_a=largest_a).tolist())
+    photodiodes = []
     for photodiode in scene.photodiodes:
-        count = len(photodiode.wired or range(photodiode.elements))
-        of_elements = tuple(ohm[first : first + count].tolist())
+        of_elements = tuple(next(ohm) for _ in photodiode.wired_elements)
         update = {"feedback_ohm": of_elements if photodiode.elements > 1 else of_elements[0]}
         photodiodes.append(photodiode.model_copy(update=update))
-        first += count
     return scene.model_copy(update={"photodiodes": tuple(photodiodes)})
 
 

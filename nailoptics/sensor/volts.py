@@ -93,10 +93,8 @@ def _slid(scene: Scene) -> tuple[float, Board]:
             except InputError:
                 continue
             return distance_um, slid.board
-    raise InputError(
-        f"body.motion.slide_um: the parts lie within {1e-3 * SLIDE_UM:g} mm of both ends of the nail, which leaves no "
-        "room to slide the sensor; move them, or set slide_um = 0."
-    )
+    why = "of both ends of the nail, which leaves no room to slide the sensor; move them, or set slide_um = 0."
+    raise InputError(f"body.motion.slide_um: the parts lie within {1e-3 * SLIDE_UM:g} mm {why}")
 
 
 def with_fitted_resistors(scene: Scene) -> Scene:
@@ -218,9 +216,8 @@ def motion_artefact(
         if f"sensor_{name}_um" not in worn:
             continue
         if name not in moved:
-            raise InputError(
-                f"body.motion.{name}_um: light under a sensor that moves is traced by simulate alone; leave it out."
-            )
+            why = "light under a sensor that moves is traced by simulate alone; leave it out."
+            raise InputError(f"body.motion.{name}_um: {why}")
         distance_um, light = moved[name]
         there = light.readings_at(blood)
         with np.errstate(divide="ignore", invalid="ignore"):

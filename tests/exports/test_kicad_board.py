@@ -137,6 +137,21 @@ def test_a_further_part_is_written_as_the_boards_own_kicad_has_parts(tmp_path, v
     assert part.position_mm[1] - y == pytest.approx(2.0, abs=0.5) and abs(part.position_mm[0] - x) < 0.5
 
 
+@pytest.mark.parametrize(("pitch_mm", "length_mm"), [(None, 4.0), (1.5, 5.5)])
+def test_a_new_array_is_drawn_as_long_as_its_row_of_elements(tmp_path, pitch_mm, length_mm):
+    """Expected: four elements of 1 mm, side by side without a pitch."""
+    scene = written(tmp_path)
+    own = {"name": "row", "reference": None, "elements": 4, "size_mm": (0.5, 1.0), "pitch_mm": pitch_mm}
+    row = scene.photodiodes[0].model_copy(update=own | {"body_mm": None, "courtyard_mm": None})
+    text = kicad_board.own_board(scene.model_copy(update={"photodiodes": (row,)}), tmp_path)[1]
+    assert f"PD_0.5x{length_mm:g}mm" in text
+    (tmp_path / "y.kicad_pcb").write_text(text)
+    low_u, low_v, high_u, high_v = next(
+        p.body_mm for p in read_board(tmp_path / "y.kicad_pcb").footprints if p.ref == "row"
+    )
+    assert sorted((high_u - low_u, high_v - low_v)) == pytest.approx([0.5, length_mm])
+
+
 def test_what_cannot_move_is_refused_in_one_line(tmp_path):
     scene = moved(written(tmp_path, held=' (zone (net 0) (layer "B.Cu"))'))
     with pytest.raises(InputError, match="D1 has a zone in its footprint, which does not move with it") as caught:

@@ -348,5 +348,4 @@ def acceptance_of(photodiodes: Sequence[Photodiode]) -> Acceptance | None:
     if all(photodiode.angular_response is None for photodiode in photodiodes):
         return None
     tables = [acceptance_table(photodiode) for photodiode in photodiodes]
-    read = [len(photodiode.wired or range(photodiode.elements)) for photodiode in photodiodes]
-    return Acceptance(np.repeat(tables, read, axis=0))
+    return Acceptance(np.repeat(tables, [len(photodiode.wired_elements) for photodiode in photodiodes], axis=0))

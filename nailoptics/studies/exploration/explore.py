@@ -352,8 +352,7 @@ def _check(scene: Scene) -> None:
 
 def explored_board(scene: Scene) -> Scene:
     """The scene on the board that the page shows: `place`'s outline, wall and parts where the scene has them."""
-    if walls := scene.layout.barriers:
-        gap_mm = min(-walls[0].overlap_mm(led) for led in scene.layout.leds)
+    if (gap_mm := scene.layout.barrier_gap_mm) is not None:
         scene = scene.model_copy(update={"board": scene.board.model_copy(update={"barrier_gap_mm": gap_mm})})
     base = boards.base_board(scene)
     candidates.check(base, "explore")

@@ -161,11 +161,9 @@ def _on_the_nail(corners: Sequence[Point], room: Point) -> tuple[Point, Point]:
     if min(high - low for low, high in ends) < LEAST_BOARD_MM:
         middle = [round((low + high) / 2, 2) + 0.0 for low, high in zip(lows, highs, strict=True)]
         size = f"{highs[0] - lows[0]:.3g} x {highs[1] - lows[1]:.3g} mm"
-        raise InputError(
-            f"placement.outline: it is {size} around ({middle[0]:g}, {middle[1]:g}), "
-            f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; state which point lies on the nail's centre "
-            '(outline_origin = "middle" or [x, y]), or the unit of a DXF that names none (outline_unit = "inch").'
-        )
+        why = f"of which the nail bears less than {LEAST_BOARD_MM:g} mm; state which point lies on the nail's centre"
+        cure = '(outline_origin = "middle" or [x, y]), or the unit of a DXF that names none (outline_unit = "inch").'
+        raise InputError(f"placement.outline: it is {size} around ({middle[0]:g}, {middle[1]:g}), {why} {cure}")
     (a, b), (c, d) = ends
     return ((a + b) / 2, (c + d) / 2), (b - a, d - c)
 
@@ -199,8 +197,7 @@ def with_explicit_walls(scene: Scene, name: str) -> Scene:
     layout = scene.layout
     if len(layout.barriers) > 1:
         raise InputError(f'layout "{name}": has walls on several sides; place takes boards with one wall or none.')
-    gaps_mm = [min(-wall.overlap_mm(led) for led in layout.leds) for wall in layout.barriers]
-    gap_mm = gaps_mm[0] if gaps_mm else scene.board.barrier_gap_mm
+    gap_mm = layout.barrier_gap_mm if layout.barriers else scene.board.barrier_gap_mm
     return _with_edges(scene, layout.outline.center_mm, layout.outline.size_mm, gap_mm)
 
 
@@ -271,26 +268,21 @@ def check_search(base: Scene, placement: Placement) -> None:
     names = [*(led.name for led in base.leds), *(photodiode.name for photodiode in base.photodiodes)]
     for name in placement.fixed:
         if name not in names:
-            raise InputError(
-                f'placement.fixed: "{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
-            )
+            why = f'"{name}" is no LED or photodiode of the scene; it has {", ".join(names)}.'
+            raise InputError(f"placement.fixed: {why}")
     check_one_response(base.photodiodes)
     if not placement.search:
         return
     if len(base.leds) > MOST_LEDS:
-        raise InputError(
-            f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; set search = false and "
-            "give candidates."
-        )
+        why = "set search = false and give candidates."
+        raise InputError(f"placement.search places up to {MOST_LEDS} LEDs, the scene has {len(base.leds)}; {why}")
     (staying, loose), requested = fixed_and_loose(base, placement), placement.photodiodes
     fixed = len(lay_elements(base.board, staying)[0])
     if fixed > requested:
         raise InputError(f"placement.photodiodes = {requested}, but fixed has {fixed} of them; ask for more.")
     if placement.wire and requested - fixed > (most := sum(photodiode.elements for photodiode in loose)):
-        raise InputError(
-            f"placement.wire: the scene has {most} elements to choose from, fewer than the {requested - fixed} that "
-            "photodiodes asks for; ask for fewer."
-        )
+        why = f"fewer than the {requested - fixed} that photodiodes asks for; ask for fewer."
+        raise InputError(f"placement.wire: the scene has {most} elements to choose from, {why}")
 
 
 def fixed_and_loose(base: Scene, placement: Placement) -> tuple[tuple[Photodiode, ...], tuple[Photodiode, ...]]:

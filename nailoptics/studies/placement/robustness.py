@@ -252,9 +252,9 @@ def _varied(scene: Scene) -> Iterator[tuple[str, str, Callable[[], Scene]]]:
             moved = {f"leds[{i}].position_mm": tuple(np.add(led.position_mm, (du, dv)).tolist())}
             # The wall stays where it is.
             there = replace(die, u_min=die.u_min + du, u_max=die.u_max + du, v_min=die.v_min + dv, v_max=die.v_max + dv)
-            dies = [*scene.layout.leds[:i], there, *scene.layout.leds[i + 1 :]]
-            if walls := scene.layout.barriers:
-                moved["board.barrier_gap_mm"] = min(-walls[0].overlap_mm(one) for one in dies)
+            dies = (*scene.layout.leds[:i], there, *scene.layout.leds[i + 1 :])
+            if scene.layout.barriers:
+                moved["board.barrier_gap_mm"] = replace(scene.layout, leds=dies).barrier_gap_mm
             yield led.name, kind, partial(scene.with_, **moved)
     for kind, angle_deg in TURNED.items():
         yield "board", kind, partial(_glued, scene, angle_deg=angle_deg)
