@@ -64,9 +64,7 @@ def voxels(geometry: Geometry, side_mm: float) -> Voxels:
     if not 0.01 <= side_mm <= 0.5 or np.prod(count.astype(float)) > MOST_VOXELS:
         why = f"must be between 0.01 and 0.5, and the finger at most {MOST_VOXELS:.0e} voxels."
         raise InputError(f"voxel_mm = {side_mm:g}: {why}")
-    x, y, z = (low[k] + side_mm * (np.arange(count[k]) + 0.5) for k in range(3))
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    made = Voxels(geometry.columns(places, z).reshape(count), low, side_mm)
+    made = Voxels(geometry.cells(low, side_mm, count), low, side_mm)
     for face in geometry.photodiodes:
         # Where it is, as all that is opaque beside it: in a recess it would lie in its neighbours' shadow.
         _paint(made, face, geometry.regions.index("epoxy"), back=0.0, beside=EDGE)
@@ -156,12 +154,11 @@ def mcx_session(scene: Scene, geometry: Geometry, made: Voxels, led: int) -> dic
     session["Domain"] |= shape | {"OriginType": 1, "MediaFormat": "byte"}
     source = {"Type": "planar", "Pos": corner.tolist(), "Dir": [*normal.tolist(), "-_Inf_"]}
     source |= {f"Param{k + 1}": [*side.tolist(), 0.0] for k, side in enumerate(sides)}
-    reach = [np.linalg.norm(f.quads - f.center_mm, axis=-1).max() / made.side_mm + AROUND for f in geometry.photodiodes]
     session["Optode"] = {
         "Source": source,
         "Detector": [
-            {"Pos": made.place(face.center_mm).tolist(), "R": float(radius)}
-            for face, radius in zip(geometry.photodiodes, reach, strict=True)
+            {"Pos": made.place(face.center_mm).tolist(), "R": face.reach_mm / made.side_mm + AROUND}
+            for face in geometry.photodiodes
         ],
     }
     return session
@@ -224,11 +221,8 @@ def mmc_session(scene: Scene, geometry: Geometry, mesh: TetMesh, led: int) -> di
     normal = die.normal.mean(axis=0)
     source = {"Dir": (normal / np.linalg.norm(normal)).tolist()}
     # Around all corners of a face, out to where light may leave into its sides.
-    spheres = [
-        (f.center_mm, MARGIN * np.linalg.norm(f.quads - f.center_mm, axis=-1).max() + math.sqrt(f.area_mm2) / 10)
-        for f in geometry.photodiodes
-    ]
-    made["Optode"] = {"Source": source, "Detector": [{"Pos": p.tolist(), "R": float(r)} for p, r in spheres]}
+    spheres = [(f.center_mm, MARGIN * f.reach_mm + math.sqrt(f.area_mm2) / 10) for f in geometry.photodiodes]
+    made["Optode"] = {"Source": source, "Detector": [{"Pos": p.tolist(), "R": r} for p, r in spheres]}
     made["Mesh"] = {
         "MeshNode": np.round(mesh.nodes, 7).tolist(),
         "MeshElem": np.column_stack([mesh.tetrahedra + 1, label]).tolist(),

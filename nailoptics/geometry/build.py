@@ -44,10 +44,8 @@ def build(scene: Scene, *, resolution: float = 1.0, board: bool = True) -> Geome
         if 6 * grid.least_volume_mm3 > -1e-9:
             break
     else:
-        raise InputError(
-            "finger: these sizes do not make a finger: its layers cross one another; bring width_mm, thickness_mm, "
-            "nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy."
-        )
+        cure = "width_mm, thickness_mm, nail_width_mm, nail_radius_mm and the layers' thicknesses closer to anatomy"
+        raise InputError(f"finger: these sizes do not make a finger: its layers cross one another; bring {cure}.")
     faces = [_face(grid, r.name, region) for region, r, _ in bent.parts if region != SILICON] if board else []
     if not board:
         grid.labels[:, :, BELOW:] = AIR

@@ -69,9 +69,7 @@ def distance_grid(
 
     low, high = geometry.bounds_mm if bounds_mm is None else np.asarray(bounds_mm, float)
     shape = np.maximum(np.ceil((high - low) / spacing_mm - 1e-9).astype(int), 1)
-    x, y, z = (low[k] + spacing_mm * (np.arange(shape[k]) + 0.5) for k in range(3))
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    cells = np.argwhere(geometry.columns(places, z).reshape(shape) != AIR)
+    cells = np.argwhere(geometry.cells(low, spacing_mm, shape) != AIR)
     corners = geometry.vertices[geometry.triangles]
     in_shell, shells_mm = _shells(corners + [0, 0, geometry.nail_radius_mm])
     # What lies farther from the cells than the cap is nearest to none of them.

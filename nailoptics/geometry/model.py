@@ -37,6 +37,11 @@ class Face:
         """Middle of the face, weighted by area, (3,) float. [mm]"""
         return np.average(self.quads.mean(axis=1), axis=0, weights=self.areas_mm2)
 
+    @property
+    def reach_mm(self) -> float:
+        """From its middle to its farthest corner. [mm]"""
+        return float(np.linalg.norm(self.quads - self.center_mm, axis=-1).max())
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -88,6 +93,12 @@ class Geometry:
         steps = np.zeros((len(places_mm), len(z_mm) + 1), np.int16)
         np.add.at(steps, (ray, np.searchsorted(z_mm, z)), step)
         return np.cumsum(steps, axis=1, dtype=np.int16)[:, :-1]
+
+    def cells(self, low_mm: Array, side_mm: float, shape: Array) -> NDArray[np.int16]:
+        """Region at the middles of cubic cells of a side from a lowest corner, of a shape, (nx, ny, nz) int. [mm]"""
+        x, y, z = (low_mm[k] + side_mm * (np.arange(shape[k]) + 0.5) for k in range(3))
+        places = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+        return self.columns(places, z).reshape(shape)
 
     def section(self, y_mm: Array, z_mm: Array) -> NDArray[np.int16]:
         """Region on the lengthwise section at x = 0, (y, z) int, at places along the axes, which rise. [mm]"""

@@ -247,9 +247,8 @@ def _checked(diameter_m: ArrayLike, volts: ArrayLike) -> tuple[Array, Array, flo
     """D^2 in terms of the largest, (n,), the readings, (n,), and the largest D^2. [m^2]"""
     diameter, reading = not_negative("diameter_m", diameter_m), finite("volts", volts)
     if diameter.ndim != 1 or diameter.shape != reading.shape or diameter.size == 0:
-        raise InputError(
-            f"diameter_m {diameter.shape} and volts {reading.shape} must be rows of one length, and not empty"
-        )
+        why = "must be rows of one length, and not empty"
+        raise InputError(f"diameter_m {diameter.shape} and volts {reading.shape} {why}")
     scale_m2 = float(np.square(diameter.max())) or 1.0
     return np.square(diameter) / scale_m2, reading, scale_m2
 
