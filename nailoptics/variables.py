@@ -3,7 +3,7 @@
 import re
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -73,6 +73,11 @@ class Estimate(NamedTuple):
 def jackknifed(replicates: np.ndarray) -> Estimate:
     """An estimate made from all groups of photons and without each, (1 + groups, ...) float."""
     return Estimate(replicates[0], jackknife(replicates))
+
+
+def stacked(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The rows' arrays or numbers by name, all rows together, (rows, ...)."""
+    return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
 def described(package: str, /, **values: Any) -> Variables:

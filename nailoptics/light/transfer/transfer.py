@@ -312,10 +312,8 @@ def _states(blood_fraction: ArrayLike | None, so2: ArrayLike | None) -> list[tup
             bloods = shape[0] * [None] if blood is None else np.broadcast_to(blood, (*shape, blood.shape[-1]))
             so2s = shape[0] * [None] if saturation is None else np.broadcast_to(saturation, shape)
             return list(zip(bloods, so2s, strict=True))
-    raise InputError(
-        f"blood_fraction and so2 are of {' and '.join(map(str, shapes))} states; give (zones,) or (states, zones) of "
-        "blood_fraction, and one number or (states,) of so2, for at least one state."
-    )
+    why = "or (states, zones) of blood_fraction, and one number or (states,) of so2, for at least one state."
+    raise InputError(f"blood_fraction and so2 are of {' and '.join(map(str, shapes))} states; give (zones,) {why}")
 
 
 def provenance(

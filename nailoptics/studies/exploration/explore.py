@@ -13,7 +13,6 @@ the nodes; `KERNEL_ERROR` stands for both in readings, `KERNEL_CHANGE_ERROR` in 
 """
 
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -38,6 +37,7 @@ from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import Array, seed_of
+from ...variables import stacked, stopwatch
 from ..placement import boards, candidates
 from .drawn_people import DrawnPerson, ranked_people
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
@@ -220,7 +220,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     KeyboardInterrupt if a wavelength has no photons by then.
     """
     scene = as_scene(scene)
-    options, cpu = TraceOptions(**requested), time.process_time()
+    options, run_time = TraceOptions(**requested), stopwatch()
     if options.relative_error is not None:
         raise InputError("explore takes no relative_error, as every layout has its own; give photons or max_seconds.")
     _check(scene)
@@ -239,8 +239,7 @@ def explore(scene: SceneIn, *, progress: ProgressCallback | None = None, **reque
     light, unmet = as_far_as_reached(_stored_light, base, sums, sources, options, report)
     attributes: dict[str, Any] = {"seed": options.seed, "photons": int(light["photons"].sum())}
     attributes |= {"backend": choose_jit(options.backend, "explore").name}
-    attributes |= {"scene": to_toml(scene), "digest": digest(scene)}
-    attributes |= {"cpu_seconds": time.process_time() - cpu, "wall_seconds": report.seconds}
+    attributes |= {"scene": to_toml(scene), "digest": digest(scene)} | run_time()
     radial, rings = RadialFunction(light["radial"]), {axis: light[axis] for axis in ("radius_mm", "depth_mm")}
     fluence = [xr.DataArray(values, rings) for values in light["fluence"]]
     kernels = light["coefficients"], light["direct"], light["blocks"], fluence
@@ -281,8 +280,7 @@ def _stored_light(
         there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
         radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
         projection = PairProjection(basis, radial)
-        tables = [band.table(projection) for band in sums]
-        by_wavelength = {name: np.stack([table[name] for table in tables]) for name in tables[0]}
+        by_wavelength = stacked([band.table(projection) for band in sums])
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         (nodes_u, nodes_v), ambient_a = sums[0].ambient()
         light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}

@@ -14,7 +14,7 @@ from ...scene.importers.sensor_recordings import OximeterRecording, read_oximete
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import MEDIAN_OF_GAUSSIAN, Z95, Array, seed_of
-from ...variables import Estimate, described, variable
+from ...variables import Estimate, described, stacked, variable
 from ...version import code_attributes
 from .ratio import saturation_of
 
@@ -83,7 +83,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     if unknown:
         raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is not one of {', '.join(known)}.")
     times_s, rows = pulses_over_time(recording, scene)
-    estimates = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    estimates = stacked(rows)
     spo2, error = np.zeros((2, *estimates["ratio"].shape))
     for j, name in enumerate(recording.photodiodes):
         so2, curve = result.so2.values, result.sel(photodiode=name)
@@ -150,8 +150,8 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     centres = even_s[0] + min(AVERAGE_S, length_s) / 2 + steps * STEP_S
     # Filtered noise is correlated: so many values of a sample are independent.
     independent = 2 * (upper_hz(rate_hz) - low_hz) / rate_hz
-    estimates = [_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres]
-    return centres, {key: np.array([estimate[key] for estimate in estimates]) for key in estimates[0]}
+    windows = (_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres)
+    return centres, stacked([*windows])
 
 
 def _window(

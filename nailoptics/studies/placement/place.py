@@ -2,7 +2,6 @@
 
 import logging
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,6 +16,7 @@ from ...light.tracing.store import LightStore
 from ...options import Requested, TraceOptions
 from ...scene import FingerCase, Placement, Scene, SceneIn, as_scene, digest, load_scene
 from ...sensor.information import operating_point
+from ...variables import stopwatch
 from ..force.touch_error import TouchError
 from . import boards, candidates, certificate, robustness, search, verification
 from .candidates import CandidateLayout
@@ -62,7 +62,7 @@ def place(
     """
     scene = as_scene(scene)
     boards.check_two_zones(scene, "place")
-    options, accuracy, cpu = TraceOptions(**requested), scene.accuracy, time.process_time()
+    options, accuracy, run_time = TraceOptions(**requested), scene.accuracy, stopwatch()
     photons = options.photons or accuracy.photons
     limit_s = options.max_seconds or accuracy.max_seconds or (math.inf if photons else DEFAULT_SECONDS)
     report_progress = StageProgress(progress, limit_s)
@@ -90,8 +90,7 @@ def place(
     mitsuba = options if verify_with_mitsuba else None
     checked, unchecked = _checked(layouts, scores, ranking, of_fingers, report_progress, mitsuba)
     checked = checked.merge(certificate.beside_the_bound(bound, layouts, scores, of_fingers, sites=len(searched)))
-    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons}
-    made |= {"wall_seconds": report_progress.seconds, "cpu_seconds": time.process_time() - cpu}
+    made |= {"layouts_given": given_count, "photons": ranking.photons + searching.photons} | run_time()
     result = as_dataset(scene, layouts, scores, ranking, searched, checked, made)
     return unless_cut_off(result, unmet or unchecked)
 
