@@ -55,15 +55,11 @@ class FingerSurfaces:
             )
         drop = radius * (1 - np.cos(self.nail_half_angle))
         if drop > 0.5 * thickness:
-            raise InputError(
-                f"finger.nail_radius_mm = {radius:g} bends the nail down by {drop:.2f} mm at its "
-                f"sides, more than half of thickness_mm = {thickness:g}; make the nail narrower or flatter."
-            )
+            why = f"its sides, more than half of thickness_mm = {thickness:g}; make the nail narrower or flatter."
+            raise InputError(f"finger.nail_radius_mm = {radius:g} bends the nail down by {drop:.2f} mm at {why}")
         if self.bed_radius < 0.15 * radius:
-            raise InputError(
-                f"finger: nail_thickness_mm + bed_thickness_mm = {self.deep:g} reaches the axis of a nail of radius "
-                f"{radius:g} mm; make them thinner."
-            )
+            why = f"reaches the axis of a nail of radius {radius:g} mm; make them thinner."
+            raise InputError(f"finger: nail_thickness_mm + bed_thickness_mm = {self.deep:g} {why}")
         self.bone_half_height = min(0.17 * thickness, 0.3 * (thickness - self.deep), 0.8 * self.bed_radius)
         self.center_z = -(self.deep + self.bone_half_height)
         self.nail_end = finger.nail_length_mm / 2

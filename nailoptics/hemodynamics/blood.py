@@ -52,10 +52,8 @@ def blood_fraction(
     rest_fraction = fraction("rest_blood_fraction", rest_blood_fraction)
     result = rest_fraction * relative_blood(diameter / rest_m, share, touch_pa=touch_pa, closing_pa=closing_pa)
     if np.any(result > 1.0):
-        raise InputError(
-            f"rest_blood_fraction {rest_fraction:g} makes a blood fraction of {result.max():.3g}, more than 1; "
-            "lower it or the suction."
-        )
+        why = "more than 1; lower it or the suction."
+        raise InputError(f"rest_blood_fraction {rest_fraction:g} makes a blood fraction of {result.max():.3g}, {why}")
     return np.asarray(result)
 
 

@@ -393,6 +393,12 @@ class BloodBeat:
         total = self.blood_fraction.sum(0)
         return self.pulse[[int(total.argmin()), int(total.argmax())]]
 
+    @property
+    def rms_per_swing(self) -> float:
+        """Root mean square of the pulse of all zones together over its swing."""
+        together = self.blood_fraction.sum(0)
+        return float(together.std() / np.ptp(together))
+
 
 def heart_rate_per_min(body: Body | None) -> float:
     """Beats in a minute of a body's heart; raises InputError where it does not beat."""

@@ -123,12 +123,11 @@ def absorption(
         if blood_fraction is not None or so2 is not None:
             raise InputError("a phantom has no blood; give mu_a_per_mm by layer name instead of blood_fraction or so2.")
         return np.tile([layer.mu_a_per_mm for layer in scene.phantom.layers], (len(wavelength), 1))
-    count = scene.zone_count
-    fraction = np.full(count, scene.blood.rest_blood_fraction)
+    fraction = np.full(scene.zone_count, scene.blood.rest_blood_fraction)
     if blood_fraction is not None:
         fraction = checks.fraction("blood_fraction", blood_fraction)
-    if fraction.shape[-1:] != (count,):
-        why = f"its last axis needs one value for each of the {count} zones."
+    if fraction.shape[-1:] != (scene.zone_count,):
+        why = f"its last axis needs one value for each of the {scene.zone_count} zones."
         raise InputError(f"blood_fraction has shape {fraction.shape}; {why}")
     saturation = np.asarray(scene.blood.rest_so2 if so2 is None else so2, float)[..., None]
     pooled = so2_of_zones(scene.blood, fraction) if so2 is None and scene.blood.venous_so2 is not None else None

@@ -222,10 +222,14 @@ class Scene(Displayed, Table):
         """What it holds, in a line; `to_toml` writes all of it."""
         worn = "phantom" if self.finger is None else self.finger.digit
         leds = ", ".join(f"{led.name} {led.wavelength_nm:g} nm" for led in self.leds)
-        elements = sum(len(p.wired or range(p.elements)) for p in self.photodiodes)
+        elements = sum(len(p.wired_elements) for p in self.photodiodes)
         return f"<Scene: {worn}; LEDs: {short(leds, 60)}; photodiodes: {elements}; touch: {self.touch.profile}>"
 
     __str__ = __repr__
+
+    def without_accuracy(self) -> Self:
+        """The scene without a required accuracy, for traces of a stated number of photons."""
+        return self.model_copy(update={"accuracy": Accuracy()})
 
     def require_blood(self, command: str) -> None:
         """Raise InputError where a bed without blood leaves a command nothing that changes."""

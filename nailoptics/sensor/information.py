@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from ..checks import Array
 from ..hemodynamics.for_scene import SteadyTouch, blood_model
-from ..scene import Led, Photodiode, Scene
+from ..scene import Body, Led, Photodiode, Scene
 from ..scene.body import Drift
 from ..statistics import covariance_root, jackknife, quotient
 from . import electronics
@@ -70,6 +70,13 @@ class OperatingPoint(SteadyTouch):
     body: PhysiologicalNoise | None = None
 
 
+def sensor_changes(body: Body | None) -> tuple[Drift, float, float]:
+    """A sensor's drift on a body, and by what part a lift and a slide of it change readings, rms; 0 where none is."""
+    drift, motion = (body and body.drift) or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), body and body.motion
+    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if motion else (0.0, 0.0)
+    return drift, lift, slide
+
+
 def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0) -> OperatingPoint:
     """The blood at a steady force, its change with either pressure, and the body's noise while the force is held.
 
@@ -83,9 +90,8 @@ def operating_point(scene: Scene, force_n: float, *, since_rest_s: float = 60.0)
         return OperatingPoint(**touch)
     if body.moves:
         waves = model.covariance(body, force_n, bandwidth_hz=scene.electronics.bandwidth_hz)
-    drift, rt_min = body.drift or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), np.sqrt(since_rest_s / 60)
+    (drift, lift, slide), rt_min = sensor_changes(body), np.sqrt(since_rest_s / 60)
     led_drift, reading_drift = float(drift.led_per_rt_min * rt_min), float(drift.reading_per_rt_min * rt_min)
-    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if (motion := body.motion) else (0, 0)
     noise = PhysiologicalNoise(
         blood=covariance_root(waves),
         led_gain=covariance_root(led_drift**2 * np.eye(len(scene.leds)) + lift**2),

@@ -315,8 +315,7 @@ def readings_over_priors(
             raise KeyboardInterrupt
 
     def retraced(varied: Scene) -> np.ndarray:
-        plain, how = varied.model_copy(update={"accuracy": type(varied.accuracy)()}), fewer.fields
-        light, unmet = as_far_as_reached(trace, plain, progress=report, **how)
+        light, unmet = as_far_as_reached(trace, varied.without_accuracy(), progress=report, **fewer.fields)
         if unmet and unmet.interrupted:
             raise unmet
         made.append(light.photons)

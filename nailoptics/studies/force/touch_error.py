@@ -20,8 +20,7 @@ from ...checks import as_input_error
 from ...errors import InputError
 from ...hemodynamics.waves import HEARTBEAT, CardiacOscillator, oscillators, pressure_lines, slow_waves, waves_of
 from ...scene import Body, Scene
-from ...scene.body import Drift
-from ...sensor.information import LIFT_PER_UM, SLIDE_PER_UM
+from ...sensor.information import sensor_changes
 from . import kalman
 from .body_noise import HARMONICS, cardiac_oscillator, pressure_to_blood_gain
 from .kalman import TOUCH, StateSpace
@@ -193,10 +192,9 @@ def _update(covariances: Array, lag: Array, jacobian: Array, noise2: Array) -> N
 
 def scene_noise(body: Body | None, person: Person) -> Noise:
     """What a scene's body does to readings, as a calibration would estimate it; motion counts as drift."""
-    drift, motion = (body and body.drift) or Drift(led_per_rt_min=0.0, reading_per_rt_min=0.0), body and body.motion
+    drift, lift, slide = sensor_changes(body)
     # Displacements at either end of a touch are independent of each other.
     per_min = np.sqrt(2.0 * 60.0 / REST_TO_REST_S)
-    lift, slide = (LIFT_PER_UM * motion.lift_um, SLIDE_PER_UM * motion.slide_um) if motion else (0.0, 0.0)
     own = [(wave, wave.lines(**fields)) for wave, fields in waves_of(body or Body())]
     waves, beats = oscillators(own), next((lines for wave, lines in own if wave is HEARTBEAT), None)
     if body and body.moves and not own:  # a recorded pressure, of which bands are all that is known

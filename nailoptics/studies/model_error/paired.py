@@ -143,7 +143,7 @@ class PairedTracer:
     def trace(self, scene: Scene) -> PairedReadings:
         """Trace and read a scene; raises NotReachedError if interrupted or out of time."""
         # A tolerance in the scene would set each trace's own number of photons.
-        scene = scene.model_copy(update={"accuracy": type(scene.accuracy)()})
+        scene = scene.without_accuracy()
         if self._photons is None:
             self._photons = self._photons_for(scene)
         else:

@@ -45,7 +45,7 @@ def trace_for_ratio(
     Raises: NotReachedError with the Transfer so far.
     """
     required, begin = accuracy(scene, options), time.perf_counter()
-    plain, target = scene.model_copy(update={"accuracy": type(scene.accuracy)()}), required.relative_error
+    plain, target = scene.without_accuracy(), required.relative_error
     left_s = limit_s = required.max_seconds
     if target is None:
         how = replace(options, relative_error=None, max_seconds=left_s, photons=required.photons)

@@ -64,10 +64,8 @@ def _parts_of(base: Scene, plan: Candidate) -> tuple[list[Led], list[Photodiode]
     """The parts of a candidate that says what they are, its LEDs in the scene's order."""
     names, by_name = [led.name for led in base.leds], {led.name: led for led in plan.leds}
     if set(by_name) != set(names):
-        raise InputError(
-            f'layout "{plan.name}" places the LEDs {", ".join(by_name)}, but the scene has {", ".join(names)}; give '
-            'each its name in parts, as D1 = { led = "led_660", name = "red" }.'
-        )
+        why = f'{", ".join(names)}; give each its name in parts, as D1 = {{ led = "led_660", name = "red" }}.'
+        raise InputError(f'layout "{plan.name}" places the LEDs {", ".join(by_name)}, but the scene has {why}')
     leds = [_at(base, by_name[name], by_name[name].position_mm) for name in names]
     return leds, [_at(base, part, part.position_mm) for part in plan.photodiodes]
 
@@ -110,10 +108,8 @@ def _named_as(base: Scene, plan: Candidate) -> list[int]:
         exact = [i for i in same if led.name.lower() in {word.lower() for word in plan.led_refs[i]}] or same
         if len(exact) != 1:
             refs = ", ".join(f"{ref} ({value})" for ref, value in plan.led_refs)
-            raise InputError(
-                f'layout "{plan.name}": which of its LEDs {refs} is "{led.name}"? Name it so, or say it in parts, as '
-                f'D1 = {{ led = "PART", name = "{led.name}" }}.'
-            )
+            why = f'or say it in parts, as D1 = {{ led = "PART", name = "{led.name}" }}.'
+            raise InputError(f'layout "{plan.name}": which of its LEDs {refs} is "{led.name}"? Name it so, {why}')
         numbers.append(exact[0])
     if len(numbers) < len(plan.led_refs):
         raise InputError(f'layout "{plan.name}" places {len(plan.led_refs)} LEDs, but the scene has {len(base.leds)}.')

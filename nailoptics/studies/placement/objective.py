@@ -94,8 +94,7 @@ def spo2_objective(base: Scene, cases: Sequence[FingerCase | boards.PersonCase],
         # What pulsates is arterial, as the blood of the slopes need not be.
         of_slopes = tissue.blood_mu_a_per_mm(wavelength[:, None], added_saturation(blood, beat.blood_fraction.mean(1)))
         pulse.append(arterial / of_slopes * (most - least))
-        together = beat.blood_fraction.sum(0)
-        shape.append(together.std() / np.ptp(together))
+        shape.append(beat.rms_per_swing)
     ratio = [np.log(np.divide(*tissue.blood_mu_a_per_mm(wavelength, so2))) for so2 in (blood.so2 - STEP, blood.so2)]
     return Spo2Objective(
         leds=leds,

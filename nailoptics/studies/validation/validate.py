@@ -157,7 +157,7 @@ def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback
     scene = load_scene("pulse_oximeter")
     red, infrared = scene.leds
     leds = red, infrared.model_copy(update={"wavelength_nm": MODULE_INFRARED_NM})
-    scene = scene.model_copy(update={"leds": leds, "accuracy": type(scene.accuracy)()})
+    scene = scene.without_accuracy().model_copy(update={"leds": leds})
     how = options.fields | {"photons": options.photons or PHOTONS, "relative_error": None}
     transfer = trace(scene, progress=progress, **how)
 
@@ -167,8 +167,7 @@ def _model_pulse(ratio: float, options: TraceOptions, progress: ProgressCallback
         curve = saturation_curve(replace(transfer, scene=varied), (0, 1), beat, low=FIT_SO2[0], high=FIT_SO2[-1])
         lines, _ = calibrate_curve(FIT_SO2, curve(FIT_SO2).ratio, 1)
         # From peak to peak to the amplitude of a sine of the same root mean square, as the table has it.
-        as_sine = np.sqrt(2) * beat.pulse.sum(1).std() / np.ptp(beat.extremes.sum(1))
-        index = np.log(100 * as_sine * curve([varied.blood.so2]).perfusion_index[..., 0])
+        index = np.log(100 * np.sqrt(2) * beat.rms_per_swing * curve([varied.blood.so2]).perfusion_index[..., 0])
         return np.stack([lines[..., 1], lines @ [1.0, ratio], index[:, 0], index[:, 1]], 1)
 
     priors = [prior for prior in scene.finger_priors if only_absorbs(scene, prior)]
