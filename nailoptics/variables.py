@@ -75,7 +75,7 @@ def jackknifed(replicates: np.ndarray) -> Estimate:
     return Estimate(replicates[0], jackknife(replicates))
 
 
-def stacked(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def stacked_rows(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The rows' arrays or numbers by name, all rows together, (rows, ...)."""
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 

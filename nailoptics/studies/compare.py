@@ -21,7 +21,7 @@ from ..options import Over, Requested, TraceOptions
 from ..paper.reduced_optics import FittedCurve, fit_curve
 from ..scene import Scene, SceneIn, as_scene
 from ..statistics import Z95, jackknife, quotient, seed_of
-from ..variables import Estimate, described, stacked
+from ..variables import Estimate, described, stacked_rows
 
 OVER: tuple[Over, ...] = get_args(Over)
 MODELS, WAYS = ("taylor", "beer_lambert"), ("fitted", "predicted", "predicted_both")
@@ -163,7 +163,7 @@ def compare_transfer(transfer: Transfer, sweeps: list[StateSweep], slopes: np.nd
     scene = transfer.scene
     zone = np.array(scene.zones_of_photodiodes)
     errors = [[_led_errors(transfer, i, s, zone, slopes[:, i]) for s in sweeps] for i in range(len(scene.leds))]
-    gathered = stacked([stacked(by_sweep) for by_sweep in errors])
+    gathered = stacked_rows([stacked_rows(by_sweep) for by_sweep in errors])
     of_sweeps = ["N" if s.over == "force" else "1" for s in sweeps]
     names = (name for name in gathered if not name.endswith("_stderr"))
     data = described(
@@ -215,7 +215,7 @@ def _led_errors(
             scattered, surer = (traced * np.exp(value * denser_here) for value in (slope, slope + error))
             pair = TracedSweep(int(bed), sweep.blood * over_line[..., j], path, traced, alone[bed], scattered, surer)
             rows.append(formula_errors(pair, sweep))
-    return stacked(rows)
+    return stacked_rows(rows)
 
 
 def _absorption(transfer: Transfer, wavelength: np.ndarray, sweep: StateSweep) -> np.ndarray:

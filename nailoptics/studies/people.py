@@ -15,7 +15,7 @@ from ..light.transfer.series import read_by_groups
 from ..paper.reduced_optics import fit_taylor
 from ..paper.responses import CYCLE_HZ, PHASE_S, PeopleReadings, TouchProtocol, branches, cycle, press
 from ..scene import Scene, load_scene
-from ..variables import stacked
+from ..variables import stacked_rows
 from .prior_uncertainty import at_value, value_of
 
 PHOTONS, SEED = 1 << 17, 0
@@ -37,7 +37,7 @@ def read_people(scenes: Sequence[Scene]) -> PeopleReadings:
     melanin = [value_of(scene, MELANIN) for scene in scenes]
     lights = [trace(scene, photons=PHOTONS, seed=SEED) for scene in scenes]
     sides = [[_read_side(light, side, (min(melanin), max(melanin))) for light in lights] for side in (0, 1)]
-    return PeopleReadings(**stacked([stacked(side) for side in sides]))
+    return PeopleReadings(**stacked_rows([stacked_rows(side) for side in sides]))
 
 
 def _read_side(transfer: Transfer, side: int, skins: tuple[float, float]) -> dict[str, Array]:

@@ -37,7 +37,7 @@ from ...scene import Led, Scene, SceneIn, as_scene, digest, to_toml
 from ...sensor.ambient import INSIDE_NM, SOURCES, photocurrent_a_per_mm2
 from ...sensor.information import PRIOR_PA, PhysiologicalNoise, operating_point
 from ...statistics import Array, seed_of
-from ...variables import stacked, stopwatch
+from ...variables import stacked_rows, stopwatch
 from ..placement import boards, candidates
 from .drawn_people import DrawnPerson, ranked_people
 from .pair_table import ZONES, BloodPolynomial, PairBasis, PairProjection, RadialFunction, pair_basis
@@ -280,7 +280,7 @@ def _stored_light(
         there, x, y, _ = sums[0].traced(min(usual, PILOT_PHOTONS), PILOT)
         radial = RadialFunction.of_arrivals(basis, x, y, there.weight * (sums[0].area_mm2 / there.photons))
         projection = PairProjection(basis, radial)
-        by_wavelength = stacked([band.table(projection) for band in sums])
+        by_wavelength = stacked_rows([band.table(projection) for band in sums])
         rings = {str(axis): fluence[0][axis].values for axis in fluence[0].dims}
         (nodes_u, nodes_v), ambient_a = sums[0].ambient()
         light = {"radial": radial.log_coefficients, "nodes_u": nodes_u, "nodes_v": nodes_v}

@@ -14,7 +14,7 @@ from ...scene.importers.sensor_recordings import OximeterRecording, read_oximete
 from ...sensor import electronics
 from ...sensor.front_end import AVERAGE_S, front_end_of, oximeter_leds
 from ...statistics import MEDIAN_OF_GAUSSIAN, Z95, Array, seed_of
-from ...variables import Estimate, described, stacked, variable
+from ...variables import Estimate, described, stacked_rows, variable
 from ...version import code_attributes
 from .ratio import saturation_of
 
@@ -83,7 +83,7 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
     if unknown:
         raise InputError(f"{recording.name}: photodiode {unknown[0]!r} is not one of {', '.join(known)}.")
     times_s, rows = pulses_over_time(recording, scene)
-    estimates = stacked(rows)
+    estimates = stacked_rows(rows)
     spo2, error = np.zeros((2, *estimates["ratio"].shape))
     for j, name in enumerate(recording.photodiodes):
         so2, curve = result.so2.values, result.sel(photodiode=name)
@@ -151,7 +151,7 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     # Filtered noise is correlated: so many values of a sample are independent.
     independent = 2 * (upper_hz(rate_hz) - low_hz) / rate_hz
     windows = (_window(pulse, moved, noise, beats, even_s, centre_s, independent) for centre_s in centres)
-    return centres, stacked([*windows])
+    return centres, stacked_rows([*windows])
 
 
 def _window(
