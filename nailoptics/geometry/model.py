@@ -80,6 +80,12 @@ class Geometry:
         """Lowest and highest corner of the whole, (2, 3) float. [mm]"""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
+    def normals(self, triangles: Indices) -> Array:
+        """Unit normals of triangles (m, 3), (m, 3) float; of its own they point from `below` to `above`."""
+        a, b, c = (self.vertices[triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
     def region_at(self, points: Array) -> Indices:
         """Region at each point (k, 3) [mm], from the triangles below it, (k,) int; on an interface either side."""
         points = np.asarray(points, float).reshape(-1, 3)

@@ -353,10 +353,7 @@ def _inside(
 
 def _facing(geometry: Geometry, triangles: np.ndarray, face: Face) -> NDArray[np.bool_]:
     """Which triangles of a part belong to the face towards the nail, not to the sides, (n,) bool."""
-    corners = geometry.vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.asarray((normal @ face.normal.T).max(axis=1) > 0.5)
+    return np.asarray((geometry.normals(triangles) @ face.normal.T).max(axis=1) > 0.5)
 
 
 def _write_mesh(geometry: Geometry, triangles: np.ndarray, file: Path) -> None:

@@ -210,10 +210,8 @@ class LedStoppingCriterion:
         error = np.where(few, math.inf, stderr_of_mean(total, square, self.photons) / mean)
         self.error = float(error.max(initial=0.0))
         if self._bytes > MAX_BYTES:
-            self.futile = (
-                f'the detected photons of LED "{self.name}" fill {MAX_BYTES / 1e9:g} GB of memory after {self.photons} '
-                f"photons, at a relative error of {self.error:.3g}; require less."
-            )
+            why = f"after {self.photons} photons, at a relative error of {self.error:.3g}; require less."
+            self.futile = f'the detected photons of LED "{self.name}" fill {MAX_BYTES / 1e9:g} GB of memory {why}'
         if self.required.photons is not None:
             return
         target = self.required.relative_error
@@ -275,7 +273,5 @@ def out_of_time(led: str, reached: str) -> str:
 
 def unlit(led: str, photodiode: str, photons: int) -> str:
     """Why a trace ends without an error for one of its photodiodes."""
-    return (
-        f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", so no error is '
-        "known there; move it nearer, leave it out, or set max_seconds or photons."
-    )
+    why = "so no error is known there; move it nearer, leave it out, or set max_seconds or photons."
+    return f'of {photons} photons of LED "{led}" none reached photodiode "{photodiode}", {why}'

@@ -147,8 +147,7 @@ class LedSource:
             return about, {column: getattr(batch, column) for column in COLUMNS}
 
         def build(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> LedTrace:
-            columns: dict[str, Any] = {column: arrays[column] for column in COLUMNS}
-            columns |= {name: {part: (a, b) for part, (a, b) in about[name].items()} for name in SUMS}
+            columns = {column: arrays[column] for column in COLUMNS} | LedTrace.stored_sums(about)
             batch = LedTrace(photons=photons, mu_a=self.mu_a, seeds=(seed,), events=int(about["events"]), **columns)
             batch.check(photodiodes=count + ends, absorbers=len(self.mu_a))
             return batch

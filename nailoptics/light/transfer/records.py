@@ -145,6 +145,11 @@ class LedTrace:
     absorbed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     events: int = 0
 
+    @staticmethod
+    def stored_sums(about: Mapping[str, Any]) -> dict[str, Any]:
+        """Its sums from a header, which has lists for pairs."""
+        return {name: {part: (a, b) for part, (a, b) in about[name].items()} for name in SUMS}
+
     def check(self, *, photodiodes: int, absorbers: int) -> None:
         """Raise CorruptError unless what a file held can be such a trace."""
         count = len(self.weight)

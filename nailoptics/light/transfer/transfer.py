@@ -236,8 +236,7 @@ class Transfer(Displayed):
                 arrays["photon"] = np.concatenate(numbers).astype(np.uint64)
             traces, first = [], np.cumsum([0, *(led["records"] for led in leds)])
             for i, led in enumerate(leds):
-                content: dict[str, Any] = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS}
-                content |= {name: {part: (a, b) for part, (a, b) in led[name].items()} for name in SUMS}
+                content = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS} | LedTrace.stored_sums(led)
                 # Of 8 million photons or more 0.2.0 kept a sample, whose weights stand for all of them.
                 content |= {"photons": led["photons"], "seeds": tuple(led["seeds"])}
                 traces.append(LedTrace(mu_a=arrays["mu_a_per_mm"][i], **content))

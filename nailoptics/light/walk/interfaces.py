@@ -137,9 +137,7 @@ class Interfaces:
         params.update()
         self.scene = mi.load_dict({"type": "scene", "interfaces": mesh}, optimize=False)
         # Per triangle: normal (3) and, packed into the bits of the fourth number, the regions below and above.
-        a, b, c = (geometry.vertices[geometry.triangles[:, i]] for i in range(3))
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = geometry.normals(geometry.triangles)
         pair = geometry.below + (geometry.above << REGION_BITS)
         self.triangles = table_of_rows(np.column_stack([normal, pair]).astype(np.float32))
         # Per cell, in the halves of one number, both in DISTANCE_STEP_MM.
