@@ -1,6 +1,5 @@
 """The response over time to touch and pulse: inputs checked, a model chosen, results labelled; the model with mass."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Unpack, get_args
 
 import numpy as np
@@ -20,7 +19,7 @@ from .zones import PAPER_ZONES, Zones
 if TYPE_CHECKING:
     import xarray
 
-Model = Literal["massless", "inertial", "printed"]
+Model = Literal["massless", "inertial"]
 # Stiffness of two walls in contact over that of one wall: large, so that contact is hard. [1]
 _CONTACT_OVER_WALL = 1e6
 # Steps of the differences for the Jacobian: in diameters over the listed ones, and in speeds over those per second.
@@ -45,7 +44,7 @@ def respond(
     start : At time_s[0] the vessels are in balance with no touch ("untouched": a pressure there is a step at that
         instant) or with the first pressures ("steady"; before a waveform's jump, if it has one there).
     model : "massless" walls are the tool; "inertial" is the paper's six-state model (2 N + 2 states for N units), the
-        check: it agrees within 1e-5 um and takes many times as long; "printed" lets its walls pass through each other.
+        check: it agrees within 1e-5 um and takes many times as long.
     rtol : Allowed error of a step, relative to a diameter. With noisy records 1e-4 is several times as fast. [1]
     only_diameters : Return no pressures, contacts and inputs, which of many samples are most of the memory.
     pressures : as in `Pressures`, in which samples (T,) are linear between times; a waveform has knots of its own and
@@ -78,8 +77,7 @@ def respond(
     high, low, *outside = to_channels(first)
     begin = solve_walls(walls, np.array(outside), high, low)[0][:, 0]
     inputs = None if only_diameters and model == "massless" else to_channels(over_time)
-    with_mass = partial(integrate_with_mass, contact=model != "printed")
-    integrate: Any = massless.integrate if model == "massless" else with_mass
+    integrate = massless.integrate if model == "massless" else integrate_with_mass
     run = integrate(walls, drive, time, begin, inputs, rtol=rtol)
     attributes = {"model": model} | {f"parameter_{k}": v for k, v in p.as_dict().items()}
     return _dataset(zones, time, run, None if only_diameters else over_time).assign_attrs(attributes)
@@ -90,7 +88,7 @@ def _checked(time_s: ArrayLike, model: str, start: str, rtol: float) -> np.ndarr
     if not 1e-13 <= rtol <= 0.1:
         raise InputError(f"rtol must lie between 1e-13 and 0.1, got {rtol}; 1e-6 is usual.")
     if model not in get_args(Model):
-        raise InputError(f"model must be 'massless', 'inertial' or 'printed', got {model!r}.")
+        raise InputError(f"model must be 'massless' or 'inertial', got {model!r}.")
     if start not in ("untouched", "steady"):
         raise InputError(f"start must be 'untouched' or 'steady', got {start!r}.")
     time = finite("time_s", time_s)
@@ -124,12 +122,11 @@ def _dataset(
 
 
 def integrate_with_mass(
-    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: Any, *, rtol: float, contact: bool
+    walls: Walls, drive: Drive, time_s: np.ndarray, start_m: np.ndarray, inputs: Any, *, rtol: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `massless.integrate`, of walls with mass, the paper's six-state model, by scipy's Radau.
 
-    contact : Walls push back once closed (a spring a million times as stiff as the wall, with its damping); without,
-        they pass through each other, as printed in the paper.
+    Walls push back once closed: a spring a million times as stiff as the wall, with its damping.
     """
     from scipy.integrate import solve_ivp
 
@@ -138,10 +135,9 @@ def integrate_with_mass(
     def rates(time: float, state: np.ndarray, pieces: tuple[int, int]) -> np.ndarray:
         diameter, speed = state[:n] * rest, state[n:] * rest
         inputs = drive.at(time, *pieces)
-        open_diameter = np.maximum(diameter, closed) if contact else diameter
-        pressure = inertial_pressures(walls, open_diameter, speed, inputs[0], inputs[1])
+        pressure = inertial_pressures(walls, np.maximum(diameter, closed), speed, inputs[0], inputs[1])
         force = walls.area * (pressure - inputs[2:]) - walls.stiffness * (diameter - rest) - walls.damping * speed
-        force += contact * _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - diameter, 0.0)
+        force += _CONTACT_OVER_WALL * walls.stiffness * np.maximum(closed - diameter, 0.0)
         return np.concatenate([speed, force / walls.mass]) / np.tile(rest, 2)
 
     # Rates are linear in the speeds, and smooth in the diameters: fixed differences serve, where adaptive ones stall.
@@ -165,6 +161,6 @@ def integrate_with_mass(
         samples[:, inside] = solution.y[:, : np.count_nonzero(inside)]
         state = solution.y[:, -1]
     diameter, speed = np.split(samples * np.tile(rest, 2)[:, None], 2)
-    touching = contact & (diameter <= closed[:, None])
-    diameter = np.maximum(diameter, closed[:, None]) if contact else diameter
+    touching = diameter <= closed[:, None]
+    diameter = np.maximum(diameter, closed[:, None])
     return diameter, inertial_pressures(walls, diameter, speed, *inputs[:2]), touching

@@ -297,7 +297,7 @@ def test_dataset_is_labelled_and_carries_its_inputs():
         ([0.0, 1.0], {"distal_pressure_pa": np.inf}, "distal_pressure_pa must be finite"),
         ([0.0, 1.0], {"arterial_pressure_pa": [1.0, np.nan]}, r"arterial_pressure_pa\[1\]"),
         ([0.0, 1.0], {"rtol": 0.0}, "rtol"),
-        ([0.0, 1.0], {"model": "quick"}, "'inertial' or 'printed'"),
+        ([0.0, 1.0], {"model": "quick"}, "'massless' or 'inertial'"),
         ([0.0, 1.0], {"start": "now"}, "'untouched' or 'steady'"),
     ],
 )
