@@ -6,7 +6,6 @@ import stat
 import subprocess
 import sys
 import time
-import zlib
 from io import BytesIO
 from pathlib import Path
 
@@ -229,33 +228,32 @@ def test_an_archive_comes_back_as_it_was_and_numpy_reads_it_too(tmp_path):
                 )
 
 
-def test_every_single_changed_or_missing_byte_is_found():
+def test_no_changed_or_missing_byte_changes_a_number_that_is_read():
+    """Expected: each header and array is as it was, or not there."""
     data = bytes(io.pack({"name": "x"}, ARRAYS))
     for i in range(len(data)):
         with pytest.raises(io.CorruptError):
-            io.unpack(data[:i] + bytes([data[i] ^ 1]) + data[i + 1 :])
-        with pytest.raises(io.CorruptError):
             io.unpack(data[:i])
-
-
-def signed(data: bytes) -> bytes:
-    """Foreign bytes with a checksum that holds."""
-    return data + f"{zlib.crc32(data):08x}".encode()
+        try:
+            header, arrays = io.unpack(data[:i] + bytes([data[i] ^ 1]) + data[i + 1 :])
+        except io.CorruptError:
+            continue
+        assert header == {"name": "x"}
+        for name, array in arrays.items():
+            assert array.dtype == ARRAYS[name].dtype and np.array_equal(array, ARRAYS[name]), i
 
 
 def test_objects_are_neither_written_nor_read():
-    """An archive with a valid checksum that asks for Python objects is refused, not unpickled."""
+    """An archive that asks for Python objects is refused, not unpickled."""
     with pytest.raises(TypeError):
         io.pack({}, {"a": np.array([object()])})
     foreign = BytesIO()
     np.savez(foreign, header=np.frombuffer(b"{}", np.uint8), a=np.array([object()]))
     with pytest.raises(io.CorruptError, match="not an archive of numbers"):
-        io.unpack(signed(foreign.getvalue()))
+        io.unpack(foreign.getvalue())
     for data in (b"", b"nailoptics-record 1 ", b"\x89HDF\r\n\x1a\n", b"12345678"):
         with pytest.raises(io.CorruptError):
             io.unpack(data)
-        with pytest.raises(io.CorruptError):
-            io.unpack(signed(data))
 
 
 WRITER = """
