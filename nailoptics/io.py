@@ -44,8 +44,7 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write a file whole or not at all: whatever happens, what lies at path is the old file or the new one.
 
     Its folder is made unless it is there. The data go to a new file of a random name in it, which then takes the place
-    of the old one. A symbolic link at path is replaced, and what it points to stays as it was. The new file has the old
-    one's mode.
+    of the old one. A symbolic link at path is replaced, and what it points to stays as it was.
 
     Raises: WriteError where the file cannot be written.
     """
@@ -55,14 +54,10 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
     try:
         if path.exists() and not path.is_file():
             raise WriteError(f"{path}: is a folder or device where a file is to be written; choose another name.")
-        mode = None if path.is_symlink() or not path.exists() else path.stat().st_mode & 0o777
         # Exclusive creation opens no file of another and follows no link.
-        file = open(aside, "xb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else 0o600))
+        file = open(aside, "xb")
         try:
             with file:
-                if mode is not None:
-                    with contextlib.suppress(OSError):  # a file system without modes
-                        os.chmod(aside, mode)
                 file.write(data)
             os.replace(aside, path)
         except BaseException:

@@ -124,16 +124,6 @@ def test_files_have_the_permissions_that_the_umask_leaves(mask, tmp_path):
     assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o666 & ~mask}
 
 
-@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
-def test_a_file_that_is_rewritten_keeps_its_mode(mode, tmp_path):
-    for name in ("file", "set.nc"):
-        (tmp_path / name).touch()
-        (tmp_path / name).chmod(mode)
-    io.write_text(tmp_path / "file", "text")
-    io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "set.nc")
-    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {mode}
-
-
 def test_a_write_removes_what_killed_writers_left_a_day_ago(tmp_path):
     """Not what another writes at this moment, not what only a link leads to, and nothing of another name."""
     long_ago = time.time() - 2 * io.LEFTOVER_S
