@@ -7,11 +7,10 @@ import pytest
 from small_scenes import PLAIN_FINGER, phantom
 
 import nailoptics as nail
-from nailoptics import io
 from nailoptics.errors import NotReachedError
-from nailoptics.light import Transfer, optics
+from nailoptics.light import Transfer
 from nailoptics.light.tracing import stopping, trace_scene
-from nailoptics.light.transfer.records import COLUMNS, LedTrace
+from nailoptics.light.transfer.records import COLUMNS
 from nailoptics.scene import Scene, parse_scene
 
 # Of a broad line, on a larger photodiode beside it.
@@ -32,35 +31,6 @@ def is_true(z: np.ndarray) -> None:
     # The spread of a sample of n normal deviates has a standard error of 1 / sqrt(2 n).
     assert abs(z.std(ddof=1) - 1) < 4 / math.sqrt(2 * runs)
     assert abs(np.mean(np.abs(z) < 1) - 0.683) < 4 * math.sqrt(0.683 * 0.317 / runs)
-
-
-def test_photons_sampled_by_0_2_0_read_as_the_light_they_stand_for(tmp_path):
-    """Rationale: of more than 8 million photons 0.2.0 stored a random part, weights divided by it, a random number of
-    each record, and sums over all of them at rest.
-    Expected: the weights alone give the reading, with an error that covers the loss."""
-    rng, scene, kept = np.random.default_rng(1), slab(), 1 / 16
-    weight, path_mm = rng.random(40_000) ** 2, rng.exponential(3.0, (40_000, 1)).astype(np.float32)
-
-    def light(chosen: np.ndarray, part: float) -> Transfer:
-        energy = {name: (1.0, 1.0) for name in ("reflected", "transmitted", "absorbed", "lost")}
-        where, mu_a = np.zeros(chosen.sum(), np.uint16), optics.absorption(scene, scene.leds[0].wavelength_nm)[0]
-        photon = np.arange(chosen.sum(), dtype=np.uint32)
-        one = LedTrace(1_000_000, mu_a, photon, where, weight[chosen] / part, path_mm[chosen], energy, (1,))
-        return Transfer(scene, (one,), "none")
-
-    everything, path = light(np.full(40_000, True), 1.0), tmp_path / "sample"
-    chosen = rng.random(40_000) < kept
-    light(chosen, kept).save(path)
-    header, arrays = io.unpack(path.read_bytes())
-    header["leds"][0]["keep"] = kept
-    del arrays["photon"]
-    arrays |= {"draw": np.zeros(chosen.sum(), np.float32), "full": np.ones((1, 1, 6))}
-    path.write_bytes(io.pack(header, arrays))
-    for mu_a in (0.1, 0.3):
-        exact, read = (t.at(mu_a_per_mm={"layer": mu_a}).squeeze() for t in (everything, Transfer.load(path)))
-        error = float(read.detected_fraction_stderr)
-        assert abs(float(read.detected_fraction - exact.detected_fraction)) < 4 * error
-        assert error == pytest.approx(4 * float(exact.detected_fraction_stderr), rel=0.1)
 
 
 @pytest.mark.jit

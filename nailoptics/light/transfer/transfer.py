@@ -230,14 +230,9 @@ class Transfer(Displayed):
             if len(leds) != len(scene.leds):
                 raise io.CorruptError("it is of other LEDs than its scene")
             check_arrays({"mu_a": arrays["mu_a_per_mm"]}, {"mu_a": (len(leds), count["absorbers"])})
-            if "photon" not in arrays:
-                # Before photons were numbered, each left one record: hardly two of these numbers are one.
-                numbers = [np.random.default_rng(0).integers(t["photons"], size=t["records"]) for t in leds]
-                arrays["photon"] = np.concatenate(numbers).astype(np.uint64)
             traces, first = [], np.cumsum([0, *(led["records"] for led in leds)])
             for i, led in enumerate(leds):
                 content = {name: arrays[name][first[i] : first[i + 1]] for name in COLUMNS} | LedTrace.stored_sums(led)
-                # Of 8 million photons or more 0.2.0 kept a sample, whose weights stand for all of them.
                 content |= {"photons": led["photons"], "seeds": tuple(led["seeds"])}
                 traces.append(LedTrace(mu_a=arrays["mu_a_per_mm"][i], **content))
                 traces[-1].check(**count)
