@@ -2,7 +2,6 @@
 
 import csv
 import math
-import re
 import stat
 import tomllib
 from array import array
@@ -22,12 +21,6 @@ MOST_BYTES = 500e6
 MOST_TOML_BYTES = 40e6
 # Rows of a table, each with its line number.
 Rows = Iterator[tuple[int, list[str]]]
-# Tables and arrays in each other; a scene has five.
-MOST_DEPTH = 30
-# A key of more parts than that: tomllib's memory grows with the square of them.
-DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_DEPTH}}}""")
-# Of a whole number; Python writes none that is much longer.
-MOST_BITS = 8192
 
 
 def read_text(path: str | Path, expected: str, *, shown: str | None = None, any_encoding: bool = False) -> str:
@@ -143,9 +136,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         size = f"{len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}"
         raise InputError(f"{name}: has {size}; shorten it.")
     try:
-        if DEEP_KEY.search(text):
-            raise RecursionError
-        return {key: frozen(value, 1) for key, value in tomllib.loads(text).items()}
+        return {key: frozen(value) for key, value in tomllib.loads(text).items()}
     except ValueError as error:
         digits = "a number has thousands of digits; shorten it"
         why = digits if "int_max_str_digits" in str(error) else str(error)
@@ -154,17 +145,13 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
         raise InputError(f"{name}: is not valid TOML: its tables or arrays are nested too deep.") from None
 
 
-def frozen(data: Any, depth: int = 0) -> Any:
-    """Tables of a file with tuples for lists and arrays, as frozen models hold; raises ValueError or RecursionError."""
-    if depth > MOST_DEPTH:
-        raise RecursionError
+def frozen(data: Any) -> Any:
+    """Tables of a file with tuples for lists and arrays, as frozen models hold."""
     if isinstance(data, dict):
-        return {key: frozen(value, depth + 1) for key, value in data.items()}
+        return {key: frozen(value) for key, value in data.items()}
     if isinstance(data, np.ndarray | np.generic):
         data = data.tolist()
-    if isinstance(data, int) and data.bit_length() > MOST_BITS:
-        raise ValueError("it holds a number of thousands of digits")
-    return tuple(frozen(item, depth + 1) for item in data) if isinstance(data, list | tuple) else data
+    return tuple(frozen(item) for item in data) if isinstance(data, list | tuple) else data
 
 
 def short(text: str, most: int = 120) -> str:

@@ -4,7 +4,6 @@ import json
 import math
 import runpy
 import sys
-import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +13,7 @@ import nailoptics
 from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
-from nailoptics.exports.other_program import MOST_UNPACKED, OtherDetection, compared, read_detected
+from nailoptics.exports.other_program import OtherDetection, compared, read_detected
 from nailoptics.light.transfer.records import LedTrace
 from nailoptics.scene import load_scene, to_toml
 
@@ -163,14 +162,3 @@ def test_what_a_runner_saves_is_read(scene, tmp_path, monkeypatch, format, progr
     assert (detection.trace.photodiode == 1).all() and len(detection.trace.photodiode) == (64 if format == "mmc" else 1)
     path_mm = session["Domain"].get("LengthUnit", 1.0) * np.arange(1.0, 1 + len(session["nailoptics"]["absorbers"]))
     assert detection.trace.path_mm == pytest.approx(np.tile(path_mm, (len(detection.trace.photodiode), 1)))
-
-
-def test_an_archive_that_unpacks_to_gigabytes_is_refused(scene, tmp_path):
-    path, size = tmp_path / "detected.npz", MOST_UNPACKED // 4 + 1
-    np.savez_compressed(path, photodiode=np.zeros(size, np.float32))
-    assert path.stat().st_size < 1_000_000
-    tracemalloc.start()
-    with pytest.raises(InputError, match="250 MB unpacked, of at most 250"):
-        read_detected(path)
-    assert tracemalloc.get_traced_memory()[1] < 10_000_000
-    tracemalloc.stop()

@@ -201,7 +201,6 @@ def remove(folder: Path) -> None:
     for path in folder.glob("*.dat"):
         with suppress(OSError):
             path.unlink()
-    io.sweep_leftovers(folder)
     with suppress(OSError):
         folder.rmdir()
 
