@@ -113,14 +113,13 @@ class OpticsFit:
 
     constants : V0, V1 and alpha of Beer-Lambert (8), as v0_v, v1_v and alpha_per_m2; V0' and V1' of Taylor (9), as v0_v
         and v1_v_per_m2.
-    residual_rms_v, residual_max_v : what the curve misses of the readings. [V]
+    residual_rms_v : what the curve misses of the readings. [V]
     note : empty, or one line on what the readings do not determine.
     jacobian : (constants, 2 or 3) float. Derivatives of the constants by value, slope and curvature of the curve.
     """
 
     constants: dict[str, float]
     residual_rms_v: float
-    residual_max_v: float
     note: str
     curve: FittedCurve
     scale_m2: float
@@ -165,7 +164,7 @@ def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
     constants = {"v0_v": curve.value + curve.slope * curve.centre, "v1_v_per_m2": curve.slope / scale_m2}
     jacobian = np.array([[1.0, curve.centre], [0.0, 1.0 / scale_m2]])
     note = "the diameters do not vary: the slope is not known" if _distinct(x) == 1 else ""
-    return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
+    return OpticsFit(constants, _residual_rms(curve, x, y), note, curve, scale_m2, jacobian)
 
 
 def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
@@ -198,7 +197,7 @@ def fit_beer_lambert(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
             note = "the readings are a step in D^2: alpha is at the high end of its range"
             if curvature < 1:
                 note = "the readings are straight in D^2, or bent the other way: alpha is at the low end of its range"
-    return OpticsFit(constants, *_residual(curve, x, y), note, curve, scale_m2, jacobian)
+    return OpticsFit(constants, _residual_rms(curve, x, y), note, curve, scale_m2, jacobian)
 
 
 # By the prefix of their variables.
@@ -231,16 +230,14 @@ def fit_reduced_optics(result: xr.Dataset, few: Array, replicates_v: Array | Non
         for k, name in enumerate(constants):
             values = [[fit.constants[name] for fit in of_led] for of_led in fits]
             columns[f"{model}_{name}"] = Estimate(values, errors[..., k])
-        for name in ("residual_rms_v", "residual_max_v"):
-            columns[f"{model}_{name}"] = [[getattr(fit, name) for fit in of_led] for of_led in fits]
+        columns[f"{model}_residual_rms_v"] = [[fit.residual_rms_v for fit in of_led] for of_led in fits]
         data |= described(__package__, **columns)
     return data | described(__package__, fit_note=notes.astype(str))
 
 
-def _residual(curve: FittedCurve, x: Array, y: Array) -> tuple[float, float]:
-    """Root mean square and largest distance of readings from a curve."""
-    missed = y - curve.at(x)
-    return float(np.sqrt(np.mean(missed**2))), float(np.abs(missed).max())
+def _residual_rms(curve: FittedCurve, x: Array, y: Array) -> float:
+    """Root mean square distance of readings from a curve."""
+    return float(np.sqrt(np.mean((y - curve.at(x)) ** 2)))
 
 
 def _checked(diameter_m: ArrayLike, volts: ArrayLike) -> tuple[Array, Array, float]:

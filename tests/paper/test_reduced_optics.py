@@ -33,7 +33,7 @@ def test_beer_lambert_constants_come_back_up_to_strong_absorption(alpha_d2):
     fit = fit_beer_lambert(DIAMETER_M, readings(alpha_d2))
     exact = {"v0_v": V0_V, "v1_v": V1_V, "alpha_per_m2": alpha_d2 / 1e-10}
     assert fit.constants == pytest.approx(exact, rel=1e-5)
-    assert fit.residual_max_v < 1e-10 and fit.note == ""
+    assert fit.residual_rms_v < 1e-10 and fit.note == ""
 
 
 def test_a_closing_capillary_is_fitted_down_to_no_diameter():
@@ -47,7 +47,7 @@ def test_taylor_constants_come_back():
     volts = taylor(DIAMETER_M, v0_v=0.3, v1_v_per_m2=2e8)
     fit = fit_taylor(DIAMETER_M, volts)
     assert fit.constants == pytest.approx({"v0_v": 0.3, "v1_v_per_m2": 2e8}, rel=1e-9)
-    assert fit.residual_max_v < 1e-14
+    assert fit.residual_rms_v < 1e-14
 
 
 def test_taylor_misses_by_the_square_of_the_absorption():
