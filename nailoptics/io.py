@@ -5,7 +5,9 @@ import errno
 import json
 import os
 import secrets
+import stat
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
@@ -29,6 +31,9 @@ _NUMBERS = "biuf"
 CONVENTIONS = "CF-1.11"
 # What a spreadsheet takes for the beginning of a formula.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
+# What writers that were killed left in a folder goes with the next write into it when it is so old. [s]
+LEFTOVER_S = 86400.0
+_SWEPT: set[Path] = set()
 
 
 class CorruptError(Exception):
@@ -44,6 +49,7 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
     Raises: WriteError where the file cannot be written.
     """
     make_folder(path.parent)
+    sweep_leftovers(path.parent)
     aside = path.with_name(f".nailoptics-{secrets.token_hex(8)}.part")
     try:
         if path.exists() and not path.is_file():
@@ -59,6 +65,17 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
             raise
     except OSError as error:
         raise _refused(path, error, size=len(data)) from None
+
+
+def sweep_leftovers(folder: Path) -> None:
+    """Remove old files that killed writers left in a folder, once in this process; follows no link."""
+    if folder in _SWEPT or folder.is_symlink():
+        return
+    _SWEPT.add(folder)
+    with contextlib.suppress(OSError):  # it cannot be listed, or another process swept first
+        for path in folder.glob(".nailoptics-*.part"):
+            if stat.S_ISREG(path.lstat().st_mode) and path.lstat().st_mtime < time.time() - LEFTOVER_S:
+                path.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

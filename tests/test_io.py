@@ -5,6 +5,7 @@ import os
 import stat
 import subprocess
 import sys
+import time
 from io import BytesIO
 from pathlib import Path
 
@@ -121,6 +122,23 @@ def test_files_have_the_permissions_that_the_umask_leaves(mask, tmp_path):
     finally:
         os.umask(before)
     assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o666 & ~mask}
+
+
+def test_a_write_removes_what_killed_writers_left_a_day_ago(tmp_path):
+    """Not what another writes at this moment, not what only a link leads to, and nothing of another name."""
+    long_ago = time.time() - 2 * io.LEFTOVER_S
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "linked").symlink_to(tmp_path / "elsewhere")
+    left = ["here/.nailoptics-0.part", "here/.nailoptics-1.part", "here/other.part", "elsewhere/.nailoptics-2.part"]
+    io.make_folder(tmp_path / "here")
+    for name in left:
+        (tmp_path / name).touch()
+        if not name.endswith("1.part"):
+            os.utime(tmp_path / name, (long_ago, long_ago))
+    for folder in ("here", "linked"):
+        io.write_text(tmp_path / folder / "file", "text")
+    assert names(tmp_path / "here") == [".nailoptics-1.part", "file", "other.part"]
+    assert names(tmp_path / "elsewhere") == [".nailoptics-2.part", "file"]
 
 
 def test_a_link_is_replaced_and_what_it_points_to_stays(tmp_path):

@@ -19,6 +19,8 @@ from ..errors import InputError
 MOST_BYTES = 500e6
 # Of TOML, which takes some thirty times as much memory; a recorded touch of a million samples is as long.
 MOST_TOML_BYTES = 40e6
+# Of a whole number; Python writes none that is much longer.
+MOST_BITS = 8192
 # Rows of a table, each with its line number.
 Rows = Iterator[tuple[int, list[str]]]
 
@@ -146,11 +148,13 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 
 def frozen(data: Any) -> Any:
-    """Tables of a file with tuples for lists and arrays, as frozen models hold."""
+    """Tables of a file with tuples for lists and arrays, as frozen models hold; raises ValueError."""
     if isinstance(data, dict):
         return {key: frozen(value) for key, value in data.items()}
     if isinstance(data, np.ndarray | np.generic):
         data = data.tolist()
+    if isinstance(data, int) and data.bit_length() > MOST_BITS:
+        raise ValueError("it holds a number of thousands of digits")
     return tuple(frozen(item) for item in data) if isinstance(data, list | tuple) else data
 
 

@@ -785,6 +785,13 @@ MUTATIONS = (
         "            path.write_bytes(data)\n            aside.unlink()\n",
         "test_io.py",
     ),
+    Mutation(
+        "new files of other writers are removed, and old ones stay",
+        "io.py",
+        "st_mtime < time.time() - LEFTOVER_S",
+        "st_mtime > time.time() - LEFTOVER_S",
+        "test_io.py",
+    ),
 )
 
 

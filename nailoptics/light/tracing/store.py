@@ -201,6 +201,7 @@ def remove(folder: Path) -> None:
     for path in folder.glob("*.dat"):
         with suppress(OSError):
             path.unlink()
+    io.sweep_leftovers(folder)
     with suppress(OSError):
         folder.rmdir()
 
