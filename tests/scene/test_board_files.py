@@ -73,6 +73,20 @@ def test_origin_side_and_turn_place_the_board_on_the_nail(tmp_path, more, side, 
     assert computed == [pytest.approx(one) for one in places]
 
 
+@pytest.mark.parametrize(("side", "up"), [("F.Cu", 1), ("B.Cu", -1)])
+def test_a_row_of_elements_and_a_turn_of_its_die_are_turned_over_with_the_footprint(tmp_path, side, up):
+    """Rationale: KiCad flips a footprint by negating y. Pad 1 of this one, of element 0, lies at its lower end."""
+    scene = ON_KICAD_BOARD.format(board="", diode="", parts="").replace("elements = 1", "elements = 2, pitch_mm = 1.0")
+    path = write(tmp_path, side=side, turn=0, scene=scene.replace("{", "{{").replace("}", "}}"))
+    board = tmp_path / "x.kicad_pcb"
+    board.write_text(board.read_text().replace("(at 101 101 30)", "(at 101 101)"))
+    first, second = (element.area.center_mm[1] for element in load_scene(path).layout.photodiodes)
+    assert up * (second - first) == pytest.approx(1.0)
+    # On the top, seen from above, the nail's side is mirrored; on the bottom the footprint is.
+    path.write_text(path.read_text().replace("size_mm", "rotation_deg = 20.0, size_mm"))
+    assert load_scene(path).photodiodes[0].rotation_deg == {1: 340.0, -1: 160.0}[up]
+
+
 def test_parts_on_the_scene_and_those_of_the_file_go_together(tmp_path):
     more = '[[leds]]\nname = "ir"\npart = "led_940"\nposition_mm = [-3.0, -2.0]\n[board.nothing]\n'
     path = write(tmp_path)

@@ -244,9 +244,14 @@ def _looks_turned(part: PlacedPart, use: Mapping[str, Any], folder: str | Path |
     """Whether a part is another one at 180 degrees less its angle: oblique, a module, aside, or of several elements."""
     if part.rotation_deg % 90 or {"module", "offset_mm", "wired"} & use.keys():
         return True
-    name = use.get("photodiode")
+    return _elements(use, folder) != 1
+
+
+def _elements(use: Mapping[str, Any], folder: str | Path | None) -> int:
+    """How many elements a photodiode has, of its own or of the part that it names."""
+    name = use.get("photodiode", use.get("part"))
     of_part = load_part(name, beside=folder) if isinstance(name, str) else None
-    return bool(use.get("elements", getattr(of_part, "elements", 1)) != 1)
+    return int(use.get("elements", getattr(of_part, "elements", 1)))
 
 
 def _tables(
@@ -263,11 +268,15 @@ def _tables(
         aside = pads[0] + at[0], pads[1] + (-at[1] if part.side == "bottom" else at[1])
         x, y = turned(aside, part.rotation_deg)
         place = view.place((part.position_mm[0] + x, part.position_mm[1] + y))
-        angle = view.angle(part.rotation_deg + more_deg)
+        # Turned over, a part turns the other way, and the row of its elements points down.
+        own_deg = more_deg
+        if part.side == "bottom":
+            own_deg = (180.0 if _elements(fields, folder) > 1 else 0.0) - more_deg
+        angle = view.angle(part.rotation_deg + own_deg)
         drawn: dict[str, Any] = {"name": name, "reference": ref, "position_mm": place, "rotation_deg": angle}
         for room, box in (("body_mm", part.body_mm), ("courtyard_mm", part.courtyard_mm)):
             points = product(box[::2], box[1::2]) if box else ()
-            if own := around([turned((a - aside[0], b - aside[1]), -more_deg) for a, b in points]):
+            if own := around([turned((a - aside[0], b - aside[1]), -own_deg) for a, b in points]):
                 drawn[room] = tuple(round(edge, 9) for edge in view.box(own))
         return drawn | fields
 
