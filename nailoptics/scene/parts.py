@@ -40,13 +40,15 @@ USUAL_TEMPERATURE_K = 298.15
 def with_part(data: dict[str, Any], kind: Any, folder: Path | None) -> dict[str, Any]:
     """The table with the fields of its part filled in where it does not give them itself.
 
-    A table that gives them all, as a written scene does, needs no part any more.
+    A table that gives all that a part must, as a written scene does, needs no part any more.
     """
-    if not isinstance(data.get("part"), str) or FROM_PART[kind] <= data.keys():
+    if not isinstance(data.get("part"), str):
         return data
     try:
         part = load_part(data["part"], beside=folder, expect=kind)
     except InputError as error:
+        if FROM_PART[kind] <= data.keys():
+            return data
         # As a ValueError it comes with the place in the scene that names the part.
         raise ValueError(str(error).rstrip(".")) from None
     assert not isinstance(part, ModulePart)
@@ -57,6 +59,9 @@ def with_part(data: dict[str, Any], kind: Any, folder: Path | None) -> dict[str,
     if data.get("pattern", "measured") != "measured":
         # The part's measured table goes with the part's own pattern only.
         fields = {name: value for name, value in fields.items() if not name.startswith("pattern")}
+    if any(value is not None and data.get(name, value) is None for name, value in fields.items()):
+        # Without something that the part has it is another one.
+        return fields | data | {"part": None}
     return fields | data
 
 

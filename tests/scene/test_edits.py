@@ -54,6 +54,41 @@ def test_a_value_that_a_scene_has_already_changes_nothing(name):
     assert scene.with_(**same) == scene
 
 
+TALL = """kind = "led"
+peak_nm = 850.0
+fwhm_nm = 30.0
+flux_mw = 5.0
+die_size_mm = [0.3, 0.3]
+height_um = 200.0
+package_height_um = 900.0
+lens = true
+"""
+
+
+def test_another_part_leaves_nothing_of_the_one_before(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tall.toml").write_text(TALL)
+    place = {"name": "a", "position_mm": (-2.0, 0.0)}
+    photodiode, board = {"name": "p", "position_mm": (1.0, 0.0)}, {"barrier": False}
+    tall, red = (
+        nail.Scene(finger={}, leds=[place | {"part": part}], photodiodes=[photodiode], board=board)
+        for part in ("tall", "led_660")
+    )
+    assert tall.leds[0].height_um == 200.0 and tall.with_led("a", part="led_660") == red
+
+
+def test_a_table_that_gives_what_a_written_scene_does_keeps_the_rest_of_its_part():
+    given = {"elements": 1, "size_mm": (1.0, 1.0), "quantum_efficiency": 0.9, "dark_current_na": 1.0, "shunt_mohm": 9.0}
+    one = nail.scene.Photodiode(name="p", position_mm=(1.0, 0.0), part="sfh2400fa", **given)
+    assert one.responsivity is not None and one.capacitance_pf == 11.0 and one.dark_current_na == 1.0
+    # Without its table it is no longer that part, which would bring it back.
+    scene = nail.load_scene("prototype").with_photodiode(
+        "distal", part="sfh2400fa", wired=None, elements=1, pitch_mm=None
+    )
+    bare = scene.with_photodiode("distal", responsivity=None)
+    assert bare.photodiodes[1].responsivity is None and nail.parse_scene(nail.to_toml(bare)) == bare
+
+
 def test_another_flux_takes_another_current_of_its_part():
     part = nail.parse_scene(finger({"part": "bpw34", "position_mm": [2.0, 0.0]}, leds=({"part": "sfh7051_green"},)))
     before, after = part.leds[0], part.with_led("ir", flux_mw=2 * part.leds[0].flux_mw).leds[0]
