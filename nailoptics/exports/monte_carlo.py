@@ -183,6 +183,11 @@ def tetrahedra(geometry: Geometry) -> TetMesh:
 
 def write_mmc(scene: Scene, folder: Path) -> dict[str, Path]:
     """Write a session for each LED, a runner and a README to a folder; returns their paths by what they are."""
+    if scene.board.air_gap_um:
+        why = (
+            "a mesh of tetrahedra has no air, through which no light would pass; export mcx or mitsuba, or leave it out"
+        )
+        raise InputError(f"board.air_gap_um = {scene.board.air_gap_um:g}: {why}.")
     exported = compatibility.as_seen(scene, reflecting=False)
     geometry = build(exported)
     mesh = tetrahedra(geometry)

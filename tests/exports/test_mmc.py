@@ -13,7 +13,7 @@ import nailoptics
 from nailoptics import tissue
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.exports.monte_carlo import CONES, cones, tetrahedra
+from nailoptics.exports.monte_carlo import CONES, cones, tetrahedra, write_mmc
 from nailoptics.geometry import build
 from nailoptics.light import optics
 from nailoptics.scene import Scene, load_scene
@@ -182,3 +182,10 @@ def test_pmmc_reads_an_exported_finger_as_we_do(pmmc, chosen_jit, tmp_path):
         assert pair.ratio[1] < 0.04
     for name, pair in result.paths_mm.items():
         assert abs(pair.deviations) < 3.5, name
+
+
+def test_a_gap_of_air_that_no_mesh_can_hold_is_refused(tmp_path):
+    scene = load_scene("prototype").with_({"board.air_gap_um": 50.0})
+    with pytest.raises(InputError, match=r"board\.air_gap_um = 50: a mesh of tetrahedra has no air, .*; export mcx"):
+        write_mmc(scene, tmp_path / "mmc")
+    assert not (tmp_path / "mmc").exists()
