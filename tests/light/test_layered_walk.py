@@ -7,9 +7,10 @@ from scipy import special, stats
 from small_scenes import phantom
 
 import nailoptics as nail
+from nailoptics.light.walk import sampling
 from nailoptics.light.walk.layered import LayeredTracer, arc_share, walk_layers
 from nailoptics.light.walk.sampling import TOP
-from nailoptics.scene import Scene, parse_scene
+from nailoptics.scene import Led, Scene, parse_scene
 from nailoptics.statistics import seed_of
 
 pytestmark = pytest.mark.jit
@@ -201,6 +202,27 @@ def test_a_lambertian_die_through_an_absorbing_layer_meets_its_integral(jit_back
         p = (n_above * inside - n * cos) / (n_above * inside + n * cos)
         exact = np.mean(2 * cos * (1 - (s**2 + p**2) / 2) * np.exp(-b / inside))
     assert abs(value[1] - exact) < 3.5 * stderr[1] and stderr[1] < 0.003 * exact
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("power", [1, 10, 60])
+def test_a_narrow_pattern_has_no_wide_tail(jit_backend, power):
+    """Expected: the mean cosine of cos^n is (n + 1) / (n + 2), and beyond 45 degrees there is 2^-(n + 1)/2 of it."""
+    degrees = np.linspace(0.0, 90.0, 181)
+    relative = np.cos(np.radians(degrees)) ** power
+    led = Led(
+        name="a",
+        position_mm=(0, 0),
+        wavelength_nm=800.0,
+        pattern="measured",
+        pattern_deg=degrees,
+        pattern_relative=relative,
+    )
+    table = sampling.mi.Float(sampling.emission_table(led))
+    u = (np.arange(1_000_000) + 0.5) / 1e6
+    cos = np.array(sampling.emission_cosine(table, sampling.mi.Float(u))).astype(float)
+    assert cos.mean() == pytest.approx((power + 1) / (power + 2), abs=1e-4)
+    assert (cos < np.sqrt(0.5)).mean() == pytest.approx(0.5 ** ((power + 1) / 2), abs=1e-4)
 
 
 def test_a_measured_pattern_meets_its_integral(jit_backend):

@@ -30,6 +30,8 @@ TOP, BOTTOM, ABSORBED, LOST = 1, 2, 3, 4
 OPAQUE = 16
 # Squared cosines of emission at equal steps of probability: linear, because a Lambertian emitter's are.
 LAMBERTIAN = np.linspace(1, 0, 257)
+# Steps of one that was measured, whose last one reaches out to the last angle.
+MEASURED = 1 << 14
 # How photodiodes weigh light by its angle: steps of a table over the squared cosine, in which a Lambertian one's light
 # is spread evenly.
 STEPS = 1024
@@ -285,8 +287,8 @@ def fresnel(cos_in: Any, *, n_in: Any, n_out: Any) -> tuple[Any, Any, Any]:
 
 
 def emission_table(led: Led) -> np.ndarray:
-    """The squared cosines of an LED's emission at equal steps of probability, (257,) float; those of a Lambertian
-    emitter are linear. A measured radiant intensity I(theta) emits I sin(theta) per angle."""
+    """The squared cosines of an LED's emission at equal steps of probability, (n,) float; those of a Lambertian emitter
+    are linear. A measured radiant intensity I(theta) emits I sin(theta) per angle."""
     if led.pattern == "pencil":
         return np.ones_like(LAMBERTIAN)
     if led.pattern == "lambertian":
@@ -295,7 +297,7 @@ def emission_table(led: Led) -> np.ndarray:
     theta = np.linspace(0, np.radians(led.pattern_deg[-1]), 4001)
     density = np.interp(theta, np.radians(led.pattern_deg), led.pattern_relative) * np.sin(theta)
     cumulative = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
-    return np.cos(np.interp(np.linspace(0, 1, len(LAMBERTIAN)), cumulative / cumulative[-1], theta)) ** 2
+    return np.cos(np.interp(np.linspace(0, 1, MEASURED), cumulative / cumulative[-1], theta)) ** 2
 
 
 def emission_cosine(table: Any, u: Any) -> Any:
