@@ -251,7 +251,7 @@ class BoardTracer:
 class BloodPoint:
     """Absorption over an LED's line in one state, and how it changes with the blood of each zone.
 
-    share : (q,) float. Weight of each wavelength times the photodiode's response relative to that at the peak.
+    share : (q,) float. Part of each wavelength in the photocurrent.
     mu_a : (q, r) float. Absorption in this state. [mm^-1]
     slope : (q, K) float. Change of absorption with the blood of each zone. [mm^-1]
     beds : Columns of the bed's zones.

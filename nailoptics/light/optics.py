@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +20,8 @@ from ..scene.base import PHOTON_NM_PER_V
 TISSUES: tuple[str, ...] = tissue.REGIONS
 # These opaque regions reflect as the board's field says; all others swallow light.
 REFLECTING = ("barrier", "cover")
+# Where an LED's line is integrated, from its peak, in widths at half its height.
+LINE_WIDTHS = np.linspace(-2.5, 2.5, 5001)
 
 
 @dataclass(frozen=True)
@@ -177,15 +180,28 @@ def responsivity_a_per_w(photodiode: Photodiode, wavelength_nm: ArrayLike) -> np
     return np.asarray(np.interp(wavelength, at_nm, value, left=0.0, right=0.0))
 
 
-def detected_spectrum(led: Led, photodiodes: Sequence[Photodiode]) -> tuple[np.ndarray, np.ndarray]:
-    """The wavelengths of `spectrum`, (q,) float [nm], and their weights times each photodiode's responsivity over that
-    at the LED's peak, (photodiodes, q) float; to one that is blind there every photon counts alike."""
+@lru_cache(maxsize=1024)
+def line_response(led: Led, photodiode: Photodiode) -> np.ndarray:
+    """Photocurrent that light at each wavelength of `spectrum` makes per watt of the LED's light, (q,) float; they add
+    up to the responsivity over the line. One of rows is averaged around each, wherever in the line its edges are. [A/W]
+    """
     wavelength, weight = spectrum(led)
-    relative = {}
-    for photodiode in {id(one): one for one in photodiodes}.values():
-        at_peak, *at_line = responsivity_a_per_w(photodiode, [led.wavelength_nm, *wavelength])
-        relative[id(photodiode)] = np.array(at_line) / at_peak if at_peak > 0 else wavelength / led.wavelength_nm
-    return wavelength, weight * np.array([relative[id(one)] for one in photodiodes])
+    if photodiode.responsivity is None or led.fwhm_nm == 0:
+        return weight * responsivity_a_per_w(photodiode, wavelength)
+    nm = led.wavelength_nm + led.fwhm_nm * LINE_WIDTHS
+    near = np.array([np.interp(nm, wavelength, one) for one in np.eye(len(wavelength))]) * 0.5 ** (4 * LINE_WIDTHS**2)
+    current = near @ responsivity_a_per_w(photodiode, nm)
+    response = weight * current / near.sum(1)
+    return response * (current.sum() / near.sum() / response.sum()) if current.any() else response
+
+
+def detected_spectrum(led: Led, photodiodes: Sequence[Photodiode]) -> tuple[np.ndarray, np.ndarray]:
+    """The wavelengths of `spectrum`, (q,) float [nm], and what each contributes to each photodiode's photocurrent, as a
+    fraction of all of them, (photodiodes, q) float; to one that is blind to the line every photon counts alike."""
+    wavelength, weight = spectrum(led)
+    response = {id(one): line_response(led, one) for one in photodiodes}
+    relative = {key: of_one / of_one.sum() if of_one.any() else weight for key, of_one in response.items()}
+    return wavelength, np.array([relative[id(one)] for one in photodiodes])
 
 
 def check_line(scene: Scene, led: int) -> None:

@@ -15,7 +15,6 @@ from ..light.tracing.store import LightStore
 from ..options import TraceOptions
 from ..scene import Ambient, Photodiode, Scene
 from ..statistics import Z95, seed_of
-from . import electronics
 
 LUMENS_PER_WATT = 683.0  # by definition (CIE 1931, photopic)
 # Second constant of Planck's law, as CIE illuminants have it. [nm K]
@@ -23,6 +22,7 @@ C2_NM_K = 1.4388e7
 STEP_NM = 10.0
 # Wavelengths that silicon sees, and in tissue, where that of the nearest wavelength stands for what has no data.
 SILICON_NM = np.arange(380.0, 1100.0 + STEP_NM / 2, STEP_NM)
+FINE_NM = np.linspace(SILICON_NM[0], SILICON_NM[-1], 7201)
 INSIDE_NM = np.clip(SILICON_NM, *tissue.WAVELENGTH_RANGE_NM)
 KELVIN = {"sun": 5778.0, "lamp": 2856.0}  # effective temperature of the Sun; CIE standard illuminant A
 # Over these wavelengths a black body's irradiance is taken. [nm]
@@ -60,9 +60,15 @@ def spectral_irradiance(ambient: Ambient, wavelength_nm: ArrayLike) -> Array:
 
 @lru_cache(maxsize=16)
 def photocurrent_a_per_mm2(ambient: Ambient, photodiode: Photodiode) -> Array:
-    """Photocurrent at each wavelength of `SILICON_NM` per area without a finger, (q,) float; they add up. [A/mm^2]"""
-    responsivity = electronics.responsivity_a_per_w(photodiode, SILICON_NM)
-    return np.asarray(1e-6 * STEP_NM * spectral_irradiance(ambient, SILICON_NM) * responsivity)
+    """Photocurrent around each wavelength of `SILICON_NM` per area without a finger, (q,) float; they add up to that of
+    the whole spectrum, between them linear. [A/mm^2]"""
+    step_nm = FINE_NM[1] - FINE_NM[0]
+    current = 1e-6 * spectral_irradiance(ambient, FINE_NM) * optics.responsivity_a_per_w(photodiode, FINE_NM) * step_nm
+    current[[0, -1]] *= 0.5
+    place = (FINE_NM - SILICON_NM[0]) / STEP_NM
+    cell = np.minimum(place.astype(int), len(SILICON_NM) - 2)
+    low, high = (np.bincount(cell, part * current) for part in (1 - (place - cell), place - cell))
+    return np.asarray(np.append(low, 0.0) + np.append(0.0, high))
 
 
 def trace_ambient(
@@ -101,13 +107,13 @@ def trace_ambient(
 
 
 def ambient_bound_a(scene: Scene, *, usual: Ambient | None = None) -> Array:
-    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient], or by the usual light
-    where it has none, (photodiodes,) float; 0 without either. [A]"""
+    """Upper end of the 95 % interval of each photodiode's photocurrent by the scene's [ambient] at the crest of its
+    flicker, or by the usual light where it has none, (photodiodes,) float; 0 without either. [A]"""
     source = scene.ambient or usual
     if source is None:
         return np.zeros(len(scene.layout.photodiodes))
     traced = trace_ambient(scene, [source], TraceOptions(), seed=0, photons=BOUND_PHOTONS)
-    return np.asarray(traced[0, 0] + Z95 * traced[1, 0])
+    return np.asarray((1.0 + source.flicker) * (traced[0, 0] + Z95 * traced[1, 0]))
 
 
 def scene_ambient_a(scene: Scene, options: TraceOptions) -> Array | None:

@@ -10,8 +10,9 @@ from scipy.constants import Boltzmann as BOLTZMANN_J_PER_K, elementary_charge as
 
 from ..checks import Array, not_negative
 from ..errors import InputError
-from ..light.optics import responsivity_a_per_w
+from ..light.optics import line_response
 from ..scene import Electronics, Led, Photodiode, Scene
+from ..statistics import quotient
 from ..variables import Estimate, Variables, described
 
 Photodiodes: TypeAlias = Photodiode | Sequence[Photodiode]
@@ -212,8 +213,10 @@ def read(
     dark_a = _dark_a(photodiode, amplifier)
     amplified = np.asarray((lit_a + outside_a + dark_a) * ohm)
     volts, saturated = converted(amplified, amplifier)
+    # What the converter cuts off adds no noise to what it reads.
+    read_a = np.clip(lit_a + quotient(limit_v(amplifier) - amplified, ohm), 0.0, lit_a)
     lit, outside, dark = (
-        noise_budget(current_a, photodiode, amplifier, feedback_ohm=ohm) for current_a in (lit_a, outside_a, 0.0)
+        noise_budget(current_a, photodiode, amplifier, feedback_ohm=ohm) for current_a in (read_a, outside_a, 0.0)
     )
     noise = lit._replace(ambient_v2=outside.shot_v2 - dark.shot_v2)
     if amplifier.ambient_rejection is not None:
@@ -226,7 +229,7 @@ def read(
 
 def photocurrent_a(detected_fraction: ArrayLike, led: Led, photodiode: Photodiodes) -> Array:
     """Photocurrent of a fraction of an LED's light on a photodiode, or on each of several along the last axis. [A]"""
-    per_w = _of_each(photodiode, lambda p: float(responsivity_a_per_w(p, led.wavelength_nm)))
+    per_w = _of_each(photodiode, lambda p: float(line_response(led, p).sum()))
     return np.asarray(not_negative("detected_fraction", detected_fraction) * led.flux_mw * 1e-3 * per_w)
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..checks import Array
 from ..errors import InputError, NotReachedError, as_far_as_reached
-from ..light import DetectedLight, ProgressCallback, Transfer, open_light
+from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics
 from ..light.detect import rough_readings
 from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries, read_by_groups
@@ -129,20 +129,22 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
     saturated, responsivity_a_per_w = np.empty(fraction.shape, bool), np.empty(fraction.shape[:2])
     ambient = {} if lit.ambient_a is None else electronics.ambient_in_readings(scene, *lit.ambient_a)
     ambient_a = np.zeros(fraction.shape[1]) if lit.ambient_a is None else lit.ambient_a[0]
+    ohm, limit_v = electronics.stage_ohm(diodes, scene.electronics), electronics.limit_v(scene.electronics)
+    crest_v = ohm * ambient_a * (scene.ambient.flicker if scene.ambient else 0.0)
     for i, j in np.ndindex(*fraction.shape[:2]):
         led, diode = scene.leds[i], diodes[j]
         read = electronics.read(gain[i, j] * fraction[i, j], led, diode, scene.electronics, ambient_a=ambient_a[j])
         per_fraction_v = electronics.volts_per_fraction(led, diode, scene.electronics) * gain[i, j]
-        volts[i, j], noise[i, j], saturated[i, j] = read.volts, read.volts_noise_rms, read.saturated
+        volts[i, j], noise[i, j] = read.volts, read.volts_noise_rms
+        saturated[i, j], full = read.amplified_v + crest_v[j] >= limit_v, read.saturated
         change[i, j] = read.volts - read.volts[0]
         of_change = np.hypot(change_stderr[i, j], scaled[i, j] * stderr[i, j]) * per_fraction_v
         # At its limit a reading is known, and its change as well as the other of the two is.
-        full = read.saturated
         volts_stderr[i, j] = np.where(full, 0.0, stderr[i, j] * per_fraction_v)
         change_stderr[i, j] = np.where(
             full | full[0], np.where(full, volts_stderr[i, j, 0], volts_stderr[i, j]), of_change
         )
-        responsivity_a_per_w[i, j] = electronics.responsivity_a_per_w(diode, led.wavelength_nm)
+        responsivity_a_per_w[i, j] = optics.line_response(led, diode).sum()
     data = ambient | about_motion
     data |= described(
         __package__,
@@ -151,7 +153,7 @@ def read_volts(lit: WornLight, course: xr.Dataset) -> xr.Dataset:
         volts_change=Estimate(change, change_stderr),
         volts_noise_rms=noise,
         saturated=saturated,
-        feedback_ohm=electronics.stage_ohm(diodes, scene.electronics),
+        feedback_ohm=ohm,
         responsivity_a_per_w=responsivity_a_per_w,
         mean_path_mm=Estimate(light.mean_path, light.mean_path_stderr),
         wavelength_nm=[led.wavelength_nm for led in scene.leds],
@@ -240,7 +242,8 @@ def _random_walks(count: int, since_s: Array, seed: int) -> Array:
 def replicates_v(result: xr.Dataset, transfer: Transfer) -> Array:
     """Volts by all photons, and without each group of them, (led, photodiode, 1 + groups, time) float, of a result of
     `read_volts` with its course and the trace behind it. [V]"""
-    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T)
+    so2 = result.so2.values.T if transfer.scene.blood.oxygen_balance else None
+    read = read_by_groups(transfer, transfer.scene, result.blood_fraction.values.T, so2)
     read = np.moveaxis(read, 0, 2)
     # Volts are proportional to the light, but for what is dark.
     per_fraction = quotient(result.volts_stderr, result.detected_fraction_stderr)[:, :, None]

@@ -281,7 +281,7 @@ class ReadingUncertainty:
 
 def readings_over_priors(
     transfer: Transfer,
-    states: Callable[[Scene], np.ndarray],
+    states: Callable[[Scene], tuple[np.ndarray, np.ndarray | None]],
     *,
     options: TraceOptions,
     own_traces: bool,
@@ -289,7 +289,7 @@ def readings_over_priors(
 ) -> ReadingUncertainty:
     """The uncertainty of a scene's readings in two blood states due to its priors.
 
-    states : a scene's two states, (2, zones) float.
+    states : a scene's two states, (2, zones) float, and their saturations where its oxygen is balanced.
     options : seed and backend of the traces of their own, which take half of max_seconds at most, all together.
     own_traces : whether to trace what scatters or is shaped otherwise; else only what the trace itself gives.
     progress : called with the stage "priors"; an interrupt ends the traces, and what is there is returned.
@@ -306,7 +306,7 @@ def readings_over_priors(
     def reread(varied: Scene, light: Transfer = transfer) -> np.ndarray:
         """Logarithms of the first reading and of the second over it, (1 + groups, led, photodiode, 2) float."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = np.moveaxis(np.log(read_by_groups(light, varied, states(varied))), -1, 0)
+            first, second = np.moveaxis(np.log(read_by_groups(light, varied, *states(varied))), -1, 0)
             return np.stack([first, second - first], -1)
 
     def report(_: object) -> None:

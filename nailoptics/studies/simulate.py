@@ -91,14 +91,17 @@ def _spread(
     scene, ends = transfer.scene, [0, hold_end(course)]
     # These are the light's alone, and that of capillaries at rest where there are no arterioles beside them.
     names = ["rest_blood_fraction", "pulp_blood_fraction", "so2"][blood_model(scene).arterioles is not None :]
+    if scene.blood.oxygen_balance:  # which arterial blood feeds
+        names.remove("so2")
 
-    def states(varied: Scene) -> np.ndarray:
+    def states(varied: Scene) -> tuple[np.ndarray, np.ndarray | None]:
         optical = {name: getattr(scene.blood, name) for name in names}
         same = varied.blood.model_copy(update=optical) == scene.blood and varied.touch == scene.touch
         # Eq. (7): blood goes with the blood at rest.
         rest, usual = varied.blood.rest_blood_fraction, scene.blood.rest_blood_fraction
         part = rest / usual if same and usual else 1.0
-        blood = (course if same else blood_over_touch(varied)).blood_fraction.values
-        return np.asarray(part * blood[:, ends].T)
+        blood = course if same else blood_over_touch(varied)
+        so2 = blood.so2.values[:, ends].T if scene.blood.oxygen_balance else None
+        return part * blood.blood_fraction.values[:, ends].T, so2
 
     return readings_over_priors(transfer, states, options=options, own_traces=own_traces, progress=progress)

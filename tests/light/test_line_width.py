@@ -50,23 +50,28 @@ def test_a_line_read_from_one_trace_is_the_sum_of_narrow_band_traces(chosen_jit,
 
 @pytest.mark.jit
 def test_a_line_is_weighed_by_each_photodiodes_own_responsivity(chosen_jit):
-    """Rationale: a daylight filter's edge lies within the line, so that one half is detected better than the other.
-    Expected: photocurrents are sums of light times responsivity, wavelength by wavelength, of the same photons."""
+    """Rationale: a daylight filter's edge lies within the line, or a narrow band that leaves its peak out.
+    Expected: photocurrents are sums of light times responsivity over 201 wavelengths of the line, of the same photons;
+    light is read at five of them, which leaves half a percent."""
     scene = nail.load_scene(data_dir("scenes") / "prototype.toml")
     led = scene.leds[0].model_copy(update={"wavelength_nm": 800.0, "fwhm_nm": 40.0})
-    edge = scene.photodiodes[0].model_copy(update={"responsivity": ((780.0, 0.0), (800.0, 0.5), (1100.0, 0.6))})
-    scene = scene.model_copy(update={"leds": (led,), "photodiodes": (edge, *scene.photodiodes[1:])})
+    rows = {0: ((780.0, 0.0), (800.0, 0.5), (1100.0, 0.6)), 1: ((806.0, 0.0), (810.0, 0.5), (822.0, 0.5), (826.0, 0.0))}
+    changed = [one.model_copy(update={"responsivity": rows.get(i)}) for i, one in enumerate(scene.photodiodes)]
+    scene = scene.model_copy(update={"leds": (led,), "photodiodes": tuple(changed)})
     transfer = nail.trace(scene, photons=PHOTONS, seed=3)
     rest = np.full((1, 2), scene.blood.rest_blood_fraction)
     fraction = readings_over_states(transfer, rest).fraction[0, :, 0]
     by_groups = read_by_groups(transfer, scene, rest)[0, 0, :, 0]
-    mu_a, share = rest_state(scene, 0)
-    alone = [transfer.traces[0].moments(mu[None], np.ones(1), count=8).fraction for mu in mu_a]
+    nm = 800.0 + np.linspace(-100.0, 100.0, 201)
+    line = np.exp(-4 * np.log(2) * ((nm - 800.0) / 40.0) ** 2)
+    alone = [transfer.traces[0].moments(mu[None], np.ones(1), count=8).fraction for mu in optics.absorption(scene, nm)]
     for j, photodiode in enumerate(scene.elements):
-        responsivity = optics.responsivity_a_per_w(photodiode, optics.spectrum(led)[0])
-        expected = (share * responsivity) @ np.array(alone)[:, j]
-        at_peak = optics.responsivity_a_per_w(photodiode, 800.0)
-        assert at_peak * np.array([fraction[j], by_groups[j]]) == pytest.approx(expected, rel=1e-5)
+        weight = line / line.sum() * optics.responsivity_a_per_w(photodiode, nm)
+        response = optics.line_response(led, photodiode).sum()
+        assert response == pytest.approx(weight.sum(), rel=2e-3) and response > 0
+        assert response * np.array([fraction[j], by_groups[j]]) == pytest.approx(
+            weight @ np.array(alone)[:, j], rel=5e-3
+        )
 
 
 @pytest.mark.parametrize(("wavelength_nm", "most"), [(410.0, 8), (980.0, 16)])

@@ -6,10 +6,10 @@ import pytest
 from nailoptics import scene
 from nailoptics.assets import asset_path, data_dir
 from nailoptics.errors import InputError
+from nailoptics.light.optics import responsivity_a_per_w
 from nailoptics.scene.catalogue import LedPart, ModulePart, PhotodiodePart, load_part
 from nailoptics.scene.importers.board_files import proposal
 from nailoptics.scene.importers.positions import PlacedPart
-from nailoptics.sensor.electronics import responsivity_a_per_w
 
 PARTS = sorted(path.name for path in (data_dir("assets") / "parts").glob("*.toml"))
 LED = 'kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n'

@@ -16,7 +16,7 @@ from nailoptics.light import backend, optics
 from nailoptics.light.board_map import Arrivals, BoardTracer
 from nailoptics.light.reference import mitsuba_scene, readings
 from nailoptics.options import TraceOptions
-from nailoptics.scene import Ambient, parse_scene
+from nailoptics.scene import Ambient, Photodiode, parse_scene
 from nailoptics.sensor.ambient import (
     ALL_NM,
     INSIDE_NM,
@@ -80,6 +80,15 @@ def test_an_irradiance_and_its_illuminance_are_the_same_light(kind):
     assert np.allclose(spectral_irradiance(Ambient(kind=kind, irradiance_w_per_m2=total), ALL_NM), lit, rtol=1e-9)
     # Only an LED lamp has no infrared.
     assert (np.trapezoid(lit[ALL_NM > 800], ALL_NM[ALL_NM > 800]) < 1e-6 * total) == (kind == "led")
+
+
+@pytest.mark.parametrize("rows", [None, ((940.0, 0.0), (943.0, 0.6), (947.0, 0.6), (950.0, 0.0))])
+def test_a_photocurrent_is_the_whole_spectrums_whatever_lies_between_the_wavelengths_of_absorption(rows):
+    photodiode = Photodiode(name="p", position_mm=(0.0, 0.0), responsivity=rows)
+    nm = np.arange(380.0, 1100.01, 0.05)
+    current = spectral_irradiance(SOURCES[0], nm) * optics.responsivity_a_per_w(photodiode, nm)
+    total = photocurrent_a_per_mm2(SOURCES[0], photodiode).sum()
+    assert total == pytest.approx(1e-6 * np.trapezoid(current, nm), rel=1e-3) and total > 1e-7
 
 
 def test_traced_ambient_light_scatters_as_its_standard_error_says(jit_backend, monkeypatch):

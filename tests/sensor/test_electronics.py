@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 
 from nailoptics.errors import InputError
+from nailoptics.light.optics import responsivity_a_per_w
 from nailoptics.scene import Electronics, Led, Photodiode
 from nailoptics.scene.base import PHOTON_NM_PER_V
-from nailoptics.sensor.electronics import (
-    flicker_gain,
-    lsb_v,
-    noise_budget,
-    read,
-    responsivity_a_per_w,
-)
+from nailoptics.sensor.electronics import flicker_gain, lsb_v, noise_budget, read
 
 # Of one watt, so that a detected fraction is a power in watts.
 LED = Led(name="watt", wavelength_nm=800, flux_mw=1000)
@@ -123,6 +118,9 @@ def test_too_much_light_is_held_at_the_range_and_marked():
     assert (np.diff(output.amplified_v) > 0).all()
     assert (saturated == (power_w * 0.55e6 + 1e-4 >= Electronics().adc_range_v - lsb_v(Electronics()))).all()
     assert saturated.any() and not saturated.all()
+    # What the converter cuts off adds no noise.
+    assert (np.diff(output.noise_v2[~saturated]) > 0).all()
+    assert output.noise_v2[saturated] == pytest.approx(output.noise_v2[-1], rel=1e-9)
 
 
 def test_light_and_light_from_outside_broadcast():

@@ -138,7 +138,7 @@ def test_fitted_resistors_hold_nearly_all_people_below_the_limit(jit_backend):
     scene = with_fitted_resistors(prototype())
     transfer = trace(scene, photons=50_000, seed=1)
     whole = np.zeros((2, len(scene.zone_edges_mm) + 1))
-    drawn = readings_over_priors(transfer, lambda varied: whole, options=TraceOptions(seed=1), own_traces=True)
+    drawn = readings_over_priors(transfer, lambda varied: (whole, None), options=TraceOptions(seed=1), own_traces=True)
     photodiodes = [element.photodiode for element in scene.layout.photodiodes]
     fraction = np.exp(drawn.level.draws(0))[:, 0]
     lit_a, ambient_a = (

@@ -47,6 +47,11 @@ def ends(scene: Scene) -> np.ndarray:
     return steady_blood(scene, [0.0, 1.0])
 
 
+def held_ends(scene: Scene) -> tuple[np.ndarray, None]:
+    """The same as `readings_over_priors` takes them, of blood as saturated as the scene says."""
+    return ends(scene), None
+
+
 def all_but(*fields: str) -> tuple[str, ...]:
     return tuple(one.field for one in shipped_priors() if one.field not in fields)
 
@@ -97,7 +102,7 @@ def test_light_of_one_path_spreads_as_the_absorption_does():
         seeds=(0,),
     )
     transfer = Transfer(scene, (light,), "none", engine="made up", versions={"numpy": "0"})
-    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
+    result = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=False)
     value, error = result.level.total
     sd, depth = np.log(4) / (2 * Z95), float(light.mu_a[names.index("plate")]) * length_mm
     exact = depth * np.sqrt((np.exp(sd**2) - 1) * np.exp(sd**2))
@@ -135,7 +140,7 @@ def drawn(scene: Scene, result: PriorSensitivity, count: int, seed: int) -> Iter
 @pytest.mark.long
 def test_one_prior_at_a_time_adds_up_to_all_at_once(reread):
     """Expected: what one prior each changes adds up to joint draws; what two of them add together is small."""
-    result, draws = readings_over_priors(reread, ends, options=OPTIONS, own_traces=False), []
+    result, draws = readings_over_priors(reread, held_ends, options=OPTIONS, own_traces=False), []
     for one in drawn(reread.scene, result.level, 160, seed=7):
         with warnings.catch_warnings():
             # Some draws lie far from the trace; they count with all others.
@@ -153,7 +158,7 @@ def test_one_prior_at_a_time_adds_up_to_all_at_once(reread):
 def test_the_95_percent_interval_over_priors_covers_fresh_traces(traced, seed):
     """Expected: of 40 draws, all priors at once, 88 to 99 % of readings and signals lie within the stated interval."""
     transfer = trace(traced.scene, photons=1_000_000, seed=1)
-    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
+    result = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=True)
     fresh = []
     for k, one in enumerate(drawn(traced.scene, result.level, 40, seed=seed)):
         with warnings.catch_warnings():
@@ -186,7 +191,7 @@ def test_signs_that_hold_do_so_in_joint_draws(request, fresh, draws, seed):
 
     def signal_over_priors(site: str) -> PriorSensitivity:
         pressed = replace(transfer, scene=at(site, transfer.scene))
-        return readings_over_priors(pressed, ends, options=OPTIONS, own_traces=fresh).signal
+        return readings_over_priors(pressed, held_ends, options=OPTIONS, own_traces=fresh).signal
 
     stated = {site: signal_over_priors(site) for site in sites}
     same: dict[str, list[np.ndarray]] = {site: [] for site in sites}
@@ -207,12 +212,12 @@ def test_signs_that_hold_do_so_in_joint_draws(request, fresh, draws, seed):
 def test_the_standard_error_of_a_spread_is_true(traced):
     """Twenty parts of the photons, each by itself, against all of them: 95 % intervals hold their estimates."""
     light, parts = traced.traces[0], 20
-    whole = readings_over_priors(traced, ends, options=OPTIONS, own_traces=False)
+    whole = readings_over_priors(traced, held_ends, options=OPTIONS, own_traces=False)
     of = np.random.default_rng(3).integers(parts, size=light.photons)[light.photon]
     each = []
     for k in range(parts):
         part = replace(light.select(of == k), photons=light.photons // parts)
-        result = readings_over_priors(replace(traced, traces=(part,)), ends, options=OPTIONS, own_traces=False)
+        result = readings_over_priors(replace(traced, traces=(part,)), held_ends, options=OPTIONS, own_traces=False)
         each.append([(*one.total, one.base_answer[0]) for one in (result.level, result.change, result.signal)])
     value, error = (np.array([[kind[j][0] for kind in one] for one in each]) for j in (0, 1))
     for kind, one in ((0, whole.level), (1, whole.change), (2, whole.signal)):
@@ -236,9 +241,9 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
     own = PriorRange(field="finger.plate_scattering", low=0.25, high=2.5)
     scene = prototype(*all_but("finger.plate_scattering", "finger.plate_absorption"), ranges=(own,))
     transfer = trace(scene, photons=400_000, seed=1)
-    without = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=False)
+    without = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=False)
     assert [one.field for one in without.untraced] == ["finger.plate_scattering"] and len(without.level.priors) == 1
-    result = readings_over_priors(transfer, ends, options=OPTIONS, own_traces=True)
+    result = readings_over_priors(transfer, held_ends, options=OPTIONS, own_traces=True)
     assert result.untraced == () and [one.field for one in result.level.priors][1] == "finger.plate_scattering"
     value, error = (each[1] for each in result.level.by_prior)
     assert (value > 3 * error).sum() > 4
@@ -252,7 +257,9 @@ def test_a_scattering_prior_has_traces_of_its_own(chosen_jit):
 @pytest.mark.long
 def test_a_finger_of_which_all_is_known_has_no_spread(reread):
     scene = prototype(*all_but())
-    result = readings_over_priors(replace(reread, scene=scene), ends, options=OPTIONS, own_traces=True).dataset(scene)
+    result = readings_over_priors(replace(reread, scene=scene), held_ends, options=OPTIONS, own_traces=True).dataset(
+        scene
+    )
     assert result.sizes["prior"] == 0 and (result.reading_spread < 1e-9).all() and (result.signal_spread < 1e-9).all()
     assert spread_summary(result) == {} and spread_section(result) == ""
 

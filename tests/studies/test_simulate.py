@@ -21,10 +21,11 @@ from nailoptics.hemodynamics.for_scene import blood_model, blood_over_touch, hol
 from nailoptics.io import write_dataset
 from nailoptics.light import detect, open_light
 from nailoptics.options import TraceOptions
-from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene
+from nailoptics.scene import Ambient, Body, Electronics, Heartbeat, Scene, digest, load_scene, parse_scene, to_toml
 from nailoptics.sensor.volts import WornLight
 from nailoptics.studies.exploration.explore import explore
 from nailoptics.studies.force.calibrate import calibrate
+from nailoptics.studies.force.reading_table import record
 from nailoptics.studies.model_error.tradeoff import tradeoff
 from nailoptics.studies.oximetry.oxygen import oximeter
 from nailoptics.studies.placement.place import place
@@ -318,6 +319,34 @@ def test_a_dark_slot_leaves_noise_flicker_and_saturation(in_ambient_light):
 
 
 @pytest.mark.jit
+def test_a_balance_of_oxygen_is_in_the_signal_as_in_the_volts(chosen_jit):
+    """Rationale: at 660 nm blood that loses oxygen absorbs more, which turns or doubles the change by a touch."""
+    held = {"touch.site": "proximal", "touch.release_s": 25.0, "touch.duration_s": 30.0}
+    scene = prototype().with_(
+        {"blood.venous_so2": 0.88, "blood.oxygen_balance": True, "priors.own_traces": False} | held
+    )
+    result = simulate(scene.with_led(0, wavelength_nm=660.0), photons=1 << 14, seed=1)
+    read = result.detected_fraction.values
+    assert result.signal.values == pytest.approx(read[..., hold_end(result)] / read[..., 0] - 1, rel=1e-3)
+    assert result.so2.values.min() < 0.92
+
+
+@pytest.mark.jit
+def test_flicker_is_recorded_and_its_crest_reaches_the_converters_limit(in_ambient_light):
+    lit = in_ambient_light["lamp"]
+    scene = parse_scene(lit.attrs["scene"])
+    # At 100 Hz it would come out as a constant of these samples, a hundred in a second.
+    other = lit.assign_attrs(scene=to_toml(scene.with_({"ambient.flicker_hz": 97.0})))
+    recorded, alone = record(other, seed=1), record(in_ambient_light["none"], seed=1)
+    flicker = (recorded.volts - alone.volts)[:, 1:] - lit.ambient_volts.values[:, None]
+    assert np.sqrt((flicker**2).mean(1)) == pytest.approx(lit.ambient_flicker_v.values, rel=0.3)
+    crest = scene.with_({"ambient.flicker": 1.0, "ambient.illuminance_lux": 1.2e4, "electronics.feedback_ohm": 4e5})
+    result = simulate(crest, photons=1 << 14, seed=1)
+    above = (result.volts + result.ambient_volts).max("time") > 5.0
+    assert (result.volts < 5.0).all() and above.any() and (result.saturated.any("time") == above).all()
+
+
+@pytest.mark.jit
 def test_a_bloodless_finger_is_a_control_whose_readings_stay(chosen_jit):
     scene = prototype(duration_s=1.0)
     bare = scene.model_copy(update={"blood": scene.blood.model_copy(update={"rest_blood_fraction": 0.0})})
@@ -518,7 +547,9 @@ def test_over_priors_of_the_blood_at_rest_the_course_is_that_of_its_own_touch(mo
     def ask(transfer, states, **how):
         for rest in (0.01, 0.03, 0.05):
             varied = scene.with_({"blood.rest_blood_fraction": rest})
-            asked.append((states(varied), blood_over_touch(varied).blood_fraction.values[:, [0, hold_end(course)]].T))
+            asked.append(
+                (states(varied)[0], blood_over_touch(varied).blood_fraction.values[:, [0, hold_end(course)]].T)
+            )
         return SimpleNamespace(dataset=lambda scene: xr.Dataset())
 
     module = import_module("nailoptics.studies.simulate")

@@ -49,8 +49,8 @@ class ReadingSeries:
 def readings_over_states(transfer: Transfer, blood_fraction: np.ndarray) -> ReadingSeries:
     """Readings over a course of blood states; a press of ten thousand steps takes about as long as one of a hundred.
 
-    An LED's line is weighed by the photodiode's response, relative to that at the peak wavelength. Readings are smooth
-    in the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the error of interpolation
+    An LED's line is weighed by the photodiode's responsivity over its mean along the line. Readings are smooth in
+    the blood: they are taken at Chebyshev nodes over the range of states, as many as keep the error of interpolation
     below 1e-7 of a reading for all but the longest paths, and interpolated.
 
     blood_fraction : (t, K) float in 0-1. Blood of each zone in each state; of single precision, readings are, too.
@@ -211,11 +211,15 @@ def _absorption(
     return out
 
 
-def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray) -> np.ndarray:
-    """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float."""
+def read_by_groups(transfer: Transfer, scene: Scene, states: np.ndarray, so2: np.ndarray | None = None) -> np.ndarray:
+    """Readings of a scene in states (t, zones) by a trace that gives them, (1 + groups, led, photodiode, t) float.
+
+    so2 : (t, zones) float, where the blood's oxygen is balanced.
+    """
     by_led = []
     for i, led in enumerate(transfer.scene.leds):
-        mu_a = optics.absorption(scene, optics.spectrum(led)[0], blood_fraction=states)
+        blood = states if so2 is None else optics.equivalent_blood(scene, led, states, so2)
+        mu_a = optics.absorption(scene, optics.spectrum(led)[0], blood_fraction=blood)
         by_led.append(read_replicates(transfer, i, mu_a, paths=False)[0])
     return np.stack(by_led, 1)
 
@@ -232,7 +236,7 @@ def read_replicates(
     paths : whether to have the mean paths, too, which are half of the work; else of no zone.
 
     Returns: (1 + groups, photodiodes, states) float, fractions of the emitted power, weighted by the photodiode's
-    response relative to that at the LED's peak; and (1 + groups, photodiodes, zones) float, the mean paths in the first
+    responsivity over its mean along the line; and (1 + groups, photodiodes, zones) float, the mean paths in the first
     state: minus the derivative of ln reading by the absorption of each zone's blood, averaged over the line. [mm]
     """
     trace, source = transfer.traces[led], transfer.scene.leds[led]

@@ -118,7 +118,8 @@ class Transfer(Displayed):
         """Readings at one state, or at several.
 
         blood_fraction : (K,) or (states, K) float in 0-1. Blood in each zone of the bed; at rest if not given.
-        so2 : float or (states,) float in 0-1. Oxygen saturation; the scene's if not given.
+        so2 : float or (states,) float in 0-1. Oxygen saturation of all blood, whatever part is venous in the scene; the
+            scene's saturations if not given.
         mu_a_per_mm : absorption by absorber's name, in place of what the scene says. [mm^-1]
 
         Returns: Dataset over led, photodiode and absorber, and over state where several are given: detected_fraction,

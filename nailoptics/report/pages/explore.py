@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...io import FORMULA
+from ...light.optics import line_response
 from ...scene import Led, Photodiode, Scene
 from ...scene.base import MOST_PHOTODIODES
 from ...sensor import electronics
@@ -144,7 +145,7 @@ def _stage(scene: Scene) -> dict[str, Any]:
 def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -> dict[str, Any]:
     """Volts and noise by a photodiode's light: the variance is linear in current, quadratic in feedback resistance."""
     stage, dark_a = scene.electronics, photodiode.dark_current_a(scene.electronics.temperature_k)
-    wavelengths = [kind["fields"]["wavelength_nm"] for kind in leds]
+    lines = [Led(name="led", position_mm=(0.0, 0.0), **kind["fields"]) for kind in leds]
     # By 1 A from outside, of which rejection subtracts as much again with noise of its own.
     fixed, noise = (
         electronics.read(0.0, scene.leds[0], photodiode, stage, ambient_a=1.0, feedback_ohm=ohm).noise
@@ -153,7 +154,7 @@ def _readout(photodiode: Photodiode, leds: list[dict[str, Any]], scene: Scene) -
     return {
         "title": photodiode.part or photodiode.name,
         "fields": _fields(photodiode),
-        "responsivity": electronics.responsivity_a_per_w(photodiode, wavelengths),
+        "responsivity": [float(line_response(led, photodiode).sum()) for led in lines],
         "darkA": dark_a,
         "noise": {
             "converterV2": float(fixed.adc_v2),

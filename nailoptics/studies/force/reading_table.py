@@ -110,7 +110,8 @@ def reading_names(scene: Scene) -> tuple[str, ...]:
 
 
 def record(result: xr.Dataset, *, seed: int = 0) -> Recording:
-    """What a worn sensor would record of a simulated touch: volts with noise and the converter's steps.
+    """What a worn sensor would record of a simulated touch: volts with noise, the flicker of [ambient], and the
+    converter's steps.
 
     result : what `simulate` returned.
 
@@ -126,7 +127,11 @@ def record(result: xr.Dataset, *, seed: int = 0) -> Recording:
     # The converter's own steps are applied below, not drawn.
     lsb = electronics.lsb_v(scene.electronics)
     analog = np.sqrt(np.maximum(noise**2 - lsb**2 / 12, 0.0))
-    volts = volts + analog * np.random.default_rng(seed_of(seed, _NOISE)).normal(size=volts.shape)
+    rng = np.random.default_rng(seed_of(seed, _NOISE))
+    volts = volts + analog * rng.normal(size=volts.shape)
+    if scene.ambient is not None:
+        flicker = np.sqrt(2) * np.sin(2 * np.pi * (scene.ambient.flicker_hz * time_s + rng.random()))
+        volts += np.tile(result.ambient_flicker_v.values, len(scene.leds))[:, None] * flicker
     volts, _ = electronics.converted(np.round(volts / lsb) * lsb, scene.electronics)
     # Nothing is recorded while the sensor is off the finger.
     worn = ~scene.touch.is_off(time_s)

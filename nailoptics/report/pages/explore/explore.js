@@ -169,8 +169,10 @@ function fittedOhm(largestA) {
 /** Noise variance of one reading, by its causes and their sum [V^2], at the photocurrents of LED and ambient light [A] and a feedback resistance, its mean, the stage's output [V] and whether the converter is at its limit. */
 function stage(kind, lit, ambient, ohm) {
   const { rangeV, limitV, rejects } = tables.stage, amplified = (lit + ambient + kind.darkA) * ohm, one = kind.noise, ohm2 = ohm * ohm;
+  // What the converter cuts off adds no noise.
+  const read = Math.max(Math.min(lit, lit + (limitV - amplified) / ohm), 0);
   const noise = {
-    "shot noise": ohm2 * (one.darkPerOhm2 + one.shotPerOhm2A * lit),
+    "shot noise": ohm2 * (one.darkPerOhm2 + one.shotPerOhm2A * read),
     // What rejection subtracts has the noise of ambient light, too.
     "ambient light": ohm2 * one.shotPerOhm2A * (rejects ? 2 : 1) * ambient,
     "feedback resistor": ohm * one.feedbackPerOhm,
