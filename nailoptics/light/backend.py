@@ -23,7 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, get_args
 
-from ..assets import read_toml
+from ..assets import data_dir, read_toml
 from ..errors import InputError, WriteError
 from ..io import cache_folder, write_bytes
 from ..options import BackendName
@@ -43,31 +43,7 @@ CACHE = "backends.json"
 LLVM_FILE = re.compile(r"libLLVM(?:-.*)?\.so|libLLVM.*\.dylib$")
 FOLDERS = ("/usr/lib", "/usr/lib64", "/lib", "/lib64", "/usr/local/lib", "/usr/local/lib64")
 
-# A kernel alone is not enough: on CUDA, rays need OptiX, which can be missing where kernels work. What the photons
-# engine needs comes first: libLLVM 15 and 16 abort at the maxima of floats that Mitsuba's own kernels hold.
-PROBE = """
-import sys
-try:
-    import resource
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-except (ImportError, ValueError, OSError):
-    pass
-try:
-    import mitsuba as mi
-except ImportError as error:
-    print(error, file=sys.stderr)
-    sys.exit(int(sys.argv[2]))
-mi.set_variant(sys.argv[1])
-import drjit as dr
-two = dr.opaque(mi.Float, 2.0)
-assert dr.allclose(dr.sum(dr.arange(mi.Float, 16) * two), 240.0), "a kernel computed a wrong sum"
-scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
-hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(0, 0, -5), mi.Vector3f(0, 0, 1)))
-assert dr.allclose(hit.t, 4.0), "a ray met a sphere at the wrong place"
-print("photons", flush=True)
-assert dr.allclose(dr.sum(dr.maximum(dr.arange(mi.Float, 16), two)), 123.0), "a kernel computed a wrong maximum"
-print("volpath", flush=True)
-"""
+PROBE = (data_dir("assets") / "probe_backend.py").read_text(encoding="utf-8")
 
 _answers: dict[str, tuple[tuple[str, ...], str]] = {}
 
