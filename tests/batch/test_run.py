@@ -237,7 +237,7 @@ def test_a_damaged_result_and_damaged_light_are_found_said_and_made_again(jit_ba
     run_batch(sweep, tmp_path / "b", workers=1)
     before = bits(tmp_path / "b")
     results, lights = (sorted((tmp_path / "b").glob(f"{n}/*.dat")) for n in ("results", "light/*"))
-    results[0].write_bytes(results[0].read_bytes()[:-1] + b"?")
+    results[0].write_bytes(results[0].read_bytes()[:200] + b"?" + results[0].read_bytes()[201:])
     results[1].write_bytes(b"")
     for light in lights:
         light.write_bytes(light.read_bytes()[:200])
