@@ -16,7 +16,7 @@ from nailoptics.studies.model_error.explain import TOGETHER, Effect, Explanation
 def effect(name: str, change: float, stderr: float, **fields: Any) -> Effect:
     values: dict[str, Any] = {"change": change, "stderr": stderr, "bound": abs(change) + 3 * stderr}
     values |= {"modelled": True, "photodiode": "ir proximal.6", "modulation_bound": 0.1, "tolerance": 0.02}
-    values |= {"changed_to": "other", "how": "derived", "typical": 0.0, "typical_stderr": 0.0}
+    values |= {"changed_to": "other", "how": "derived"}
     return Effect(name=name, **(values | fields))
 
 

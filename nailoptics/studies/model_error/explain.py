@@ -190,7 +190,6 @@ class Effect(Change):
         the photodiode named, which it changes most; the error allows for its selection: its 95 % interval holds
         with Bonferroni's correction for all photodiodes.
     bound : what no photodiode's change exceeds, with 95 % confidence each.
-    typical, typical_stderr : change over all photodiodes, weighted by the errors of the scene's readings.
     modulation_bound : the same bound on the modulation by touch, as a fraction of the largest modulation.
     """
 
@@ -199,8 +198,6 @@ class Effect(Change):
     stderr: float
     bound: float
     photodiode: str
-    typical: float
-    typical_stderr: float
     modulation_bound: float | None
     tolerance: float
     of: Literal["reading", "signal"] = "reading"
@@ -345,7 +342,6 @@ def effect_of(
     sure = np.where(known, np.abs(ratio) - SURE * error, -np.inf)
     best = i, j = np.unravel_index(int(np.argmax(sure)), sure.shape)
     picked = float(ndtri(1 - 0.025 / max(int(known.sum()), 1))) / Z95
-    mean, mean_stderr = paired.weighted_mean(differences._replace(value=ratio, stderr=error), base)
     of_signal = math.nan if measured.signal is None else float(measured.signal.bound.max())
     return Effect(
         **vars(change),
@@ -354,8 +350,6 @@ def effect_of(
         stderr=picked * float(error[best]),
         bound=float(np.where(known, differences.bound, np.inf).max()),
         photodiode=f"{base.transfer.leds[i]} {base.transfer.photodiodes[j]}",
-        typical=mean,
-        typical_stderr=mean_stderr,
         modulation_bound=of_signal if math.isfinite(of_signal) else None,
         tolerance=tolerance,
         of=of,
@@ -390,11 +384,9 @@ def blood_scattering(tolerance: float, base: PairedReadings, denser: PairedReadi
         slope = more / (1 + reading.value) / np.log(SCATTERING_FACTOR)
         error = np.hypot(slope * reading.stderr, signal * unit_stderr / unit)
         skew = np.abs(slope) * reading.skew
-        covariance = np.outer(slope, slope) * np.asarray(reading.covariance)
-        covariance += np.outer(signal, signal) * (unit_stderr / unit) ** 2
     text = f"replaces dermis, which scatters {1 / (1 + np.mean(contrast)):.2g} times as much"
     none = Estimates(np.zeros_like(signal), np.zeros_like(signal))
-    measured = Difference(none, Estimates(signal, error, skew, covariance))
+    measured = Difference(none, Estimates(signal, error, skew))
     return effect_of(Change("blood's own scattering", False, text), measured, base, tolerance=tolerance)
 
 
@@ -406,9 +398,6 @@ def ambient(tolerance: float, options: TraceOptions, base: PairedReadings) -> Ef
     outside_a = trace_ambient(scene, [source], options, seed=options.seed)[:2, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio, error = (np.where(base.level > 0, current / (base.level * full_a), np.inf) for current in outside_a)
-        # All LEDs' readings of a photodiode have one photocurrent from outside.
-        one_photodiode = np.tile(np.eye(len(diodes)), [len(scene.leds)] * 2)
-        covariance = np.outer(error, error) * one_photodiode + np.outer(ratio, ratio) * base.relative_covariance
-        measured = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr), 0.0, covariance))
+        measured = Difference(Estimates(ratio, np.hypot(error, ratio * base.relative_stderr)))
     text = f"{source.words} on all sides; a reading with the LED off takes it away"
     return effect_of(Change("ambient light", scene.ambient is not None, text), measured, base, tolerance=tolerance)

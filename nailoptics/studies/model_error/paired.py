@@ -67,15 +67,6 @@ class PairedReadings:
         return np.where(self.level**2 >= MIN_EFFECTIVE_TERMS * square, relative, np.inf)
 
     @cached_property
-    def relative_covariance(self) -> np.ndarray:
-        """Covariance of the levels of all LEDs' photodiodes, as fractions of them, (r, r) float."""
-        count, blocks = len(self.transfer.photodiodes), []
-        for one, part, level in zip(self.transfer.traces, self.parts, self.level, strict=True):
-            share = part[:, 0] / level[one.photodiode]
-            blocks.append(covariance_of_sums(one.photon, one.photodiode, share, count) - 1 / one.photons)
-        return np.asarray(block_diag(*blocks))
-
-    @cached_property
     def modulation_stderr(self) -> np.ndarray:
         """Standard error of the modulation; inf where fewer than 25 effective photons were detected."""
         count, spread = len(self.transfer.photodiodes), []

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from nailoptics import load_scene
-from nailoptics.assets import data_dir
 from nailoptics.light import Transfer
-from nailoptics.options import TraceOptions
 from nailoptics.statistics import Z95, magnitude_bound_95
-from nailoptics.studies.model_error import explain
 from nailoptics.studies.model_error.paired import (
     UNDETECTED,
     Difference,
@@ -40,33 +36,6 @@ def drawn(draw: np.random.Generator, *, arrive: float, carry: float, depth: floa
     transfer = cast(Transfer, SimpleNamespace(traces=(traces,), photodiodes=tuple(map(str, range(DIODES)))))
     parts = np.column_stack([weight, pressed]) / PHOTONS
     return difference(PairedReadings(transfer, (parts,)), PairedReadings(transfer, (parts * left[:, None],)))
-
-
-def counted(counts: list[list[int]]) -> PairedReadings:
-    """Photons of weight 1, of so many detected by each LED's photodiodes, which none of them share."""
-    which = [np.repeat(np.arange(len(row)), row) for row in counts]
-    traces = [SimpleNamespace(photon=np.arange(len(w)), photodiode=w, photons=PHOTONS, seeds=(0,)) for w in which]
-    scene = load_scene(data_dir("scenes") / "pulse_oximeter.toml")
-    leds, photodiodes = [led.name for led in scene.leds], scene.layout.photodiode_names
-    transfer = SimpleNamespace(traces=traces, photodiodes=photodiodes[: len(counts[0])], leds=leds, scene=scene)
-    return PairedReadings(cast(Transfer, transfer), tuple(np.full((len(w), 2), 1 / PHOTONS) for w in which))
-
-
-def test_a_photon_that_one_photodiode_detects_is_lost_to_the_others():
-    """Expected: of photodiodes that detect 30 and 60 % of the light, the covariances are those of a multinomial count,
-    (1 / p - 1) / n and -1 / n of the mean; of two LEDs, which share no photon, 0."""
-    result = counted([[PHOTONS * 3 // 10, PHOTONS * 6 // 10]] * 2).relative_covariance
-    one = np.array([[1 / 0.3 - 1, -1], [-1, 1 / 0.6 - 1]]) / PHOTONS
-    np.testing.assert_allclose(result, np.kron(np.eye(2), one), rtol=1e-9, atol=1e-15)
-
-
-def test_light_from_outside_is_one_error_of_a_photodiode_for_all_leds(monkeypatch):
-    """Rationale: a photodiode's current from outside is traced once. Expected: of currents known to 20 %, beside which
-    the readings have little error, the mean over three photodiodes is known to 20 % / sqrt(3), however many LEDs."""
-    outside_a = np.full((3, 1, 3), [[[1e-9]], [[2e-10]], [[1e-6]]])
-    monkeypatch.setattr(explain, "trace_ambient", lambda *_, **__: outside_a)
-    result = explain.ambient(0.02, TraceOptions(), counted([[PHOTONS // 4] * 3] * 2))
-    assert result.typical_stderr / result.typical == pytest.approx(0.2 / np.sqrt(3), rel=0.02)
 
 
 @pytest.mark.parametrize(
