@@ -1,6 +1,5 @@
 """Which version and, where it is known, which commit this code is of; the build runs this file alone."""
 
-import json
 import subprocess
 from collections.abc import Mapping
 from functools import cache
@@ -42,8 +41,6 @@ def commit() -> str | None:
             # Said so, git does not look for a repository: nor at GIT_DIR, nor whether the folder is another user's.
             command = ["git", "--git-dir", str(_ROOT / ".git"), "rev-parse", "HEAD"]
             return subprocess.run(command, capture_output=True, encoding="utf-8", check=True).stdout.strip()
-        # What pip wrote down when it installed from a repository.
-        source = metadata.distribution("nailoptics").read_text("direct_url.json")
-        return json.loads(source)["vcs_info"]["commit_id"] if source else None
-    except (OSError, subprocess.SubprocessError, ValueError, LookupError, metadata.PackageNotFoundError):
-        return None
+    except (OSError, subprocess.SubprocessError):
+        pass
+    return None

@@ -131,8 +131,6 @@ class LightStore:
     def trim(self) -> None:
         """Evict the entries that were not used for longest (LRU), until the rest is within bounds."""
         self._unchecked = 0
-        if math.isinf(self.most_bytes):
-            return
         with suppress(OSError):  # another process trims, too
             aged = sorted((folder.stat().st_mtime, folder, size_of(folder)) for folder in self.folders())
             total = sum(size for _, _, size in aged)
