@@ -284,6 +284,7 @@ def place(
     folder = _results(options.output, scene, PLACEMENT)
     result, unmet = traced(study, _load(scene, options), verify_with_mitsuba=verify_with_mitsuba, options=options)
     paths = PLACEMENT.write(result, folder, negate_x_on_bottom=negate_x_on_bottom, scene_folder=Path(scene).parent)
+    paths |= {name: folder / name for name in PLACEMENT.files if folder / name not in paths.values()}
     finish(paths, *shown(PLACEMENT, result, folder=str(folder)), options.json, unmet, folder)
 
 

@@ -85,9 +85,16 @@ def test_a_drawing_and_its_caption_show_a_name_as_text(name):
 @pytest.mark.parametrize("name", HOSTILE)
 def test_tables_of_layouts_persons_and_readings_show_a_name_as_text(name):
     numbers = ["force_resolution_n", "force_resolution_n_stderr", "fixed_ratio_resolution_n", "shunted_fraction"]
-    numbers += ["proximal_pressure_pa", "distal_pressure_pa", "condition_number", "least_snr", "adc_headroom"]
+    numbers += [
+        "proximal_pressure_pa",
+        "distal_pressure_pa",
+        "condition_number",
+        "least_snr",
+        "adc_headroom",
+        "led_power_mw",
+    ]
     numbers += ["share_resolution", "share_resolution_stderr"]
-    row = dict.fromkeys(numbers, 1.0) | {"layout": name, "rank": 1, "tied": False}
+    row = dict.fromkeys(numbers, 1.0) | {"layout": name, "rank": 1, "tied": False, "photodiodes": 8}
     assert_text_alone(html.table(placement._ranking_rows([row])), name)
     person = {"value": 1.0, "stderr": 0.1, "prior": name, "informed": True, "what": name}
     assert_text_alone(html.table(force._factors({"parameters": {name: person}})), name)

@@ -21,10 +21,10 @@ from ...studies.placement import boards
 from ...studies.placement.objective import ALIKE
 from ...studies.placement.result import ROUGH, budgets as budgets_of, chosen, gains, kicad_parts, outline, rows
 from ...studies.placement.robustness import KINDS, MOVED, POWER, POWERED, STEP_MM, TURN_DEG, TURNED
-from .. import maps
+from .. import maps, numbers, style
 from ..files import Report, run_summary, scene_text
 from ..html import document, figure, section, small, subheading, table, texts
-from ..numbers import ROUNDING, aligned, cells, estimated, plain, quantity, significant, with_error, with_stderr
+from ..numbers import ROUNDING, aligned, cells, plain, quantity, significant, with_error, with_stderr
 from ..scene_description import CAUSES, body_words
 from ..uncertainty_section import spread_section, spread_summary
 from .placement_figures import SHOWN, budget_figure, front_figure, map_figure, ranking_figure
@@ -41,15 +41,22 @@ TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
 PAGE_ALONE = tuple(RANKING)[-3:]
+# Without errors of less than a thousandth.
+estimated = partial(numbers.estimated, negligible=1e-3)
 
 
 def page(result: xr.Dataset) -> str:
     """The page of what `place` returns."""
-    best, ranking = chosen(result), rows(result)
+    best, ranking, front = chosen(result), rows(result), _front(result)
     groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
-    layout = [figure(maps.top_view(best), TEXTS["board"], narrow=True), table(_photodiodes(result), groups=groups)]
-    costs = _front(result)[1]
-    drawn = figure(front_figure(result, *_ranked_in(result)), TEXTS["costs"], narrow=True) if costs else ""
+    board = maps.top_view(best)
+    for area in _rules(result).keep_out_mm:
+        maps.draw_area(board.axes[0], area, zorder=2.5, fc="none", ec=style.MUTED, lw=0.6, hatch="////")
+    layout = [figure(board, TEXTS["board"], narrow=True)]
+    layout += [table(_photodiodes(result), groups=groups), small(TEXTS["readings"])]
+    costs = [small(front["words"]), table(front["table"])]
+    if front["table"]:
+        costs.append(figure(front_figure(result, *_ranked_in(result)), TEXTS["costs"], narrow=True))
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout += [subheading("Ambient light"), table(_ambient(result)), small(TEXTS["ambient"])]
@@ -67,13 +74,14 @@ def page(result: xr.Dataset) -> str:
                 "The ranking",
                 figure(ranking_figure(result), TEXTS["ranking"], narrow=True),
                 table(_ranking_rows(ranking[:SHOWN]), kind="dense"),
-                *map(small, _people(ranking)),
+                small(TEXTS["columns_explained"]),
+                *map(small, [*_notes(ranking), *_people(ranking)]),
                 small(rough_words(ranking)),
                 small(checked),
                 small(_bound(result)),
             ),
             _limits(result),
-            *([section("What it costs", costs, drawn)] if costs else []),
+            *([section("What it costs", *costs)] if front["table"] else []),
             section("The best layout", *layout),
             *(
                 section(f"Maps of {name}", figure(map_figure(best, result, led=led), TEXTS["maps"]))
@@ -85,9 +93,14 @@ def page(result: xr.Dataset) -> str:
     )
 
 
+def _rules(result: xr.Dataset) -> Placement:
+    """What the layouts were to keep to."""
+    return boards.rules(parse_scene(result.attrs["scene"], name="the scene"))
+
+
 def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     """What the best layout resolves, on which fingers and beside what, and how many others are as good."""
-    best, first, rules = chosen(result), ranking[0], boards.rules(parse_scene(result.attrs["scene"], name="the scene"))
+    best, first, rules = chosen(result), ranking[0], _rules(result)
     name = f"Layout {first['layout']}"
     if first["origin"] == "searched":
         places = ("{} at ({:.3g}, {:.3g})".format(led.name, *led.center_mm) for led in best.layout.leds)
@@ -110,13 +123,30 @@ def _warnings(result: xr.Dataset) -> list[str]:
     unknown = int(np.isnan(result.predicted_volts_stderr).sum())
     lines = [TEXTS["few_photons"].format(unknown, result.predicted_volts.size)] if unknown else []
     names = result.layout.values[result.may_saturate.values]
-    return lines + ([TEXTS["saturated"].format(", ".join(map(str, names)))] if names.size else [])
+    lines += [TEXTS["saturated"].format(", ".join(map(str, names)))] if names.size else []
+    if "ambient_volts" in result:
+        dark = "saturated", "with the cover"
+        bright = [row["Light"] for row in _ambient(result) if all(word in str(row) for word in dark)]
+        lines += [TEXTS["outshone"].format(", ".join(bright))] if bright else []
+    return lines
 
 
 def _tied(ranking: list[dict[str, Any]]) -> str:
-    """Which layouts tie with the best, and what of it another seed may propose."""
+    """How many layouts tie with the best, and what of it another seed may propose."""
     first, *others = [row["layout"] for row in ranking if row["rank"] == 1]
-    return TEXTS["tied"].format(first, ", ".join(others), 100 * ALIKE) if others else "No other ties with the first."
+    return TEXTS["tied"].format(first, 1 + len(others), 100 * ALIKE) if others else "No other ties with the first."
+
+
+def _with_parts(name: str, ranking: list[dict[str, Any]]) -> str:
+    """A layout's name, with number and power of its parts where the best has others."""
+    parts = {row["layout"]: f"{row['photodiodes']:g} photodiodes, {row['led_power_mw']:.3g} mW" for row in ranking}
+    best = parts[ranking[0]["layout"]]
+    return name if parts[name] == best else f"{name} ({parts[name]}; here {best})"
+
+
+def _notes(ranking: list[dict[str, Any]]) -> list[str]:
+    """What columns and the layout of the paper are, for page and terminal."""
+    return [TEXTS["shunted"], *([TEXTS["paper"]] if any(row["origin"] == "paper" for row in ranking) else [])]
 
 
 def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
@@ -143,7 +173,8 @@ def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str,
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
     for name, better in [*gains(result).items()][:1]:
-        cards.append((f"{with_error(*better)} ×", f"as fine a force resolution as that of {name}"))
+        times = with_error(*better, negligible=1e-3)
+        cards.append((f"{times} ×", f"as fine a force resolution as that of {_with_parts(name, ranking)}"))
     return cards
 
 
@@ -154,7 +185,9 @@ def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
     ]
     known = {head: column for head, column in RANKING.items() if column[0] in set().union(*of_row)}
     return [
-        {"Layout": row["layout"], "Rank": f"{row['rank']}{' (tied)' if row['tied'] else ''}"} | cells(row, known)
+        {"Layout": row["layout"], "Rank": f"{row['rank']}{' (tied)' if row['tied'] else ''}"}
+        | {"Photodiodes": str(row["photodiodes"])}
+        | cells(row, known, estimated)
         for row in ranking
     ]
 
@@ -181,7 +214,9 @@ def _bound(result: xr.Dataset) -> str:
     """How near the best searched layout comes to what none on the search's grid reaches; empty without a search."""
     if "bound" not in result:
         return "" if not result.sizes.get("led_site") else TEXTS["no_bound"]
-    rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
+    if result.above_bound_stderr > result.above_bound:
+        return TEXTS["unsure_bound"].format(100 * float(result.above_bound_stderr))
+    rules, sites = _rules(result), int(result.bounded_sites)
     _, factor, unit = _ranked_in(result)
     percent, where = estimated(result, "above_bound", 100), f"{sites} places"
     grid = "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
@@ -191,27 +226,30 @@ def _bound(result: xr.Dataset) -> str:
 
 def _ranked_in(result: xr.Dataset) -> tuple[str, float, str]:
     """What layouts are ranked by, and factor and unit by which it is shown."""
-    weights = boards.rules(parse_scene(result.attrs["scene"], name="the scene")).weights
+    weights = _rules(result).weights
     words = TEXTS["ranked"].get("".join(weights), f"weighted mean ({result.attrs['rank_by']})")
     return words, *((1e3, " mN") if set(weights) <= {"worst", "mean", "force"} else (1.0, ""))
 
 
-def _front(result: xr.Dataset) -> tuple[list[dict[str, Any]], str]:
-    """Every number of photodiodes with every power of the LEDs and what layouts are ranked by there; those on the
-    Pareto front in a line."""
+def _front(result: xr.Dataset) -> dict[str, Any]:
+    """Every number of photodiodes with every power of the LEDs and what layouts are ranked by there, the same as a
+    table of a line for each number, and what that is."""
+    front: dict[str, Any] = {"points": [], "words": "", "table": []}
     if "on_front" not in result:
-        return [], ""
+        return front
     words, factor, unit = _ranked_in(result)
-    points, shown = list[dict[str, Any]](), list[str]()
-    for n, power_mw in product(result.front_photodiodes.values, result.led_power_mw.values):
-        at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
-        points.append({"photodiodes": int(n), "led_power_mw": float(power_mw), "on_front": bool(at.on_front)})
-        points[-1] |= plain(at, price="front_price") | with_stderr(at, "front_error")
-        if at.on_front:
-            cost = "" if np.isnan(at.front_price) else f" for {at.front_price:g}"
-            power, error = quantity(1e-3 * power_mw, "W"), estimated(at, "front_error", factor)
-            shown.append(f"{n}{cost} with {power} {error}{unit}")
-    return points, TEXTS["front"].format(words, "; ".join(shown)) if shown else ""
+    for n in result.front_photodiodes.values:
+        row = {"Photodiodes": f"{n}"}
+        for power_mw in result.led_power_mw.values:
+            at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
+            point = {"photodiodes": int(n), "led_power_mw": float(power_mw), "on_front": bool(at.on_front)}
+            front["points"].append(point | plain(at, price="front_price") | with_stderr(at, "front_error"))
+            if not np.isnan(at.front_price):
+                row["Price"] = f"{at.front_price:g}"
+            row[quantity(1e-3 * power_mw, "W")] = estimated(at, "front_error", factor) + " *" * bool(at.on_front)
+        front["table"].append(row)
+    front["words"] = TEXTS["front"].format(words[0].upper() + words[1:], unit and f" [{unit.strip()}]", 100 * ALIKE)
+    return front
 
 
 def _limits(result: xr.Dataset) -> str:
@@ -307,7 +345,8 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
         volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
         line = {"Photodiode": name, "Output [V]": estimated(reading, "predicted_volts")}
         line["Full scale / reading"] = significant(float(quotient(result.attrs["adc_range_v"], volts)))
-        line |= {"Noise [µV]": significant(1e6 * noise_v), "SNR": significant(float(quotient(volts, noise_v)))}
+        ratio = significant(float(quotient(volts, noise_v)))
+        line |= {"Noise [µV]": significant(1e6 * noise_v), "Output / noise": ratio}
         line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
         # A hundredth of the bed's volume, in millivolts.
         for k, zone in enumerate(("Proximal", "Distal")):
@@ -388,7 +427,7 @@ def summary(result: xr.Dataset) -> dict[str, Any]:
         "checked_resolution_n": result.attrs.get("checked_resolution_n"),
         "verified_by_mitsuba": _mitsuba_words(result),
         "tolerances": _tolerances(result),
-        "front": dict(zip(("points", "words"), _front(result), strict=True)),
+        "front": _front(result),
         **spread_summary(result),
     } | run_summary(result.attrs)
 
@@ -399,14 +438,15 @@ def lines(summary: dict[str, Any]) -> list[str]:
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
     out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced", summary["tied"]]
+    out += _notes(ranking)
     out += [line.replace("\u00a0", " ") for line in (*_people(ranking), *summary["limits"])]
     for name, better in summary["gains"].items():
-        out.append(
-            f"The first resolves force {with_error(better['value'], better['stderr'])} times as finely as {name}."
-        )
+        times = with_error(better["value"], better["stderr"], negligible=1e-3)
+        out.append(f"The first resolves force {times} times as finely as {_with_parts(name, ranking)}.")
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
-    words = [summary["front"]["words"].replace("\u00a0", " "), rough_words(ranking)]
-    words += [summary["best_possible"]["words"], summary["verified_by_mitsuba"]]
+    if summary["front"]["table"]:
+        out += [summary["front"]["words"], *aligned(summary["front"]["table"])]
+    words = [rough_words(ranking), summary["best_possible"]["words"], summary["verified_by_mitsuba"]]
     return [*out, *filter(None, words), *summary.get("conclusions", [])]
 
 

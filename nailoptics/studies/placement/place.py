@@ -22,7 +22,7 @@ from . import boards, candidates, certificate, robustness, search, verification
 from .candidates import CandidateLayout
 from .objective import JUDGE_SHARE, UNRESOLVED, WAVES_LEFT, LayoutScore, Objective, score_layouts, spo2_objective
 from .photon_maps import FingerCondition, PhotonMapCache
-from .result import as_dataset
+from .result import as_dataset, kicad_parts
 from .robustness import tolerances
 from .row_design import SearchedSite
 from .verification import verify_layout
@@ -152,10 +152,12 @@ def _candidates(
     for ref in dict.fromkeys(p.footprint for p in (*base.leds, *base.photodiodes) if p.is_of_module):
         log.warning("%s is one footprint, whose dies do not move by themselves: it stays where it is.", ref)
     boards.check_search(base, rules)
-    layouts = given(base, rules)
     # The paper's layout has one LED, which cannot measure oxygen, and is no layout for somebody's own board.
     of_paper = "oxygen" not in rules.weights and base.board.unmapped is None
     paper = _paper_layout(base, cache.conditions) if of_paper else None
+    layouts = given(base, rules)
+    if paper and [one.name for one in layouts] == ["scene"] and kicad_parts(base) == kicad_parts(paper.scene):
+        layouts = layouts if base.leds[0].flux_mw != paper.scene.leds[0].flux_mw else []
     straight = boards.searchable_board(base, rules)
     for person in people:
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
@@ -194,14 +196,21 @@ def finger_condition(base: Scene, case: FingerCase | boards.PersonCase, rules: P
 
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
-    """The layouts that [placement] lists; if none, that of the scene's own board file as drawn."""
-    scenes = [(candidate.name, candidates.candidate_scene(base, candidate)) for candidate in rules.candidates]
-    if not scenes and base.board.unmapped is not None:
-        scenes = [("drawn", base)]
-    for name, scene in scenes:
+    """The layouts that [placement] lists; if none, the scene's own, of a board's file as drawn, else where it fits and
+    has two readings or more, without which no two pressures are told from each other."""
+    layouts = [(one.name, candidates.candidate_scene(base, one)) for one in rules.candidates]
+    if not layouts and base.board.unmapped is not None:
+        layouts = [("drawn", base)]
+    elif not layouts:
+        try:
+            readings = len(base.leds) * len(boards.with_explicit_walls(base, "scene").layout.photodiodes)
+            layouts = [("scene", base)] if readings > 1 else []
+        except InputError as error:
+            log.warning("the scene's own layout is left out: %s", error)
+    for name, scene in layouts:
         for line in boards.courtyard_overlaps(scene):
             log.warning('layout "%s": %s', name, line)
-    return [candidates.candidate(name, scene, "given") for name, scene in scenes]
+    return [candidates.candidate(name, scene, "given") for name, scene in layouts]
 
 
 def _paper_layout(base: Scene, conditions: Sequence[FingerCondition]) -> CandidateLayout | None:

@@ -217,6 +217,9 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     tied, force_n, ends = result.tied.values, result.force_resolution_n, ("n", "n_stderr", "low_n", "high_n")
     table = {"rank": np.where(tied, 1, 1 + np.arange(len(tied))), "layout": result.layout.values}
     table |= {"origin": result.origin.values}
+    scenes = [parse_scene(str(text), name="a layout") for text in result.scene.values]
+    table["photodiodes"] = np.array([len(scene.layout.photodiodes) for scene in scenes])
+    table["led_power_mw"] = np.array([sum(led.flux_mw for led in scene.leds) for scene in scenes])
     table |= of(*(f"{force}_{end}" for force in ("force_error", "force_resolution") for end in ends))
     table |= of("least_volts", "most_volts", "adc_headroom", "may_saturate", "least_snr", "shunted_fraction")
     # The body's own part is known and would hide the error of the photons.

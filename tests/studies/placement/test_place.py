@@ -24,10 +24,12 @@ from nailoptics.report.numbers import significant
 from nailoptics.report.pages.placement import (
     PLACEMENT,
     _ambient,
+    _bound,
     _change,
     _photodiodes,
     _tolerance_rows,
     _tolerances,
+    _with_parts,
 )
 from nailoptics.scene import Candidate, FingerCase, Placement, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
@@ -245,7 +247,8 @@ def test_a_photodiode_that_no_light_reaches_has_a_row(computed):
         dark[name][{"best_photodiode": 0}] = 0.0
     dark["predicted_volts_stderr"][{"best_photodiode": 0}] = np.nan
     first, second, *_ = _photodiodes(dark)
-    assert first["Output [V]"] == "too few photons" and first["SNR"] == "–" and second["SNR"] != "–"
+    assert first["Output [V]"] == "too few photons" and first["Output / noise"] == "–"
+    assert second["Output / noise"] != "–"
     assert first.keys() == second.keys()
 
 
@@ -537,9 +540,10 @@ def test_the_page_stands_alone_and_the_result_is_kept(computed, tmp_path):
     assert [
         p["photodiodes"] for p in front[:: computed.sizes["led_power_mw"]]
     ] == computed.front_photodiodes.values.tolist()
-    assert front[0]["on_front"] and words.count(" with ") == 1 + sum(p["on_front"] for p in front)
-    assert words.startswith("Pareto front of force resolution of one sample, each") and "[body]" in text
-    assert words in text and words.replace("\u00a0", " ") in PLACEMENT.lines(computed, report)
+    shown = str(report["front"]["table"])
+    assert front[0]["on_front"] and shown.count(" *'") == sum(p["on_front"] for p in front)
+    assert words.startswith("Force resolution of one sample [mN] by number of photodiodes") and "[body]" in text
+    assert words in text and words in PLACEMENT.lines(computed, report)
     assert "One photodiode [mN]" in text and ("LEDs tried [mN]" in text) == bool(computed.sizes["led_site"])
     write_dataset(computed, tmp_path / "place.nc")
     with xr.open_dataset(tmp_path / "place.nc") as kept:
@@ -641,3 +645,36 @@ def test_what_few_photons_tell_of_a_photodiode_has_no_error():
     computed = result._predicted([SimpleNamespace(**vars(read), noise_v=np.ones((101, 4)))])
     for name in ("volts", "shunted_fraction", "zone_v"):
         assert np.isfinite(np.ravel(computed[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]
+
+
+def test_the_scenes_own_layout_is_ranked_where_none_is_listed(scene, caplog):
+    """Expected: not of one reading, which tells no two pressures apart, nor off the board; no [placement] asks for as
+    many photodiodes as the scene has, of its own part."""
+    text = SCENE[: SCENE.index("[placement]")].replace("size_mm = [1.0, 0.25]", 'part = "sfh2400"')
+    inside = '[[photodiodes]]\nname = "second"\npart = "sfh2400"\nposition_mm = [1.0, 3.0]\n'
+
+    def own(toml):
+        one = parse_scene(toml)
+        rules, base = boards.rules(one), boards.base_board(one)
+        return rules, [layout.name for layout in place.given(base, rules)]
+
+    assert own(text) == (Placement(photodiodes=1), [])
+    assert own(text + inside) == (Placement(photodiodes=2), ["scene"])
+    assert [layout.name for layout in place.given(boards.base_board(scene), boards.rules(scene))] == ["near", "far"]
+    outline = "[placement]\noutline_mm = [[-4.0, -2.0], [4.0, -2.0], [4.0, 2.0], [-4.0, 2.0]]\n"
+    assert own(text + inside + outline)[1] == [] and "the scene's own layout is left out: " in caplog.text
+    made = boards.single(parse_scene(text + inside).photodiodes[0])
+    assert made.part == "sfh2400"
+
+
+def test_parts_are_named_where_layouts_have_others():
+    ranking = [{"layout": "a", "photodiodes": 3, "led_power_mw": 5.0}, {"layout": "b", "photodiodes": 3}]
+    ranking[1]["led_power_mw"] = 5.0
+    ranking.append({"layout": "paper", "photodiodes": 8, "led_power_mw": 2.0, "origin": "paper"})
+    assert _with_parts("b", ranking) == "b"
+    assert _with_parts("paper", ranking) == "paper (8 photodiodes, 2 mW; here 3 photodiodes, 5 mW)"
+
+
+def test_a_bound_that_is_known_worse_than_its_distance_is_left_out():
+    known = xr.Dataset({"bound": 1.0, "above_bound": 0.4, "above_bound_stderr": 4.51, "bounded_sites": 3})
+    assert "has a standard error of 451 %" in _bound(known)
