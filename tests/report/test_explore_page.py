@@ -299,7 +299,10 @@ def test_people_read_the_shown_layout_with_blood_touch_and_waves_of_their_own(sh
         force_n,
     )
     assert shown.inner_text("#people") != before
-    assert shown.locator("#people thead th").all_text_contents()[1:] == ["This finger", "10 %", "50 %", "90 %"]
+    assert shown.locator("#people thead th").all_text_contents()[1:] == [
+        "This finger",
+        *(f"{percent} % quantile" for percent in (10, 50, 90)),
+    ]
     texts = shown.locator("#people tbody tr").first.locator("td").all_text_contents()
     for k, (displayed, one, text) in enumerate(zip(people, explored.people, texts[1:], strict=True)):
         worn = one.scene
@@ -749,6 +752,49 @@ def test_the_noise_in_the_dark_is_a_number(unchanged: Any):
     said, fixed = unchanged.inner_text("body"), unchanged.evaluate("tables.stage.feedbackOhm !== null")
     dark = r", 0\.0\d+ mV in the dark" if fixed else ""
     assert re.search(f"amplifier and converter{dark}, and the shot noise", said) and "NaN" not in said
+
+
+def test_every_gain_is_shown_and_whether_it_follows_the_ambient_light(shown: Any):
+    """Expected: of the readings' photodiodes, and that resistors are fitted where the scene gives none."""
+    ohm = shown.evaluate("workbench.result.rows.map((row) => row.element.ohm)")
+    units = {"kΩ": 1e3, "MΩ": 1e6}
+    said = [cell.split() for cell in shown.locator("#readings tbody td:nth-child(3)").all_text_contents()]
+    assert [float(number) * units[unit] for number, unit in said] == pytest.approx(ohm, rel=5e-3)
+    fixed = shown.evaluate("tables.stage.feedbackOhm !== null")
+    assert ("fitted to the LEDs and to the ambient light" in shown.inner_text("#gain-words")) != fixed
+
+
+def test_why_no_force_is_resolved_is_said(shown: Any):
+    """Expected: saturation, or vessels that no more force closes; nothing where force is resolved."""
+    card = shown.locator("#cards li").first
+    shown.evaluate("change((layout) => { layout.force = 0.5; })")
+    assert card.inner_text().startswith("None") == (": " in card.inner_text())
+    shown.evaluate(
+        "tables.touch.blood_per_pa = tables.touch.blood_per_pa.map((at, k) => k ? [[0, 0], [0, 0]] : at); draw()"
+    )
+    assert "None" in card.inner_text()
+    assert "at 0.5 N the vessels of the proximal and distal bed are closed" in card.inner_text()
+    saturated = "workbench.result.rows.map((row) => ({ ...row, saturated: true }))"
+    assert shown.evaluate(f"whyNone({{ ...workbench.result, rows: {saturated} }})") == ": every reading is saturated"
+
+
+def test_a_change_whose_error_is_mostly_interpolation_is_marked(shown: Any):
+    shown.evaluate("tables.kernelChangeError = 9; draw()")
+    assert all("†" in text for text in shown.locator("#readings tbody td:nth-child(6)").all_text_contents())
+    shown.evaluate("tables.kernelChangeError = 0; draw()")
+    assert not any("†" in text for text in shown.locator("#readings tbody td:nth-child(6)").all_text_contents())
+    assert "† where interpolation has the larger part" in shown.inner_text("#error-words")
+
+
+def test_names_of_leds_side_by_side_do_not_overlap(shown: Any):
+    shown.evaluate(
+        """change((layout) => { const [first] = layout.leds;
+            layout.leds.push({ ...first, name: "beside", reference: null, v: first.v + 0.5 }); })"""
+    )
+    boxes = """[...document.querySelectorAll("#board .led text")].map((one) => {
+        const { x, y, width, height } = one.getBBox(); return [x, y, x + width, y + height]; })"""
+    a, b = shown.evaluate(boxes)[:2]
+    assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
 
 
 def test_what_cannot_be_built_is_said_and_not_saved(shown: Any):

@@ -341,6 +341,8 @@ function readRow(pair, coefficients, at, led, element, ambientA) {
     restError: atRest * Math.hypot(counted, tables.kernelError),
     voltsError: gain * now * Math.hypot(counted, tables.kernelError),
     change: (now - atRest) * gain, changeError: gain * Math.hypot(changeCounted, tables.kernelChangeError * gross), changeCounted, gross, slope,
+    // Whose error is interpolation's rather than the photons'.
+    interpolated: [tables.kernelError > counted, tables.kernelChangeError * gross > changeCounted],
     directShare: atRest > 0 ? Math.max(0, pair.direct / atRest) : 0,
     light: light * gain, zone: slope.map((x) => x * gain), without,
   };

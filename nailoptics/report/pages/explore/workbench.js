@@ -3,8 +3,22 @@
 const $ = (id) => document.getElementById(id);
 const workbench = { layout: null, chosen: { part: null, row: 0 }, past: [], future: [], result: null, milliseconds: 0, dragging: false, other: null, own: {} };
 const caches = new Map();
+// Vessels are closed where pressure changes the blood by less than this part of the most.
+const CLOSED = 0.02;
 /** Whether a resolution of a force on a finger [N] is below half of the prior's standard deviation, above which it is no information. */
 const isKnown = (value, { touch } = ownFinger, force = workbench.layout.force) => value < 0.5 * touch.prior_pa * Math.hypot(...atForce(touch.force_per_pa, force));
+/** Why no force is resolved on the scene's finger, as words to add; nothing where it is. */
+function whyNone(result) {
+  const { force } = workbench.layout, { touch } = ownFinger, rows = result.rows.filter((row) => !row.few);
+  if (isKnown(resolutionOf(result).value, ownFinger)) return "";
+  if (!rows.length) return ": too few photons";
+  if (rows.every((row) => row.saturated)) return ": every reading is saturated";
+  const closed = ["proximal", "distal"].filter((_, zone) => {
+    const change = (table) => Math.abs(table[zone][zone]);
+    return change(atForce(touch.blood_per_pa, force)) < CLOSED * Math.max(...touch.blood_per_pa.map(change));
+  });
+  return closed.length ? `: at ${+force.toFixed(3)} N the vessels of the ${closed.join(" and ")} bed are closed, and more force changes no reading` : ": the readings do not tell both sides from each other";
+}
 const resolutionOf = (result) => (tables.touch.has_body ? result.throughBody : result.electronics);
 
 // ---- words and numbers
@@ -166,7 +180,10 @@ function drawPart(kind, part, row) {
       group.append(element("line", { class: "ray", x1: part.u + c * (far + 0.12), y1: -part.v + s * (far + 0.12), x2: part.u + c * (far + 0.28), y2: -part.v + s * (far + 0.28) }));
     }
     group.append(turned(rectangle("die", die), die), turned(rectangle("grip", die, reach), die));
-    group.append(element("text", { x: part.u, y: -part.v - far - 0.42 }, part.name));
+    // Names of LEDs side by side stand above and below them in turn.
+    const near = workbench.layout.leds.filter((one) => Math.abs(one.u - part.u) < 1.8 && Math.abs(one.v - part.v) < 0.8);
+    const turn = near.findIndex((one) => one.name === part.name), off = far + 0.42 + 0.45 * Math.floor(turn / 2);
+    group.append(element("text", { x: part.u, y: turn % 2 ? off + 0.3 - part.v : -part.v - off }, part.name));
     return group;
   }
   const all = elementsOf(part, false), read = new Set(elementsOf(part).map((one) => one.name));
@@ -189,17 +206,17 @@ function drawPart(kind, part, row) {
 function drawCards() {
   const { result, layout } = workbench, row = result.rows[workbench.chosen.row], cards = [];
   const resolution = (one) => (isKnown(one.value) ? both(one.value, one.error, "N") : ["None", ""]);
-  cards.push([...resolution(resolutionOf(result)), tables.touch.has_body ? "force resolution of one sample, with physiological noise" : "force resolution of one sample, limited by the electronics"]);
+  cards.push([...resolution(resolutionOf(result)), `force resolution of one sample, ${tables.touch.has_body ? "with physiological noise" : "limited by the electronics"}${whyNone(result)}`]);
   if (!isOwn()) cards.push([...resolution(resolutionOf(ownResult())), "the same of the scene's own layout"]);
   const { prefix, cells } = commonUnit(result.people.map(resolutionOf), (one, i) => isKnown(one.value, people[i])), some = cells.some(([, error]) => error);
-  cards.push([some ? cells.map(([number]) => number).join(" · ") : "None", some ? `${prefix}N` : "", "the same for three people (10, 50, 90 %)", "narrow"]);
+  cards.push([some ? cells.map(([number]) => number).join(" · ") : "None", some ? `${prefix}N` : "", `the same for people at the ${people.map((person) => 100 * person.quantile).join(", ")} % quantiles`, "narrow"]);
   if (tables.touch.has_body) cards.push([...resolution(result.electronics), "limited by the electronics alone"]);
   if (row) {
     const name = `${layout.leds[row.led].name} on ${row.element.name}`;
     if (row.few) cards.push(["Too few photons", "", name]);
     else {
       cards.push([...(row.saturated ? ["Saturated", ""] : both(row.volts, row.voltsError, "V")), `${name}, now${row.saturated ? whySaturated(row) : ""}`]);
-      cards.push([...(row.saturated ? ["None", ""] : both(row.change, row.changeError, "V")), `${name}, change under ${+layout.force.toFixed(3)} N`]);
+      cards.push([...(row.saturated ? ["None", ""] : both(row.change, row.changeError, "V")), `${name}, change under ${+layout.force.toFixed(3)} N${row.interpolated[1] ? "; ± is mostly interpolation" : ""}`]);
       cards.push([`${(100 * row.directShare).toFixed(0)} %`, "", "of that light is shunted: it bypassed the bed"]);
     }
   }
@@ -211,10 +228,11 @@ function drawCards() {
   }));
 }
 
+const resistor = (ohm) => (ohm >= 1e6 ? `${+(ohm / 1e6).toPrecision(3)} MΩ` : `${+(ohm / 1e3).toPrecision(3)} kΩ`);
+
 /** What drives the converter to its limit, and a resistor for this light. */
 function whySaturated({ amplified, ambientA, element }) {
-  const volts = (x) => `${+x.toPrecision(2)} V`, fitted = fittedOhm(amplified / element.ohm);
-  const ohms = fitted >= 1e6 ? `${+(fitted / 1e6).toPrecision(2)} Mohm` : `${+(fitted / 1e3).toPrecision(2)} kohm`;
+  const volts = (x) => `${+x.toPrecision(2)} V`, ohms = resistor(fittedOhm(amplified / element.ohm));
   return `: ${volts(amplified)} of ${volts(tables.stage.limitV)}, of which ${volts(ambientA * element.ohm)} from outside; ${ohms} would fit`;
 }
 
@@ -239,7 +257,7 @@ function drawPeople() {
   }
   lines.push(["Saturated readings", results.map((of) => [`${of.rows.filter((one) => one.saturated).length} of ${of.rows.length}`, ""])]);
   lines.push(["Blood at rest [%]", [layout.rest, ...people.map((person) => person.rest)].map((x) => [(100 * x).toFixed(1), ""])]);
-  const head = element("tr", {}, ...["", "This finger", ...people.map((person) => `${100 * person.quantile} %`)].map((text) => element("th", { scope: "col" }, text)));
+  const head = element("tr", {}, ...["", "This finger", ...people.map((person) => `${100 * person.quantile} % quantile`)].map((text) => element("th", { scope: "col" }, text)));
   const body = lines.map(([name, cells]) => element("tr", {}, element("th", { scope: "row" }, name), ...cells.map(([number, small]) => {
     const cell = element("td", number === "None" || (name === "Saturated readings" && !number.startsWith("0")) ? { class: "bad" } : {}, number);
     if (small) cell.append(element("small", {}, `± ${small}`));
@@ -265,15 +283,15 @@ function drawNoise() {
 
 function drawReadings() {
   const { result, layout } = workbench;
-  const head = ["Pair", "Distance [mm]", "Detected at rest", "Now [V]", "Change [mV]", "Noise [mV]", "SNR of the change", "Shunted", "Ambient [V]", ""];
-  const lines = result.rows.map((row, i) => {
+  const head = ["Pair", "Distance [mm]", "Gain", "Detected at rest", "Now [V]", "Change [mV]", "Noise [mV]", "SNR of the change", "Shunted", "Ambient [V]", ""];
+  const mark = (row, k) => (row.interpolated[k] ? " †" : ""), lines = result.rows.map((row) => {
     const led = layout.leds[row.led], separation = Math.hypot(led.u - row.element.u, led.v - row.element.v), noise = Math.sqrt(row.noiseV2);
     const scientific = (x) => x.toExponential(2).replace("e-", "·10⁻").replace(/⁻(\d+)/, (_, n) => `⁻${[...n].map((d) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[d]).join("")}`);
     const cells = row.few ? ["", "", "", "", "", "", "", "too few photons"] : [
-      `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, ""), withError(row.change, row.changeError, "", 1e3),
+      `${scientific(row.fractionRest)} ± ${((100 * row.restError) / row.fractionRest).toFixed(1)} %`, withError(row.volts, row.voltsError, "") + mark(row, 0), withError(row.change, row.changeError, "", 1e3) + mark(row, 1),
       (1e3 * noise).toPrecision(2), (Math.abs(row.change) / noise).toFixed(0), `${(100 * row.directShare).toFixed(0)} %`,
       row.ambientA ? String(+(row.ambientA * row.element.ohm).toPrecision(2)) : "0", row.saturated ? "saturated" : ""];
-    return [`${led.name} → ${row.element.name}`, separation.toFixed(2), ...cells];
+    return [`${led.name} → ${row.element.name}`, separation.toFixed(2), resistor(row.element.ohm), ...cells];
   });
   const table = $("readings");
   if (table.rows.length !== lines.length + 1) table.replaceChildren(element("thead", {}, tableRow(head.map((text) => element("th", {}, text)))), element("tbody", {}, ...lines.map(emptyLine)));
@@ -661,6 +679,8 @@ function drawFixed() {
   const { count, forceN } = tables.peopleDrawn, ranked = commonUnit(people.map((person) => ({ value: person.resolutionN, error: 0 })), (one, i) => isKnown(one.value, people[i], forceN));
   ranked.cells = ranked.cells.map(([number]) => [number === "None" ? "none" : String(+Number(number).toPrecision(2))]);
   $("people-words").textContent = `10, 50 and 90 % of ${count} people drawn from the priors resolve a force of ${forceN} N as finely as these or finer with the scene's own layout and a resistor that fits each reading${ranked.cells.some(([number]) => number !== "none") ? `: ${ranked.cells.map(([number]) => number).join(", ")} ${ranked.prefix}N` : ""}. They differ in what absorbs, in blood, vessels, touch${tables.touch.has_body ? " and waves" : ""}; scattering, thicknesses and sizes stay this finger's, as do the board's resistors and the light from outside. All are read by the same photons and tables: the errors are mostly common to them. On the prototype nine tenths of the photons' part cancel in the ratio of two people's readings, and two thirds in that of their changes.`;
+  $("error-words").textContent = `± is one standard error, of photon noise and of interpolation between the table's nodes; † where interpolation has the larger part, which more photons do not reduce: ${(100 * tables.kernelError).toFixed(0)} % of a reading, and ${(100 * tables.kernelChangeError).toFixed(0)} % of what the blood of both zones changes it by. Select a row to see its pair above and its section.`;
+  $("gain-words").textContent = tables.stage.feedbackOhm === null ? `Each photodiode's resistor is fitted to the LEDs and to the ambient light chosen here (${tables.ambient.names[tables.ambient.usual]} where there is none); Gain in the table of readings has it.` : "Resistors are the scene's, whatever the ambient light.";
   $("fixed").replaceChildren(...lines.map((text) => element("li", {}, text)));
 }
 
