@@ -1,7 +1,7 @@
 """Numbers for people, rounded to their uncertainty, in a prefix of the unit that suits them; and for summaries."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ..variables import unit_of
@@ -53,10 +53,9 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
 def with_error(value: float, error: float, *, sign: bool = False, scale: float = 0.0, negligible: float = 1e-6) -> str:
     """Value ± standard error, both rounded to two digits of the error; powers of ten where needed.
 
-    An error that is not known is shown as "± ?".
+    An error that is not known is shown as "± ?"; one below a negligible fraction of the value is left out.
 
     scale : Size of what the value is a difference or a part of, beside which rounding is 0.
-    negligible : Fraction of the value below which an error is left out, and four digits are shown.
     """
     if not math.isfinite(value):
         return "–"
@@ -75,19 +74,16 @@ def with_error(value: float, error: float, *, sign: bool = False, scale: float =
 
 def estimated(record: Any, name: str, scale: float = 1.0, *, negligible: float = 1e-6) -> str:
     """An estimate of a dataset or a record, times a scale, ± its standard error."""
-    value, error = (scale * float(record[f"{name}{end}"]) for end in ("", "_stderr"))
-    return with_error(value, error, negligible=negligible)
+    return with_error(*(scale * float(record[f"{name}{end}"]) for end in ("", "_stderr")), negligible=negligible)
 
 
-def cells(
-    record: Any, columns: Mapping[str, tuple[str, float, int]], estimate: Callable[..., str] = estimated
-) -> dict[str, str]:
+def cells(record: Any, columns: Mapping[str, tuple[str, float, int]], of: Any = estimated) -> dict[str, str]:
     """Cells of a row of a table, from a dataset or a record.
 
-    columns : by their heads, name, scale and significant digits of each; with 0 digits, an estimate ± its error.
+    columns : by their heads, name, scale and significant digits of each; with 0 digits, `of` it.
     """
     return {
-        head: significant(scale * float(record[name]), digits) if digits else estimate(record, name, scale)
+        head: significant(scale * float(record[name]), digits) if digits else of(record, name, scale)
         for head, (name, scale, digits) in columns.items()
     }
 

@@ -14,8 +14,6 @@ from .importers.positions import READING, UNITS_MM, FileUnit, read_positions, wa
 from .parts import BoardFile, Led, Photodiode, Rotation
 from .text_files import read_text
 
-# Photodiodes of a searched layout.
-MOST_SEARCHED = 32
 # What layouts can be ranked by.
 Aim = Literal["worst", "mean", "force", "share", "oxygen"]
 
@@ -124,7 +122,7 @@ class Placement(Table):
     """Names of the scene's LEDs and photodiodes that the search does not move."""
     wire: bool = False
     """Select which elements of the scene's photodiodes and arrays are wired, instead of searching positions."""
-    photodiodes: Annotated[int, Field(ge=1, le=MOST_SEARCHED)] = 8
+    photodiodes: Annotated[int, Field(ge=1, le=32)] = 8
     """Number of photodiodes of a searched layout, including fixed ones; the others are like the scene's first. As many
     as the scene has where it has no [placement]."""
     force_n: Annotated[float, Field(gt=0, le=20)] = 0.5

@@ -41,8 +41,7 @@ TOLERATED = TEXTS["tolerated"].format(STEP_MM, TURN_DEG, 100 * POWER)
 # Columns of the ranking; those of which nothing is known are left out, as are the last three in a terminal.
 RANKING: dict[str, tuple[str, float, int]] = {head: tuple(column) for head, column in TEXTS["columns"].items()}
 PAGE_ALONE = tuple(RANKING)[-3:]
-# Without errors of less than a thousandth.
-estimated = partial(numbers.estimated, negligible=1e-3)
+estimated = partial(numbers.estimated, negligible=1e-3)  # without errors below a thousandth
 
 
 def page(result: xr.Dataset) -> str:
@@ -50,13 +49,11 @@ def page(result: xr.Dataset) -> str:
     best, ranking, front = chosen(result), rows(result), _front(result)
     groups = [f"LED {led}" for led in result.led.values for _ in range(result.sizes["best_photodiode"])]
     board = maps.top_view(best)
-    for area in _rules(result).keep_out_mm:
+    for area in boards.rules(parse_scene(result.attrs["scene"], name="the scene")).keep_out_mm:
         maps.draw_area(board.axes[0], area, zorder=2.5, fc="none", ec=style.MUTED, lw=0.6, hatch="////")
     layout = [figure(board, TEXTS["board"], narrow=True)]
     layout += [table(_photodiodes(result), groups=groups), small(TEXTS["readings"])]
-    costs = [small(front["words"]), table(front["table"])]
-    if front["table"]:
-        costs.append(figure(front_figure(result, *_ranked_in(result)), TEXTS["costs"], narrow=True))
+    drawn = figure(front_figure(result, *_ranked_in(result)), TEXTS["costs"], narrow=True) if front["table"] else ""
     checked = "No time was left to verify the best layout by its own trace."
     if "checked_fraction" in result:
         layout += [subheading("Ambient light"), table(_ambient(result)), small(TEXTS["ambient"])]
@@ -74,14 +71,13 @@ def page(result: xr.Dataset) -> str:
                 "The ranking",
                 figure(ranking_figure(result), TEXTS["ranking"], narrow=True),
                 table(_ranking_rows(ranking[:SHOWN]), kind="dense"),
-                small(TEXTS["columns_explained"]),
-                *map(small, [*_notes(ranking), *_people(ranking)]),
+                *map(small, [TEXTS["columns_explained"], TEXTS["notes"], *_people(ranking)]),
                 small(rough_words(ranking)),
                 small(checked),
                 small(_bound(result)),
             ),
             _limits(result),
-            *([section("What it costs", *costs)] if front["table"] else []),
+            *([section("What it costs", small(front["words"]), table(front["table"]), drawn)] if drawn else []),
             section("The best layout", *layout),
             *(
                 section(f"Maps of {name}", figure(map_figure(best, result, led=led), TEXTS["maps"]))
@@ -93,14 +89,9 @@ def page(result: xr.Dataset) -> str:
     )
 
 
-def _rules(result: xr.Dataset) -> Placement:
-    """What the layouts were to keep to."""
-    return boards.rules(parse_scene(result.attrs["scene"], name="the scene"))
-
-
 def _lead(result: xr.Dataset, ranking: list[dict[str, Any]]) -> str:
     """What the best layout resolves, on which fingers and beside what, and how many others are as good."""
-    best, first, rules = chosen(result), ranking[0], _rules(result)
+    best, first, rules = chosen(result), ranking[0], boards.rules(parse_scene(result.attrs["scene"], name="the scene"))
     name = f"Layout {first['layout']}"
     if first["origin"] == "searched":
         places = ("{} at ({:.3g}, {:.3g})".format(led.name, *led.center_mm) for led in best.layout.leds)
@@ -124,11 +115,9 @@ def _warnings(result: xr.Dataset) -> list[str]:
     lines = [TEXTS["few_photons"].format(unknown, result.predicted_volts.size)] if unknown else []
     names = result.layout.values[result.may_saturate.values]
     lines += [TEXTS["saturated"].format(", ".join(map(str, names)))] if names.size else []
-    if "ambient_volts" in result:
-        dark = "saturated", "with the cover"
-        bright = [row["Light"] for row in _ambient(result) if all(word in str(row) for word in dark)]
-        lines += [TEXTS["outshone"].format(", ".join(bright))] if bright else []
-    return lines
+    lights = _ambient(result) if "ambient_volts" in result else []
+    bright = ", ".join(row["Light"] for row in lights if "with the cover" in row["Light"] and "saturated" in str(row))
+    return lines + ([TEXTS["outshone"].format(bright)] if bright else [])
 
 
 def _tied(ranking: list[dict[str, Any]]) -> str:
@@ -137,16 +126,9 @@ def _tied(ranking: list[dict[str, Any]]) -> str:
     return TEXTS["tied"].format(first, 1 + len(others), 100 * ALIKE) if others else "No other ties with the first."
 
 
-def _with_parts(name: str, ranking: list[dict[str, Any]]) -> str:
-    """A layout's name, with number and power of its parts where the best has others."""
-    parts = {row["layout"]: f"{row['photodiodes']:g} photodiodes, {row['led_power_mw']:.3g} mW" for row in ranking}
-    best = parts[ranking[0]["layout"]]
-    return name if parts[name] == best else f"{name} ({parts[name]}; here {best})"
-
-
-def _notes(ranking: list[dict[str, Any]]) -> list[str]:
-    """What columns and the layout of the paper are, for page and terminal."""
-    return [TEXTS["shunted"], *([TEXTS["paper"]] if any(row["origin"] == "paper" for row in ranking) else [])]
+def _named(ranking: list[dict[str, Any]]) -> dict[str, str]:
+    """Layouts by name, with number and power of their parts, in which those that are compared may differ."""
+    return {r["layout"]: "{layout} ({photodiodes} photodiodes, {led_power_mw:.3g} mW)".format(**r) for r in ranking}
 
 
 def _ranked_by(rules: Placement, first: dict[str, Any]) -> str:
@@ -173,17 +155,14 @@ def _cards(result: xr.Dataset, ranking: list[dict[str, Any]]) -> list[tuple[str,
     if "electronics_resolution_n" in first:
         cards.append((quantity(first["electronics_resolution_n"], "N"), "limited by the electronics' noise alone"))
     for name, better in [*gains(result).items()][:1]:
-        times = with_error(*better, negligible=1e-3)
-        cards.append((f"{times} ×", f"as fine a force resolution as that of {_with_parts(name, ranking)}"))
+        cards.append((f"{with_error(*better, negligible=1e-3)} ×", f"as fine a resolution as {_named(ranking)[name]}"))
     return cards
 
 
 def _ranking_rows(ranking: list[dict[str, Any]]) -> list[dict[str, str]]:
     """The ranking in words, on the page and in the terminal."""
-    of_row = [
-        {name for name, cell in row.items() if isinstance(cell, float) and math.isfinite(cell)} for row in ranking
-    ]
-    known = {head: column for head, column in RANKING.items() if column[0] in set().union(*of_row)}
+    finite = {name for row in ranking for name, x in row.items() if isinstance(x, float) and math.isfinite(x)}
+    known = {head: column for head, column in RANKING.items() if column[0] in finite}
     return [
         {"Layout": row["layout"], "Rank": f"{row['rank']}{' (tied)' if row['tied'] else ''}"}
         | {"Photodiodes": str(row["photodiodes"])}
@@ -216,7 +195,7 @@ def _bound(result: xr.Dataset) -> str:
         return "" if not result.sizes.get("led_site") else TEXTS["no_bound"]
     if result.above_bound_stderr > result.above_bound:
         return TEXTS["unsure_bound"].format(100 * float(result.above_bound_stderr))
-    rules, sites = _rules(result), int(result.bounded_sites)
+    rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
     _, factor, unit = _ranked_in(result)
     percent, where = estimated(result, "above_bound", 100), f"{sites} places"
     grid = "" if rules.wire else f"on the {rules.photodiode_step_mm:g} mm grid"
@@ -226,7 +205,7 @@ def _bound(result: xr.Dataset) -> str:
 
 def _ranked_in(result: xr.Dataset) -> tuple[str, float, str]:
     """What layouts are ranked by, and factor and unit by which it is shown."""
-    weights = _rules(result).weights
+    weights = boards.rules(parse_scene(result.attrs["scene"], name="the scene")).weights
     words = TEXTS["ranked"].get("".join(weights), f"weighted mean ({result.attrs['rank_by']})")
     return words, *((1e3, " mN") if set(weights) <= {"worst", "mean", "force"} else (1.0, ""))
 
@@ -234,22 +213,18 @@ def _ranked_in(result: xr.Dataset) -> tuple[str, float, str]:
 def _front(result: xr.Dataset) -> dict[str, Any]:
     """Every number of photodiodes with every power of the LEDs and what layouts are ranked by there, the same as a
     table of a line for each number, and what that is."""
-    front: dict[str, Any] = {"points": [], "words": "", "table": []}
     if "on_front" not in result:
-        return front
-    words, factor, unit = _ranked_in(result)
-    for n in result.front_photodiodes.values:
-        row = {"Photodiodes": f"{n}"}
-        for power_mw in result.led_power_mw.values:
-            at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
-            point = {"photodiodes": int(n), "led_power_mw": float(power_mw), "on_front": bool(at.on_front)}
-            front["points"].append(point | plain(at, price="front_price") | with_stderr(at, "front_error"))
-            if not np.isnan(at.front_price):
-                row["Price"] = f"{at.front_price:g}"
-            row[quantity(1e-3 * power_mw, "W")] = estimated(at, "front_error", factor) + " *" * bool(at.on_front)
-        front["table"].append(row)
-    front["words"] = TEXTS["front"].format(words[0].upper() + words[1:], unit and f" [{unit.strip()}]", 100 * ALIKE)
-    return front
+        return {"points": [], "words": "", "table": []}
+    (words, factor, unit), points, lines = _ranked_in(result), list[dict[str, Any]](), dict[int, dict[str, str]]()
+    for n, power_mw in product(result.front_photodiodes.values, result.led_power_mw.values):
+        at = result.sel(front_photodiodes=n, led_power_mw=power_mw)
+        points.append({"photodiodes": int(n), "led_power_mw": float(power_mw), "on_front": bool(at.on_front)})
+        points[-1] |= plain(at, price="front_price") | with_stderr(at, "front_error")
+        line = lines.setdefault(n, {"Photodiodes": f"{n}"})
+        line |= {} if np.isnan(at.front_price) else {"Price": f"{at.front_price:g}"}
+        line[quantity(1e-3 * power_mw, "W")] = estimated(at, "front_error", factor) + " *" * bool(at.on_front)
+    words = TEXTS["front"].format(words[0].upper() + words[1:], unit and f" [{unit.strip()}]", 100 * ALIKE)
+    return {"points": points, "words": words, "table": [*lines.values()]}
 
 
 def _limits(result: xr.Dataset) -> str:
@@ -345,8 +320,8 @@ def _photodiodes(result: xr.Dataset) -> list[dict[str, str]]:
         volts, noise_v = float(reading.predicted_volts), float(reading.predicted_noise_v)
         line = {"Photodiode": name, "Output [V]": estimated(reading, "predicted_volts")}
         line["Full scale / reading"] = significant(float(quotient(result.attrs["adc_range_v"], volts)))
-        ratio = significant(float(quotient(volts, noise_v)))
-        line |= {"Noise [µV]": significant(1e6 * noise_v), "Output / noise": ratio}
+        ratio = float(quotient(volts, noise_v))
+        line |= {"Noise [µV]": significant(1e6 * noise_v), "Output / noise": significant(ratio)}
         line["Shunted [%]"] = estimated(reading, "predicted_shunted_fraction", 100)
         # A hundredth of the bed's volume, in millivolts.
         for k, zone in enumerate(("Proximal", "Distal")):
@@ -438,11 +413,11 @@ def lines(summary: dict[str, Any]) -> list[str]:
     left_out = PAGE_ALONE if "share" in summary["rank_by"] else (*PAGE_ALONE, "Share [%]")
     shown = [{head: cell for head, cell in row.items() if head not in left_out} for row in _ranking_rows(ranking)]
     out = [*aligned(shown), f"{len(ranking)} of {summary['layouts_given']} layouts traced", summary["tied"]]
-    out += _notes(ranking)
-    out += [line.replace("\u00a0", " ") for line in (*_people(ranking), *summary["limits"])]
+    out += [line.replace("\u00a0", " ") for line in (TEXTS["notes"], *_people(ranking), *summary["limits"])]
+    named = _named(ranking)
     for name, better in summary["gains"].items():
         times = with_error(better["value"], better["stderr"], negligible=1e-3)
-        out.append(f"The first resolves force {times} times as finely as {_with_parts(name, ranking)}.")
+        out.append(f"{named[ranking[0]['layout']]} resolves force {times} times as finely as {named[name]}.")
     out += [TOLERATED, *aligned(_tolerance_rows(summary["tolerances"]))]
     if summary["front"]["table"]:
         out += [summary["front"]["words"], *aligned(summary["front"]["table"])]

@@ -156,8 +156,8 @@ def _candidates(
     of_paper = "oxygen" not in rules.weights and base.board.unmapped is None
     paper = _paper_layout(base, cache.conditions) if of_paper else None
     layouts = given(base, rules)
-    if paper and [one.name for one in layouts] == ["scene"] and kicad_parts(base) == kicad_parts(paper.scene):
-        layouts = layouts if base.leds[0].flux_mw != paper.scene.leds[0].flux_mw else []
+    if paper and all(of(base) == of(paper.scene) for of in (kicad_parts, lambda scene: scene.leds[0].flux_mw)):
+        layouts = [one for one in layouts if one.name != "scene"]
     straight = boards.searchable_board(base, rules)
     for person in people:
         straight = boards.cut_to(straight, boards.room_mm(boards.worn_on(base, person)))
@@ -196,17 +196,12 @@ def finger_condition(base: Scene, case: FingerCase | boards.PersonCase, rules: P
 
 
 def given(base: Scene, rules: Placement) -> list[CandidateLayout]:
-    """The layouts that [placement] lists; if none, the scene's own, of a board's file as drawn, else where it fits and
-    has two readings or more, without which no two pressures are told from each other."""
+    """The layouts that [placement] lists; if none, the scene's own, if it fits and could tell two pressures apart."""
     layouts = [(one.name, candidates.candidate_scene(base, one)) for one in rules.candidates]
     if not layouts and base.board.unmapped is not None:
         layouts = [("drawn", base)]
-    elif not layouts:
-        try:
-            readings = len(base.leds) * len(boards.with_explicit_walls(base, "scene").layout.photodiodes)
-            layouts = [("scene", base)] if readings > 1 else []
-        except InputError as error:
-            log.warning("the scene's own layout is left out: %s", error)
+    elif not layouts and boards.fits(base) and len(base.leds) * len(base.layout.photodiodes) > 1:
+        layouts = [("scene", base)] if len(base.layout.barriers) < 2 else []
     for name, scene in layouts:
         for line in boards.courtyard_overlaps(scene):
             log.warning('layout "%s": %s', name, line)

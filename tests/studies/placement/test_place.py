@@ -26,10 +26,10 @@ from nailoptics.report.pages.placement import (
     _ambient,
     _bound,
     _change,
+    _named,
     _photodiodes,
     _tolerance_rows,
     _tolerances,
-    _with_parts,
 )
 from nailoptics.scene import Candidate, FingerCase, Placement, load_scene, parse_scene, to_toml
 from nailoptics.scene.importers.board_files import read_outline
@@ -647,7 +647,7 @@ def test_what_few_photons_tell_of_a_photodiode_has_no_error():
         assert np.isfinite(np.ravel(computed[f"predicted_{name}_stderr"][1])).tolist() == [True, True, False, False]
 
 
-def test_the_scenes_own_layout_is_ranked_where_none_is_listed(scene, caplog):
+def test_the_scenes_own_layout_is_ranked_where_none_is_listed(scene):
     """Expected: not of one reading, which tells no two pressures apart, nor off the board; no [placement] asks for as
     many photodiodes as the scene has, of its own part."""
     text = SCENE[: SCENE.index("[placement]")].replace("size_mm = [1.0, 0.25]", 'part = "sfh2400"')
@@ -662,17 +662,14 @@ def test_the_scenes_own_layout_is_ranked_where_none_is_listed(scene, caplog):
     assert own(text + inside) == (Placement(photodiodes=2), ["scene"])
     assert [layout.name for layout in place.given(boards.base_board(scene), boards.rules(scene))] == ["near", "far"]
     outline = "[placement]\noutline_mm = [[-4.0, -2.0], [4.0, -2.0], [4.0, 2.0], [-4.0, 2.0]]\n"
-    assert own(text + inside + outline)[1] == [] and "the scene's own layout is left out: " in caplog.text
+    assert own(text + inside + outline)[1] == []
     made = boards.single(parse_scene(text + inside).photodiodes[0])
     assert made.part == "sfh2400"
 
 
-def test_parts_are_named_where_layouts_have_others():
-    ranking = [{"layout": "a", "photodiodes": 3, "led_power_mw": 5.0}, {"layout": "b", "photodiodes": 3}]
-    ranking[1]["led_power_mw"] = 5.0
-    ranking.append({"layout": "paper", "photodiodes": 8, "led_power_mw": 2.0, "origin": "paper"})
-    assert _with_parts("b", ranking) == "b"
-    assert _with_parts("paper", ranking) == "paper (8 photodiodes, 2 mW; here 3 photodiodes, 5 mW)"
+def test_layouts_that_are_compared_are_named_with_their_parts():
+    ranking = [{"layout": "a", "photodiodes": 3, "led_power_mw": 5.0}]
+    assert _named(ranking) == {"a": "a (3 photodiodes, 5 mW)"}
 
 
 def test_a_bound_that_is_known_worse_than_its_distance_is_left_out():
