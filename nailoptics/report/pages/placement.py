@@ -193,7 +193,7 @@ def _bound(result: xr.Dataset) -> str:
     """How near the best searched layout comes to what none on the search's grid reaches; empty without a search."""
     if "bound" not in result:
         return "" if not result.sizes.get("led_site") else TEXTS["no_bound"]
-    if result.above_bound_stderr > result.above_bound:
+    if result.above_bound_stderr > max(float(result.above_bound), ROUGH):
         return TEXTS["unsure_bound"].format(100 * float(result.above_bound_stderr))
     rules, sites = boards.rules(parse_scene(result.attrs["scene"], name="the scene")), int(result.bounded_sites)
     _, factor, unit = _ranked_in(result)

@@ -673,5 +673,6 @@ def test_layouts_that_are_compared_are_named_with_their_parts():
 
 
 def test_a_bound_that_is_known_worse_than_its_distance_is_left_out():
+    """A small distance with a small error is shown, however they compare (test_certificate)."""
     known = xr.Dataset({"bound": 1.0, "above_bound": 0.4, "above_bound_stderr": 4.51, "bounded_sites": 3})
     assert "has a standard error of 451 %" in _bound(known)
