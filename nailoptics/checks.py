@@ -3,7 +3,7 @@
 import difflib
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +67,11 @@ def _where(is_valid: Callable[[Array], NDArray[np.bool_]], name: str, value: Arr
     return array
 
 
+def nearest(name: str, known: Iterable[str], *, cutoff: float = 0.6) -> str:
+    """The known name that a name was probably meant to be; empty where none is near."""
+    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)), "")
+
+
 def seed(value: int) -> int:
     """The seed; InputError if it is not a whole number of at least 0 and below 2^63."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value < 2**63:
@@ -113,16 +118,27 @@ def _line(kinds: Sequence[Any], model: "type[BaseModel]") -> str:
     value = fault.get("input")
     if fault["type"] == "extra_forbidden":
         known = _fields_at(model, fault["loc"][:-1])
-        close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        cure = f'did you mean "{close[0]}"?' if close else f"known here: {', '.join(known)}."
+        close = nearest(str(fault["loc"][-1]), known)
+        cure = f'did you mean "{close}"?' if close else f"known here: {', '.join(known)}."
         return f"{where} is not a known field; {cure}"
     if fault["type"] == "missing":
-        return f"{where} is missing; add it."
+        return f"{where} is missing; add {'schema_version = 1' if where == 'schema_version' else 'it'}."
     if fault["type"] == "value_error":
         return (f"{where}: " if where else "") + str(fault["ctx"]["error"]) + "."
     shown = json.dumps(value, default=str) if not isinstance(value, dict) else "a table"
-    of_range = fault["type"].startswith(("greater_than", "less_than")) and (unit := unit_of(where)) != "1"
-    return f"{where} = {shown[:60]}: must {' or '.join(rules)}{f'; give it in {unit}' if of_range else ''}."
+    return f"{where} = {shown[:60]}: must {' or '.join(rules)}{_cure(fault, where)}."
+
+
+def _cure(fault: Any, where: str) -> str:
+    """What else to do about a value of the wrong size or kind, after a semicolon."""
+    kind, value, unit = fault["type"], fault["input"], unit_of(where)
+    if isinstance(value, dict) and kind == "tuple_type" and "[" not in where:
+        return f"; write [[{where}]], in double brackets, for each"
+    if isinstance(value, str) and kind in ("float_type", "int_type"):
+        return f"; give {f'it in {unit}, ' if unit != '1' else ''}a number without unit and quotes"
+    if kind == "less_than_equal" and unit == "1" and fault["ctx"]["le"] == 1 < value <= 100:
+        return f"; it is a fraction, not percent: {value:g} % is {value / 100:g}"
+    return f"; give it in {unit}" if kind.startswith(("greater_than", "less_than")) and unit != "1" else ""
 
 
 def _place(fault: Any) -> str:

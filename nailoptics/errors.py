@@ -1,7 +1,7 @@
 """What can go wrong: a line for each fault in the user's words, and the exit code of the command.
 
-Exit codes: 0 done; 1 an internal error, or a full disk; 2 the user's input; 3 a tolerance or time limit not reached, or
-interrupted with a result; 4 a requirement that was checked and missed; 130 interrupted without a result.
+Exit codes: 0 done; 1 an internal error, or a full disk; 2 the user's input; 3 a tolerance was not reached, or the time
+limit or Ctrl-C ended the run with a result; 4 a requirement that was checked and missed; 130 interrupted without one.
 """
 
 import os

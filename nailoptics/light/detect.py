@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from itertools import product
 from typing import Any, Unpack
 
 import numpy as np
@@ -107,12 +108,24 @@ def open_light(
     Raises: NotReachedError with the DetectedLight so far as result.
     """
     options, engine = _options(scene, requested)
+    for line in unseen(scene):
+        log.warning(line)
     if engine == "volpath":
         return _light_by_volpath(scene, np.asarray(states, float), options, progress)
     transfer, unmet = as_far_as_reached(trace, scene, progress=progress, **options.fields)
     rest = transfer.at()
     _warn_of_few_photons(rest, "detected no light or too few photons to estimate a standard error")
     return unless_cut_off(light_of(transfer, rest=rest), unmet)
+
+
+def unseen(scene: Scene) -> list[str]:
+    """LEDs along whose line a photodiode's responsivity is 0, which its table may not reach, a line for each."""
+    return [
+        f'photodiode "{diode.name}" does not see LED "{led.name}" of {led.wavelength_nm:g} nm: its responsivity '
+        f"reaches from {diode.responsivity[0][0]:g} to {diode.responsivity[-1][0]:g} nm; add rows if it sees more"
+        for diode, led in product(scene.photodiodes, scene.leds)
+        if diode.responsivity and not optics.line_response(led, diode).any()
+    ]
 
 
 def read_rest(

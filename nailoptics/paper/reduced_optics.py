@@ -144,7 +144,7 @@ class OpticsFit:
         """What the readings do not determine, given the standard errors of the constants; empty if nothing."""
         if self.note or not stderr[-1] > self.constants.get("alpha_per_m2", np.inf):
             return self.note
-        return "alpha differs from 0 by less than its standard error: V1 and alpha are known by their product only"
+        return "alpha differs from 0 by less than its standard error: V0, V1 and alpha are left out"
 
 
 def fit_taylor(diameter_m: ArrayLike, volts: ArrayLike) -> OpticsFit:
@@ -227,9 +227,11 @@ def fit_reduced_optics(result: xr.Dataset, few: Array, replicates_v: Array | Non
             if replicates_v is not None:
                 errors[i, j] = fits[i][j].stderr(diameter_m[j][few], replicates_v[i, j])
             notes[i, j] = notes[i, j] or fits[i][j].remark(errors[i, j])
+        # Constants of a curve whose bend is not known may be any, of millions of volts.
+        unknown = (notes != "") & (model == "beer_lambert")
         for k, name in enumerate(constants):
             values = [[fit.constants[name] for fit in of_led] for of_led in fits]
-            columns[f"{model}_{name}"] = Estimate(values, errors[..., k])
+            columns[f"{model}_{name}"] = Estimate(*(np.where(unknown, np.nan, x) for x in (values, errors[..., k])))
         columns[f"{model}_residual_rms_v"] = [[fit.residual_rms_v for fit in of_led] for of_led in fits]
         data |= described(__package__, **columns)
     return data | described(__package__, fit_note=notes.astype(str))

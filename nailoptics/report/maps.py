@@ -9,7 +9,7 @@ import xarray as xr
 
 from ..errors import InputError
 from ..light import optics
-from ..scene import Scene
+from ..scene import Scene, parse_scene
 from ..scene.base import Point
 from ..scene.rectangles import Rectangle
 from . import style
@@ -43,6 +43,12 @@ def coloured_along_nail(scene: Scene) -> list[tuple[str, int]]:
     """Colour and index of each photodiode, from the most proximal to the most distal."""
     order, distal = order_along_nail(scene), sum(area.center_mm[1] > 0 for area in scene.layout.photodiode_areas)
     return list(zip(style.place_colours(len(order), distal), order, strict=True))
+
+
+def colours_of(result: xr.Dataset) -> list[str]:
+    """Colour of each photodiode's place along the nail, in the order of a result."""
+    scene = parse_scene(str(result.attrs["scene"]), name="the result's scene")
+    return [colour for colour, _ in sorted(coloured_along_nail(scene), key=lambda one: one[1])]
 
 
 def extent(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float]:

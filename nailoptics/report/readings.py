@@ -29,9 +29,9 @@ PAGE_ALONE = ("Blood zone", "Of rest [%]", "z score [σ]", "SNR [1]")
 def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.DataFrame:
     """Every LED and photodiode, LED by LED: at rest, change, noise; with the scene from proximal to distal.
 
-    Columns are those of the summary and `zone`, `distance_mm`, `change_percent`; `z_score`, the change in standard
-    errors of the trace; `signal_to_noise`, the change over the electronics' noise of one sample; and `resolution_n`,
-    the force that one sample resolves: noise over the mean slope from rest to the end of the hold, NaN without a touch.
+    Columns are those of the summary and `reading`, its name; `zone`, `distance_mm`, `change_percent`; `z_score`, the
+    change in standard errors of the trace; `signal_to_noise`, the change over the electronics' noise of one sample; and
+    `resolution_n`, the force that one sample resolves: noise over the mean slope to the end of the hold, else NaN.
     """
     rest, held = result.isel(time=0, drop=True), result.isel(time=hold_end(result), drop=True)
     pair = ("led", "photodiode")
@@ -59,6 +59,7 @@ def photodiode_readings(result: xr.Dataset, scene: Scene | None = None) -> pd.Da
         data = data.isel(photodiode=order_along_nail(scene))
     table = data.to_dataframe(dim_order=pair).reset_index()
     change, force_n = table.volts_change.abs(), float(abs(held.force_n - rest.force_n))
+    table["reading"] = table.photodiode + (" under " + table.led if result.sizes["led"] > 1 else "")
     table["change_percent"] = 100 * table.volts_change / table.volts_start
     table["z_score"] = change / table.volts_change_stderr
     table["signal_to_noise"] = change / table.volts_noise_rms
@@ -137,7 +138,7 @@ def simulation_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
         {"LED": led} | {head: cell for head, cell in row.items() if head not in PAGE_ALONE}
         for led, row in zip(table.led, reading_rows(table), strict=True)
     ]
-    hold = f"change: from the first sample to the end of the hold, at {table.time_of_change_s[0]:.3g} s"
+    hold = f"change: from the first sample to the last under the largest force, at {table.time_of_change_s[0]:.3g} s"
     few = " (?: too few photons for one)" if any("?" in cell for row in rows for cell in row.values()) else ""
     lines = [*aligned(rows), f"{hold}; +-: standard error of the trace{few}; resolution: noise over the slope"]
     if table.saturated.any():

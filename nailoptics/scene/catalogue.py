@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from ..assets import WAVELENGTH_RANGE_NM, data_dir
-from ..checks import as_input_error
+from ..checks import as_input_error, nearest
 from ..errors import InputError
 from .base import MOST_PHOTODIODES, PHOTON_NM_PER_V, Name, NonNegative, Packaged, Point, Positive, Size, Table
 from .text_files import is_there, parse_toml, read_text, short
@@ -193,6 +193,9 @@ def _find_part(name: str, beside: Path | None) -> Path:
     for folder in (*folders, shipped):
         if is_there(path := folder / f"{name}.toml"):
             return path
-    known = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
-    hint = "" if beside is None else f", or put your own PART.toml into {beside}"
-    raise InputError(f'part "{short(name)}" is unknown; choose one of {known}{hint}')
+    known = sorted(path.stem for path in shipped.glob("*.toml"))
+    own = [] if beside is None else sorted(path.stem for path in (beside / "parts").glob("*.toml"))
+    meant = f'did you mean "{near}"? Else ' if (near := nearest(name, [*own, *known])) else ""
+    hint = "" if beside is None else f", or put your own PART.toml into the folder {beside / 'parts'}/"
+    hint += f" (there is {short(', '.join(own))})" if own else ""
+    raise InputError(f'part "{short(name)}" is unknown; {meant}choose one of {", ".join(known)}{hint}')

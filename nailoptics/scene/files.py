@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..assets import data_dir
-from ..checks import as_input_error
+from ..checks import as_input_error, nearest
 from ..errors import InputError
 from .base import Table
 from .scene import Scene
@@ -31,8 +31,11 @@ def load_scene(path: str | Path) -> Scene:
     if not is_there(path):
         path = shipped_scene(given) or path
         if not is_there(path) and path.parent == Path() and not path.suffix:
-            known = ", ".join(sorted(path.stem for path in data_dir("scenes").glob("*.toml")))
-            raise InputError(f"{given}: there is no such file and no shipped scene of that name; shipped: {known}.")
+            known = sorted(path.stem for path in data_dir("scenes").glob("*.toml"))
+            own = {path.stem: path.name for path in Path().glob("*.toml")}
+            meant = f'did you mean "{own.get(near, near)}"? ' if (near := nearest(given, [*known, *own])) else ""
+            why = f"there is no such file and no shipped scene of that name; {meant}shipped: {', '.join(known)}."
+            raise InputError(f"{given}: {why}")
     return parse_scene(read_text(path, "the path of a scene file (TOML)"), folder=path.parent, name=str(path))
 
 
@@ -50,7 +53,7 @@ def shipped_scene(name: str) -> Path | None:
 
 def parse_scene(text: str, *, folder: str | Path | None = None, name: str = "scene") -> Scene:
     """Read a scene from TOML text; folder is where its parts and recordings lie."""
-    return scene_of(parse_toml(text, name), folder=folder, name=name)
+    return scene_of(parse_toml(text, name, "scene"), folder=folder, name=name)
 
 
 def scene_of(tables: dict[str, Any], *, folder: str | Path | None = None, name: str = "") -> Scene:

@@ -158,7 +158,7 @@ class Sweep:
 def load_sweep(path: str | Path) -> Sweep:
     """Read a sweep file and build its scenes; raises InputError."""
     path = Path(path)
-    tables = parse_toml(read_text(path, "the path of a sweep file (TOML)"), str(path))
+    tables = parse_toml(read_text(path, "the path of a sweep file (TOML)"), str(path), "sweep")
     try:
         return _build(SweepFile.model_validate(tables), path)
     except (ValidationError, InputError) as error:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 import stat
 import tomllib
 from array import array
@@ -13,12 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..assets import read_toml
 from ..errors import InputError
 
 # A recording of a million samples has a tenth of it. [bytes]
 MOST_BYTES = 500e6
 # Of TOML, which takes some thirty times as much memory; a recorded touch of a million samples is as long.
 MOST_TOML_BYTES = 40e6
+# What tells a recording from TOML.
+RECORDING = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[^#=\n]*\btime_s\b[^=\n]*,")
 # Of a whole number; Python writes none that is much longer.
 MOST_BITS = 8192
 # Rows of a table, each with its line number.
@@ -130,21 +134,29 @@ def number_columns(
     return np.array(lines), dict(zip(columns, table, strict=True))
 
 
-def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError."""
+def parse_toml(text: str, name: str, wanted: str = "") -> dict[str, Any]:
+    """TOML's tables, with tuples for its arrays, which is what frozen models hold; raises InputError, also for another
+    kind of file than is wanted, of assets/file_kinds.toml."""
     if not isinstance(text, str):
         raise InputError(f"{name}: {short(repr(text))} is not text; give TOML, as a file has it.")
     if len(text) > MOST_TOML_BYTES:
         size = f"{len(text) / 1e6:.0f} MB of TOML, more than {MOST_TOML_BYTES / 1e6:g}"
         raise InputError(f"{name}: has {size}; shorten it.")
     try:
-        return {key: frozen(value) for key, value in tomllib.loads(text).items()}
+        read = {"time_s": ()} if wanted and RECORDING.match(text) else tomllib.loads(text)
+        tables = {key: frozen(value) for key, value in read.items()}
     except ValueError as error:
         digits = "a number has thousands of digits; shorten it"
         why = digits if "int_max_str_digits" in str(error) else str(error)
         raise InputError(short(f"{name}: is not valid TOML: {why}", 300) + ".") from None
     except RecursionError:
         raise InputError(f"{name}: is not valid TOML: its tables or arrays are nested too deep.") from None
+    for kind, about in read_toml("file_kinds.toml").items() if wanted else ():
+        if tables.keys() & about["keys"]:
+            if kind != wanted:
+                raise InputError(f"{name}: is {about['is']}; give a {wanted} here.")
+            break
+    return tables
 
 
 def frozen(data: Any) -> Any:

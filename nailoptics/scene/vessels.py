@@ -1,11 +1,11 @@
 """The blood under the nail and the vessels that carry it: which set of constants, and what a scene changes in it."""
 
-import difflib
 from itertools import pairwise
 from typing import Annotated, Any, Self
 
 from pydantic import Field
 
+from ..checks import nearest
 from . import base
 from .base import ArterialPressure, Fraction, Positive, Table, VenousPressure
 
@@ -74,8 +74,8 @@ class Tuning(Table):
         known = [name for name in type(self).model_fields if name != "factors"]
         for name in self.factors or {}:
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-                hint = f'did you mean "{near[0]}"?' if near else f"use one of {', '.join(known)}"
+                near = nearest(name, known, cutoff=0.4)
+                hint = f'did you mean "{near}"?' if near else f"use one of {', '.join(known)}"
                 raise ValueError(f"factors.{name} is not a parameter; {hint}")
             if isinstance((self.factors or {})[name], tuple) and not name.startswith(OF_BEDS):
                 raise ValueError(f"factors.{name} has two values, but it belongs to both beds; give one")
@@ -96,7 +96,8 @@ class Blood(Table):
     """The blood in the nail bed and the vessels that carry it."""
 
     parameters: str = "listed"
-    """Named set of hemodynamic parameters."""
+    """Named set of constants: listed (the paper's table, which does not reproduce its figures), best (the prototype's),
+    simulation or subject (found for the paper's figures); figures, compromise and sluggish are older."""
     tuning: Tuning | None = None
     """Values of parameters that replace those of the named set, or factors on them."""
     wall_stiffness: Annotated[float, Field(ge=0.1, le=10)] = 1.0

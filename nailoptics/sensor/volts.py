@@ -1,6 +1,7 @@
 """Light to volts over a touch, of a worn sensor: all light that it meets, in its place, where its body moves it and
 from outside, its drift and motion, and what every photodiode reads, with its standard error and noise."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Unpack
@@ -10,7 +11,7 @@ import xarray as xr
 
 from ..checks import Array
 from ..errors import InputError, NotReachedError, as_far_as_reached
-from ..light import DetectedLight, ProgressCallback, Transfer, open_light, optics
+from ..light import DetectedLight, ProgressCallback, ReweightWarning, Transfer, open_light, optics
 from ..light.detect import rough_readings
 from ..light.tracing import accuracy
 from ..light.transfer.series import ReadingSeries, read_by_groups
@@ -103,7 +104,8 @@ def with_fitted_resistors(scene: Scene) -> Scene:
     if electronics.has_resistors(scene):
         return scene
     ambient_a = ambient_bound_a(scene, usual=LAMP)
-    read = rough_readings(scene, np.zeros((1, scene.zone_count)))
+    with warnings.catch_warnings(action="ignore", category=ReweightWarning):  # few photons are allowed for below
+        read = rough_readings(scene, np.zeros((1, scene.zone_count)))
     bound = (read.fraction + Z95 * np.nan_to_num(read.stderr))[..., 0]
     lit_a = [electronics.photocurrent_a(*both, scene.elements) for both in zip(bound, scene.leds, strict=True)]
     return electronics.with_resistors(scene, np.max(lit_a, axis=0) + ambient_a)

@@ -4,11 +4,12 @@ import warnings
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
 
 from nailoptics.errors import InputError
 from nailoptics.paper import reduced_optics
-from nailoptics.paper.reduced_optics import fit_beer_lambert, fit_taylor
+from nailoptics.paper.reduced_optics import fit_beer_lambert, fit_reduced_optics, fit_taylor
 from nailoptics.statistics import leave_one_out
 
 DIAMETER_M = np.linspace(8e-6, 11e-6, 50)
@@ -88,6 +89,19 @@ def test_noise_that_hides_the_bend_is_reported_and_spoils_no_prediction():
     assert "alpha" in fit.remark(stderr)
     assert stderr[2] > fit.constants["alpha_per_m2"]
     assert np.abs(fit.predict(DIAMETER_M) - readings(1e-2)).max() < 1e-3
+
+
+def test_constants_of_a_curve_whose_bend_is_not_known_are_left_out_of_the_result():
+    """Expected: NaN and a note; Taylor (9) and the curve itself stay."""
+    data = {
+        "volts": (("led", "photodiode", "time"), (1.0 + 1e7 * DIAMETER_M**2)[None, None]),
+        "capillary_diameter_m": (("zone", "time"), DIAMETER_M[None]),
+        "zone_of_photodiode": ("photodiode", [0]),
+    }
+    made = fit_reduced_optics(xr.Dataset(data), np.arange(len(DIAMETER_M)), None)
+    constants = [made[f"beer_lambert_{name}"][1] for name in ("v0_v", "v1_v", "alpha_per_m2")]
+    assert np.isnan(constants).all() and "straight" in str(made["fit_note"][1])
+    assert np.isfinite([made["taylor_v0_v"][1], made["beer_lambert_residual_rms_v"][1]]).all()
 
 
 def test_scale_does_not_matter():

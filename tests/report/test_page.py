@@ -8,12 +8,14 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
 from nailoptics.report import maps, style
 from nailoptics.report.pages.simulate import SIMULATION, page
-from nailoptics.scene import parse_scene
+from nailoptics.scene import parse_scene, to_toml
 
 VOID = {"meta", "br"}
 
@@ -203,6 +205,31 @@ def test_a_fit_that_is_straight_is_shown_as_straight(undrawn, make):
     texts = body_rows(Page(page(result)).tables["fits"])[3]
     assert texts.count("straight") == 3
     assert not any("79000" in text or "?" in text for text in texts[1:4])
+
+
+def test_a_fit_whose_bend_is_not_known_is_left_blank_and_its_note_names_the_led(undrawn, make):
+    result = make(leds=2, section=False)
+    result["fit_note"] = result.fit_note.astype("U80")
+    name = str(result.photodiode.values[3])
+    for constant in ("v0_v", "v1_v", "alpha_per_m2"):
+        result[f"beer_lambert_{constant}"][1, 3] = np.nan
+    result.fit_note[1, 3] = "alpha differs from 0 by less than its standard error"
+    shown = page(result)
+    assert [row for table in Page(shown).tables.values() for row in table if row.count("not known") == 3]
+    assert f"{name} under led1: alpha differs from 0" in shown
+
+
+def test_signs_that_differ_are_named_with_their_led(undrawn, make):
+    result = make(leds=2, section=False)
+    result["volts_change"][1, 0] *= -1
+    assert f"; not {result.photodiode.values[0]} under led1" in page(result)
+
+
+def test_photodiodes_have_the_colour_of_their_place_whatever_their_order():
+    scene = parse_scene((data_dir("scenes") / "prototype.toml").read_text(encoding="utf-8"))
+    turned = scene.with_(photodiodes=scene.photodiodes[::-1])
+    colours, others = (maps.colours_of(xr.Dataset(attrs={"scene": to_toml(one)})) for one in (scene, turned))
+    assert colours == style.place_colours(8) and others == colours[4:] + colours[:4]
 
 
 def test_a_result_that_was_cut_off_says_so_in_its_first_lines(undrawn, make):

@@ -21,7 +21,8 @@ def test_the_terminal_and_the_page_have_one_definition_of_a_change(make):
     assert {row["time_of_change_s"] for row in rows} == {float(result.time[hold])}
     assert result.force_n[hold] == 1 and result.force_n[hold + 1] == 0
     lines = simulation_lines(result, simulation_summary(result))
-    assert f"to the end of the hold, at {float(result.time[hold]):.3g} s" in lines[-1] and "+1.00" in lines[1]
+    at_s = f"{float(result.time[hold]):.3g} s"
+    assert f"to the last under the largest force, at {at_s}" in lines[-1] and "+1.00" in lines[1]
 
 
 def test_saturated_readings_are_marked(make):

@@ -1,6 +1,7 @@
 """Every bad scene ends in one clear line: which field, which rule, which value, what to do."""
 
 import math
+import re
 import traceback
 from pathlib import Path
 
@@ -140,6 +141,21 @@ def test_a_value_out_of_range_names_its_field_and_rule(text, field, value):
 )
 def test_a_value_of_the_wrong_kind_names_its_field(text, field):
     assert f": {field} = " in complaint(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (FINGER + "[blood]\nso2 = 97", "; it is a fraction, not percent: 97 % is 0.97."),
+        (FINGER + '[touch]\nforce_n = "2 N"', "; give it in N, a number without unit and quotes."),
+        (FINGER + '[blood]\nso2 = "97 %"', "; give a number without unit and quotes."),
+        (FINGER.replace("schema_version = 1", ""), "schema_version is missing; add schema_version = 1."),
+        (FINGER.replace("[[leds]]", "[leds]"), "; write [[leds]], in double brackets, for each."),
+    ],
+    ids=["percent", "a unit", "a text", "no version", "single brackets"],
+)
+def test_a_usual_slip_is_named_with_its_cure(text, words):
+    assert complaint(text).endswith(words)
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
@@ -310,6 +326,42 @@ def test_an_impossible_pattern_is_refused(fields, words):
 @pytest.mark.parametrize("text", ["x = ", "= 1", "[finger", "a = " + 5000 * "[", '"\x00" = 1'])
 def test_what_is_not_toml_is_refused_as_such(text):
     assert "is not " in complaint(text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["check", "part.toml"], 'part.toml: is a part, which a scene names as part = "NAME"; give a scene here.'),
+        (["batch", "scene.toml", "-o", "x"], "scene.toml: is a scene, .*; give a sweep here."),
+        (["predict", "scene.toml", "rec.csv"], "scene.toml: is a scene, .*; give a subject file here."),
+        (["calibrate", "rec.csv", "scene.toml"], "rec.csv: is a recording, .*; give a scene here."),
+        (
+            ["calibrate", "scene.toml", "sweep.toml"],
+            "sweep.toml: is a sweep, which batch takes; give a recording here.",
+        ),
+        (["calibrate", "me.toml", "rec.csv"], "me.toml: is a subject file, which predict takes; give a scene here."),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_file_of_another_kind_is_named_as_what_it_is(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(FINGER)
+    Path("part.toml").write_text('kind = "led"\npeak_nm = 805\nfwhm_nm = 30\nflux_mw = 2\n')
+    Path("sweep.toml").write_text(
+        'schema_version = 1\nbase = "prototype"\n[[axes]]\npath = "blood.so2"\nvalues = [0.9]\n'
+    )
+    Path("me.toml").write_text('schema_version = 3\nscene_digest = "0"\n[scene]\n[light]\n')
+    Path("rec.csv").write_text("# of today\n\ntime_s,force_n,pd\n0,0,1\n1,1,2\n")
+    assert run(arguments) == 2
+    assert re.fullmatch(f"nailoptics: {words}\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(("given", "meant"), [("prototyp", "prototype"), ("ring", "ring.toml")])
+def test_a_misspelt_scene_is_named_with_the_nearest(tmp_path, monkeypatch, given, meant):
+    monkeypatch.chdir(tmp_path)
+    Path("ring.toml").write_text(FINGER)
+    with pytest.raises(InputError, match=f'did you mean "{meant}"\\? shipped: calibration, '):
+        load_scene(given)
 
 
 def test_a_scene_file_that_cannot_be_read_is_named(tmp_path):

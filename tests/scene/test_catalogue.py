@@ -76,10 +76,21 @@ def test_a_part_that_breaks_a_rule_is_refused_in_one_line(tmp_path, text, words)
 def test_an_unknown_part_names_the_known_ones():
     with pytest.raises(InputError, match="choose one of .*bpw34, .*led_660, led_800, led_940, .*pd_array_4x1"):
         load_part("led_850")
+    with pytest.raises(InputError, match='"led_80" is unknown; did you mean "led_800"\\? Else choose one of'):
+        load_part("led_80")
     with pytest.raises(InputError, match="give no path"):
         load_part("../led_800")
     with pytest.raises(InputError, match='kind "led", and "photodiode" is needed'):
         load_part("led_800", expect=PhotodiodePart)
+
+
+def test_a_users_own_parts_are_among_the_known_ones(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "my_green.toml").write_text(LED)
+    (tmp_path / "ring.toml").write_text('[ambient]\nkind = "lamp"\n')
+    words = f'did you mean "my_green"\\? .* PART.toml into the folder {tmp_path / "parts"}/ \\(there is my_green\\)'
+    with pytest.raises(InputError, match=words):
+        load_part("my_gren", tmp_path)
 
 
 def test_parts_of_the_old_kind_and_scenes_with_the_old_key_are_read(tmp_path):

@@ -1,12 +1,15 @@
 """Feedback resistors: standard values that fit the brightest light, the same in every command, and their noise."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 from nailoptics.assets import data_dir
 from nailoptics.errors import InputError
-from nailoptics.light import trace
+from nailoptics.light import ReweightWarning, trace
 from nailoptics.light.detect import rough_readings
+from nailoptics.light.transfer.series import ReadingSeries
 from nailoptics.options import TraceOptions
 from nailoptics.scene import Ambient, Electronics, Led, Photodiode, Scene, load_scene, parse_scene, to_toml
 from nailoptics.sensor import electronics
@@ -73,6 +76,17 @@ def test_a_phantom_has_no_finger_to_fit_to():
     text = (data_dir("scenes") / "phantom.toml").read_text(encoding="utf-8")
     with pytest.raises(InputError, match=r'feedback_ohm = "auto" needs a \[finger\]'):
         parse_scene(text + '\n[electronics]\nfeedback_ohm = "auto"\n')
+
+
+def test_the_short_trace_that_fits_resistors_warns_of_no_photons(monkeypatch, recwarn):
+    def rough(scene: Scene, states: np.ndarray) -> ReadingSeries:
+        warnings.warn("few photons", ReweightWarning, stacklevel=2)
+        return ReadingSeries(*4 * [np.full((1, 8, 1), 1e-4)])
+
+    monkeypatch.setattr("nailoptics.sensor.volts.rough_readings", rough)
+    monkeypatch.setattr("nailoptics.sensor.volts.ambient_bound_a", lambda scene, usual: np.zeros(8))
+    with_fitted_resistors(prototype())
+    assert not recwarn.list
 
 
 def test_resistors_are_the_same_in_check_and_simulate_whatever_is_traced(jit_backend, shared_light):

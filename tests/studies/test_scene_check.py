@@ -7,11 +7,12 @@ from nailoptics.assets import data_dir
 from nailoptics.cli import run
 from nailoptics.errors import InputError
 from nailoptics.light import backend
+from nailoptics.report.pages.scene import CHECK
 from nailoptics.report.scene_description import check_lines
 from nailoptics.scene import Ambient, Electronics, load_scene, parse_scene, to_toml
 from nailoptics.scene.catalogue import load_part
 from nailoptics.sensor.volts import with_fitted_resistors
-from nailoptics.studies.scene_check import check
+from nailoptics.studies.scene_check import SceneCheck, check
 
 # Of the light of a scene, which is traced once.
 pytestmark = pytest.mark.usefixtures("coarse_light")
@@ -82,6 +83,17 @@ def test_it_warns_of_an_led_that_its_part_does_not_bear(tmp_path):
     assert load_part("max30101").leds[0].max_current_ma == 51.0
 
 
+BLIND = SCENE.replace("size_mm = [1.0, 0.25]", "size_mm = [1.0, 0.25]\nresponsivity = [[400.0, 0.1], [700.0, 0.4]]")
+
+
+def test_it_and_simulate_warn_of_a_table_that_does_not_reach_an_led(tmp_path, capfd):
+    line = 'photodiode "pd" does not see LED "ir" of 800 nm: its responsivity reaches from 400 to 700 nm; add rows'
+    (warning,) = check(load_scene(scene(tmp_path, text=BLIND)))["warnings"]
+    assert warning.startswith(line)
+    assert run(["simulate", str(scene(tmp_path, text=BLIND)), "--photons", "2000", "-o", str(tmp_path / "out")]) == 0
+    assert capfd.readouterr().err.count(line) == 1
+
+
 def test_it_warns_of_photodiodes_that_the_sun_may_saturate(jit_backend):
     prototype = load_scene(data_dir("scenes") / "prototype.toml")
     leds = tuple(led.model_copy(update={"flux_mw": 0.5 * led.flux_mw}) for led in prototype.leds)
@@ -116,6 +128,20 @@ def test_vessels_far_off_the_list_are_named_by_check_and_simulate(tmp_path, capf
     # Ends before it traces: an engine that the backend cannot run.
     assert run(["simulate", str(tmp_path / "far.toml"), "-o", str(tmp_path), "--backend", "scalar"]) == 2
     assert line in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "is_remarked"), [("listed", True), ("best", False)])
+def test_the_set_of_vessels_is_named_and_the_papers_table_remarked(tmp_path, capfd, name, is_remarked):
+    assert run(["check", str(scene(tmp_path, text=SCENE.replace('"best"', f'"{name}"')))]) == 0
+    (line,) = [line for line in capfd.readouterr().out.splitlines() if line.startswith("blood: ")]
+    assert line.startswith(f'blood: vessels "{name}", ') and ("does not reproduce its figures" in line) == is_remarked
+
+
+def test_regions_are_those_that_are_there(tmp_path):
+    with_barrier = SCENE.replace("barrier = false", "barrier = true")
+    for text, is_there in ((SCENE, False), (with_barrier, True)):
+        loaded = load_scene(scene(tmp_path, text=text))
+        assert ("barrier" in CHECK.summary(SceneCheck(loaded, {}))["regions"]) == is_there
 
 
 def test_a_phantom_is_checked_without_a_finger():

@@ -11,7 +11,7 @@ from ...statistics import Z95
 from ...studies.force.predict import csv_rows
 from ...studies.force.scores import BASELINES, TOUCH_N, TOUCH_SCORES
 from ...studies.force.subject import Subject, parse_subject, subject_toml
-from .. import style
+from .. import maps, style
 from ..files import Report
 from ..html import Html, details, document, figure, section, small, table, texts
 from ..numbers import cells, estimated, plain, significant, with_error
@@ -146,12 +146,14 @@ def _thinned(result: xr.Dataset, over: str) -> xr.Dataset:
 @style.drawing()
 def _fit_figure(result: xr.Dataset) -> "style.Figure":
     """All readings over the calibration, recorded and fitted, less their starts; below, their residuals."""
+    colours = maps.colours_of(result)  # of each LED's readings
     parts = [_thinned(part, "sample") for _, part in result.groupby(result.recording)]
     how: dict[str, Any] = {"sharex": "col", "sharey": "row", "squeeze": False, "height_ratios": [3.0, 2.0]}
     figure, axes = style.panels(7.2, 4.6, 2, len(parts), **how)
     for part, (readings, residuals) in zip(parts, axes.T, strict=True):
         time_s, recorded_mv, fitted_mv = part.time_s, 1e3 * part.volts.values, 1e3 * part.volts_fitted.values
-        for k, colour in enumerate(style.place_colours(part.sizes["reading"])):
+        for k in range(part.sizes["reading"]):
+            colour = colours[k % len(colours)]
             start_mv = np.nanmedian(recorded_mv[k, : max(3, len(time_s) // 50)])
             name = style.plain(part.reading.values[k])
             readings.plot(time_s, recorded_mv[k] - start_mv, color=colour, linewidth=2.4, alpha=0.55, label=name)

@@ -9,7 +9,7 @@ import xarray as xr
 from ...statistics import Z95
 from ...studies.oximetry.ratio import MEASURED, TEXTBOOK
 from ...studies.oximetry.recording import spo2_csv
-from .. import style
+from .. import maps, style
 from ..files import Report, run_summary
 from ..html import document, figure, section, small, table, texts
 from ..numbers import aligned, estimated, plain, polynomial, significant, with_error, with_stderr
@@ -111,7 +111,7 @@ def overview_figure(result: xr.Dataset) -> "style.Figure":
         style.estimate(beat, result.beat_time, change, error, color=colour, label=style.plain(name))
     beat.set(title="A beat on the best photodiode", xlabel="time [s]", ylabel="change over a beat [mV]")
     beat.legend()
-    colours = style.place_colours(result.sizes["photodiode"])
+    colours = maps.colours_of(result)
     _calibration(curve, result, colours)
     _disturbance(force, result, "touch_force_n", colours)
     force.set(title="Effect of a touch", ylabel="bias of SpO2 [%]")
@@ -138,7 +138,7 @@ def _calibration(panel: "style.Axes", result: xr.Dataset, colours: list[str]) ->
 @style.drawing()
 def _disturbances_figure(result: xr.Dataset) -> "style.Figure":
     """What is shown less what is true over everything that disturbs, a panel for each."""
-    names, colours = result.attrs["disturbances"], style.place_colours(result.sizes["photodiode"])
+    names, colours = result.attrs["disturbances"], maps.colours_of(result)
     figure, panels = style.tiles(len(names), COLUMNS, 7.2, 2.1)
     for k, (panel, name) in enumerate(zip(panels, names, strict=True)):
         _disturbance(panel, result, name, colours)
@@ -234,8 +234,9 @@ def oximeter_lines(result: xr.Dataset, summary: dict[str, Any]) -> list[str]:
     index = ", ".join(f"{led} {100 * value:.3f} %" for led, value in best["perfusion_index"].items())
     lines.append(f"best photodiode, by its noise: {summary['best']}; perfusion index {index}")
     for name, curve in best["disturbances"].items():
-        worst = max(curve["spo2_off"], key=abs)
-        lines.append(f"  {name} from {curve['values'][0]:g} to {curve['values'][-1]:g}: bias at most {worst:+.2f} %")
+        worst, about = max(curve["spo2_off"], key=abs), result[name].attrs
+        ends = f"{curve['values'][0]:g} to {curve['values'][-1]:g} {about['units']}".removesuffix(" 1")
+        lines.append(f"  {about['long_name']}, {ends}: bias at most {worst:+.2f} %")
     return lines
 
 

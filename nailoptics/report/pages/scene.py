@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
 from ...geometry import build
 from ...light import section as cut
@@ -9,7 +11,7 @@ from ...scene import Scene
 from ...studies.scene_check import SceneCheck, check
 from .. import maps, style
 from ..files import Report
-from ..html import document, figure, preformatted, section
+from ..html import document, figure, preformatted, section, texts
 from ..scene_description import blood_words, body_words, check_lines, touch_words
 
 
@@ -44,9 +46,10 @@ def summary(checked: SceneCheck) -> dict[str, Any]:
     scene, made = checked.scene, {"valid": True, **checked}
     if scene.finger is None:
         return made
-    mesh = build(scene)
-    made |= {"touch": touch_words(scene), "blood": blood_words(scene), "body": body_words(scene)}
-    made |= {"vessels": scene.blood.parameters, "regions": [*mesh.regions], "triangles": len(mesh.triangles)}
+    mesh, remark = build(scene), texts("scene")["sets"].get(scene.blood.parameters, "")
+    there = [mesh.regions[k] for k in np.union1d(mesh.below, mesh.above)]
+    made |= {"touch": touch_words(scene), "blood": blood_words(scene) + remark, "body": body_words(scene)}
+    made |= {"vessels": scene.blood.parameters, "regions": there, "triangles": len(mesh.triangles)}
     return made
 
 

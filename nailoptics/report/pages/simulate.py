@@ -136,17 +136,16 @@ def _cards(readings: pd.DataFrame, result: xr.Dataset, scene: Scene) -> list[tup
     """Key figures as (number, words)."""
     lines: list[tuple[str, str]] = []
     usable = readings[~readings.saturated]
-    name = usable.photodiode + (" under " + usable.led if result.sizes["led"] > 1 else "")
     change_v = usable.volts_change
     for word, moved in (("fall", change_v[change_v < 0]), ("rise", change_v[change_v > 0])):
         if len(moved):
             r = usable.loc[moved.abs().idxmax()]
             ratio = f"signal-to-noise ratio {significant(r.signal_to_noise)}"
-            words = f"largest {word}: {name[r.name]}, {significant(r.change_percent, sign=True)} %, {ratio}"
+            words = f"largest {word}: {r.reading}, {significant(r.change_percent, sign=True)} %, {ratio}"
             lines.append((quantity(r.volts_change, "V", sign=True), words))
     resolved = usable.resolution_n[(usable.resolution_n > 0) & np.isfinite(usable.resolution_n)]
     if len(resolved):
-        words = f"best force resolution of one sample (noise / slope): {name[resolved.idxmin()]}"
+        words = f"best force resolution of one sample (noise / slope): {usable.reading[resolved.idxmin()]}"
         lines.append((quantity(resolved.min(), "N"), words))
     if change_v.any() and scene.touch.proximal_share == SHARES["even"]:
         lines += _signs(usable, result)
@@ -176,7 +175,7 @@ def _signs(readings: pd.DataFrame, result: xr.Dataset) -> list[tuple[str, str]]:
     words, least = TEXTS["as_in_the_paper"], readings.z_score[right].min()
     if np.isfinite(least):
         words += f", by {significant(least, 2)} σ of the trace or more"
-    wrong = [*readings.photodiode[~right]]
+    wrong = [*readings.reading[~right]]
     if 0 < len(wrong) < 4:
         words += f"; not {_list(wrong)}"
     if "keeps_sign" in result:
@@ -216,17 +215,17 @@ def _fits(result: xr.Dataset, readings: pd.DataFrame) -> tuple[list[dict[str, st
         if r.saturated:
             rows.append({"Photodiode": f"{r.photodiode} saturated"} | dict.fromkeys(fields, "–"))
             continue
-        noted.setdefault(str(fit.fit_note.item()), []).append(r.photodiode)
+        noted.setdefault(note := str(fit.fit_note.item()), []).append(r.reading)
         row, level_v = {"Photodiode": r.photodiode}, abs(float(fit.taylor_v0_v))
-        straight = 0 < float(fit.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT
+        straight = 0 < float(fit.beer_lambert_alpha_per_m2) * largest_m2 < STRAIGHT or "straight" in note
         for head, (field, unit) in fields.items():
             level = level_v / (largest_m2 if field.endswith("_per_m2") else 1.0) / unit
             error = float(fit[f"{field}_stderr"]) / unit if f"{field}_stderr" in fit else 0.0
             row[head] = with_error(float(fit[field]) / unit, error, scale=level)
-            if row[head].endswith("?") and field.startswith("beer_lambert"):
+            if row[head].endswith(("?", "–")) and field.startswith("beer_lambert"):
                 row[head] = "straight" if straight else "not known"
         rows.append(row)
-    return rows, [f"{', '.join(dict.fromkeys(names))}: {note}" for note, names in noted.items() if note]
+    return rows, [f"{', '.join(names)}: {note}" for note, names in noted.items() if note]
 
 
 def _pair_table(rows: Sequence[dict[str, str]], readings: pd.DataFrame, scene: Scene, *, kind: str) -> Html:

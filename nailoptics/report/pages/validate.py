@@ -93,9 +93,7 @@ def draw(quantity: Mapping[str, Any]) -> "style.Figure":
 
 def lines(summary: Mapping[str, Any]) -> list[str]:
     """Every quantity's verdict for the terminal, what disagrees first."""
-    rows = [row(quantity) | {"Quantity": name} for name, quantity in _ranked(summary)]
-    for one in rows:
-        del one["Accepted"]
+    rows = [row(quantity) for _, quantity in _ranked(summary)]
     return [*aligned(rows), *(f"{name}: no data" for name in summary["no_data"]), f"{counts_in_words(summary)}."]
 
 

@@ -16,7 +16,7 @@ from ...errors import InputError
 from ...io import write_text
 from ..base import ARTERIAL_PA, LEAST_AREA_MM2, VENOUS_PA
 from ..electronics import DARK
-from ..text_files import Rows, number_columns, read_rows
+from ..text_files import Rows, number_columns, parse_toml, read_rows, read_text
 
 PRESSURES = ("proximal_pressure_pa", "distal_pressure_pa")
 # Clocks count from some date; beyond this, steps of milliseconds are lost in their digits. [s]
@@ -168,6 +168,8 @@ def _table(
     starts : whether a row is a header that may lie below lines of settings; else it is the first.
     """
     name, rows = str(path), read_rows(path, expected)
+    if name.endswith(".toml"):
+        parse_toml(read_text(path, expected), name, "recording")
     first = list(islice(rows, PREAMBLE_LINES)) or [(0, [""])]
     place = next((k for k, (_, row) in enumerate(first) if starts is not None and starts(row)), 0)
     rows, header = chain(first[place + 1 :], rows), [cell.strip() for cell in first[place][1]]

@@ -266,7 +266,7 @@ def load_subject(path: str | Path) -> Subject:
 
 def parse_subject(text: str, *, name: str = "subject") -> Subject:
     """Read a subject from the text of its file, which has a digest but in version 0.2."""
-    tables = parse_toml(text, name)
+    tables = parse_toml(text, name, "subject file")
     written = tables.pop("digest", None)
     try:
         subject = FILE.validate_python(tables)

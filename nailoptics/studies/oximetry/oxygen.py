@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 
 from ... import hemodynamics, tissue
-from ...errors import as_far_as_reached, unless_cut_off
+from ...errors import InputError, as_far_as_reached, unless_cut_off
 from ...hemodynamics.for_scene import BloodBeat, beat_at, blood_over_touch, heart_rate_per_min, rest_beat
 from ...light import ProgressCallback, Transfer, optics
-from ...light.detect import light_of
+from ...light.detect import light_of, unseen
 from ...options import Requested, TraceOptions
 from ...scene import Oximeter, Scene, SceneIn, as_scene
 from ...sensor.ambient import LAMP, SUN, trace_ambient
@@ -70,10 +70,7 @@ class CalibratedOximeter:
 
 
 def sensitivity_curves(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, sun_a: Array) -> dict[str, Variables]:
-    """Bias of SpO2 over each disturbance, by its name.
-
-    sun_a : (photodiodes,) float. Photocurrent by full sun. [A]
-    """
+    """Bias of SpO2 over each disturbance, by its name. sun_a : (photodiodes,) float. Photocurrent by full sun. [A]"""
     scene, leds, curves = oximeter.transfer.scene, oximeter.leds, dict[str, Variables]()
     beat, (low_nm, high_nm) = rest_beat(scene), tissue.WAVELENGTH_RANGE_NM
 
@@ -106,10 +103,7 @@ def sensitivity_curves(oximeter: CalibratedOximeter, front_end: SampledFrontEnd,
 
 
 def _curve(name: str, text: str, units: str, values: Array, bias: Array, stderr: Array) -> Variables:
-    """Bias of SpO2 as one thing changes; values : (n,) float.
-
-    bias, stderr : (photodiodes, n) float. [percent]
-    """
+    """Bias of SpO2 as one thing changes; values : (n,) float. bias, stderr : (photodiodes, n) float. [percent]"""
     how: Any = {"long_name": f"bias of SpO2 over: {text}", "units": "percent", "stderr": stderr}
     data = variable(f"off_by_{name}", ("photodiode", name), bias, **how)
     return data | variable(name, name, values, text, units=units)
@@ -137,7 +131,7 @@ def _with_lines(scene: Scene, which: tuple[int, int], *, fwhm_nm: float | None =
 SO2 = np.linspace(0.5, 1.0, 51)
 # Part of one slot's light that may be left in the next.
 MOST_CROSSTALK = 0.01
-_LEAKAGE = 52
+_LEAKAGE, ROUNDING_V = 52, 1e-9
 
 
 def oximeter(scene: SceneIn, *, progress: ProgressCallback | None = None, **requested: Unpack[Requested]) -> xr.Dataset:
@@ -183,6 +177,11 @@ def oximeter_from(transfer: Transfer, *, options: TraceOptions) -> xr.Dataset:
         calibrations |= described(__package__, **{name: jackknifed(fits), f"{name}_miss": miss})
     slope = np.abs(calibrations["linear"][1][:, 1])
     volts = _volts(transfer, leds, beat, front_end)
+    level_v, bandwidth_hz = volts["volts"][1].mean(-1), scene.electronics.bandwidth_hz
+    for k, j in np.argwhere((level_v < -ROUNDING_V) & ~volts["saturated"][1])[:1]:
+        read = f'reads {level_v[k, j]:.2g} V in slot "{front_end.lights[k]}" less the dark one'
+        cure = f"raise electronics.bandwidth_hz = {bandwidth_hz:g} or lengthen the slots, which do not settle"
+        raise InputError(f'photodiode "{transfer.photodiodes[j]}" {read}; {cure}.')
     time_s, light = light_of_touch(scene, transfer, leds)
     data = calibrations | volts | _error_variables(oximeter, slope, front_end, volts)
     data |= described(
@@ -280,7 +279,7 @@ def _error_variables(
 
 def _warnings(oximeter: CalibratedOximeter, front_end: SampledFrontEnd, path_ratio: Array) -> list[str]:
     scene, nominal = oximeter.transfer.scene, oximeter.nominal
-    lines = pulsations.path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
+    lines = unseen(scene) + pulsations.path_warnings(scene, nominal.ratio[0, :, 0], path_ratio)
     _, full = front_end.slot_volts(nominal.dc[0, ..., 0])
     for name, over in zip(oximeter.transfer.photodiodes, full.T, strict=True):
         if over.any():

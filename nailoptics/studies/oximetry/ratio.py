@@ -121,10 +121,7 @@ def read_states(transfer: Transfer, led: int, states: list[tuple[float, Array, A
 
 
 def read_pulsations(transfer: Transfer, leds: tuple[int, int], states: list[tuple[float, BloodBeat]]) -> Pulsation:
-    """Pulsation in some states, each a saturation and a beat.
-
-    leds : numbers of the red and the infrared LED.
-    """
+    """Pulsation in some states, each a saturation and a beat. leds : numbers of the red and the infrared LED."""
     rows = [(so2, beat.resting, np.vstack([np.zeros_like(beat.resting), beat.extremes])) for so2, beat in states]
     read = np.stack([read_states(transfer, led, rows) for led in leds], 1)
     read = read.reshape(*read.shape[:3], len(states), 3)

@@ -37,10 +37,8 @@ WHILE_STILL = ("ratio", "ratio_stderr", "perfusion_index_red", "perfusion_index_
 
 
 def simulated(scene: Scene, result: xr.Dataset, *, seed: int) -> OximeterRecording:
-    """What the oximeter would record of its scene's touch, in the ambient light that the scene names.
-
-    result : what `oximeter` returned for the scene.
-    """
+    """What the oximeter would record of its scene's touch, in the ambient light that the scene names. result : what
+    `oximeter` returned for the scene."""
     front_end = front_end_of(scene, oximeter_leds(scene), np.asarray(result.ambient_a))
     time_s, (red, infrared) = result.time.values, result.detected_fraction.values
     delay_s, rng = front_end.delays_s[front_end.lights[1]], np.random.default_rng(seed_of(seed, _NOISE))
@@ -112,10 +110,8 @@ def spo2_over_time(recording: OximeterRecording, result: xr.Dataset, scene: Scen
 
 
 def pulses_over_time(recording: OximeterRecording, scene: Scene) -> tuple[Array, list[dict[str, Array]]]:
-    """Times of the windows, and the estimates of each photodiode in them without any calibration.
-
-    Raises: InputError as `spo2_over_time`.
-    """
+    """Times of the windows, and the estimates of each photodiode in them without any calibration. Raises: InputError
+    as `spo2_over_time`."""
     if not recording.counts:
         range_v, valid = scene.electronics.adc_range_v, np.isfinite(recording.volts)
         full = (electronics.recorded_at_limit(recording.volts, range_v) & valid).sum(-1) / valid.sum(-1)
@@ -131,8 +127,10 @@ def _photodiode(recording: OximeterRecording, j: int) -> tuple[Array, dict[str, 
     """Times of the windows and the estimates of one photodiode in each."""
     name = f"{recording.name}, photodiode {recording.photodiodes[j]}"
     light = recording.volts[:, j] - recording.dark_v[j]
-    if np.nanmedian(light, axis=1).min() <= 0:
-        raise InputError(f"{name}: less its dark reading an LED gives no light; check the slots' names.")
+    if (least := (of_led := np.nanmedian(light, axis=1)).min()) <= 0:
+        of = f"{('red', 'infrared')[of_led.argmin()]} LED by {-least:.3g} {'counts' if recording.counts else 'V'}"
+        cure = "check the columns' names, or let readings settle in longer slots"
+        raise InputError(f"{name}: the dark slot is brighter than that of the {of}; {cure}.")
     logarithm = -np.log(np.where(light > 0, light, np.nan))
     away = np.abs(logarithm - np.nanmedian(logarithm, axis=1, keepdims=True)) > MOST_AWAY
     # LEDs that are not lit yet; a filter would spread one such sample over a second.

@@ -84,6 +84,8 @@ def test_the_command_writes_and_prints_what_was_found(computed, monkeypatch, tmp
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--recording", str(worn), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["best"] == computed.attrs["best"]
     assert {path.name for path in folder.iterdir()} == set(OXIMETER.files) and len(worn.read_text().splitlines()) > 1000
+    assert run(["oximeter", "pulse_oximeter", "-o", str(folder)]) == 0
+    assert "sunlight with the dark slot left out, 0 to 100000 lx: bias at most" in capsys.readouterr().out
     assert run(["oximeter", "pulse_oximeter", "-o", str(folder), "--readings", str(worn)]) == 0
     assert_listed(tmp_path, "oximeter.nc", "oxygen.nc")
 
@@ -188,6 +190,13 @@ def test_two_dies_along_the_nail_are_warned_of(light):
     message = " ".join(result.attrs["warnings"])
     assert '"axis.6"' in message and "on the axis between two dies side by side" in message
     assert float(result.path_ratio.min()) < 0.8
+
+
+def test_slots_that_do_not_settle_are_refused(light):
+    slow = light.scene.with_({"electronics.bandwidth_hz": 100.0})
+    words = r'reads -\S+ V in slot "\w+" less the dark one; raise electronics.bandwidth_hz = 100 or lengthen'
+    with pytest.raises(InputError, match=words):
+        oximeter_from(replace(light, scene=slow), options=TraceOptions(seed=SEED))
 
 
 def test_no_light_is_traced_for_what_is_no_oximeter(monkeypatch):

@@ -213,7 +213,7 @@ def test_what_tells_nothing_is_refused_in_one_line():
         # The last code of a converter of 10 bits is a thousandth below its range.
         (replace(full, volts=np.minimum(full.volts, 5.0 * (1 - 2.0**-10))), "saturated"),
         (replace(made, volts=1.0 + 1e-4 * flat), "no heartbeat"),
-        (replace(made, dark_v=made.dark_v + 2.0), "dark"),
+        (replace(made, dark_v=made.dark_v + 2.0), r"dark slot is brighter than that of the \w+ LED by [01]\.\d+ V"),
         (replace(made, photodiodes=("axis.1", "other")), "not one of"),
     ):
         with pytest.raises(InputError, match=words) as error:

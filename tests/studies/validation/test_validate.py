@@ -218,7 +218,7 @@ def test_validation_shows_disagreement_first(jit_backend, coarse_cells, tmp_path
     assert rows == sorted(rows) and text.count("<svg") == len(curves) > 5
     summary = page.summary(result)
     assert {"quantity", "people", "model", "agrees"} <= {*summary["tables"]["nail_L"]}
-    assert len(page.lines(summary)) == len(result.tables) + 2
+    assert len(page.lines(summary)) == len(result.tables) + 2 and "Accepted" in page.lines(summary)[0]
     not_fitted = [one.agrees for one in result.tables.values() if one.texts["basis"] != "fitted"]
     assert f"of {len(not_fitted)} unfitted quantities {sum(not_fitted)} agree" in page.lines(summary)[-1]
 
