@@ -8,7 +8,7 @@ import secrets
 import stat
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +17,6 @@ import numpy as np
 
 from .assets import read_toml
 from .errors import WriteError
-
-try:
-    import fcntl
-except ImportError:  # not a POSIX system
-    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -103,28 +98,6 @@ def check_writable(folder: Path, *files: str) -> None:
     for name in files:
         if (folder / name).is_dir():
             raise WriteError(f"{folder / name}: is a folder where a file is to be written; choose another.")
-
-
-@contextlib.contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
-    """Make a folder and wait until nobody else writes results in it, so that files that belong together stay together.
-
-    Where the file system knows no locks (some network file systems) nobody waits.
-    """
-    make_folder(folder)
-    if fcntl is None:
-        yield
-        return
-    try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError as error:
-        raise _refused(folder, error) from None
-    try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def cache_folder() -> Path:

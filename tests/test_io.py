@@ -14,10 +14,8 @@ import pytest
 import xarray as xr
 from small_scenes import SMALL_FINGER, phantom
 
-import nailoptics
 from nailoptics import io
 from nailoptics.errors import InputError, WriteError
-from nailoptics.scene import parse_scene
 
 ROOT = Path(__file__).parents[1]
 QUIET = SMALL_FINGER + "[priors]\nspread = false\n"
@@ -269,43 +267,6 @@ def test_concurrent_writers_of_one_file_leave_a_whole_one(tmp_path):
             seen.add(computed[:1])
     assert [writer.communicate()[1] for writer in writers] == [b""] * 4 and seen
     assert [writer.returncode for writer in writers] == [0] * 4 and names(tmp_path) == ["file"]
-
-
-@pytest.mark.long
-def test_commands_that_share_a_folder_leave_the_files_of_one(jit_backend, store, tmp_path):
-    """The page and the result that lie there in the end carry the same seeds. Stored light lets them meet there: they
-    take as long as it takes to write."""
-    (tmp_path / "finger.toml").write_text(QUIET)
-    arguments = ("simulate", "finger.toml", "--photons", "3000", "-o", "deep/out", "--seed")
-    for seed in (1, 2, 3):
-        nailoptics.simulate(parse_scene(QUIET), photons=3000, seed=seed, picture=True)
-    commands = [start(*arguments, str(seed), folder=tmp_path) for seed in (1, 2, 3)]
-    errors = [command.communicate(timeout=300)[1] for command in commands]
-    assert [command.returncode for command in commands] == [0] * 3, errors
-    assert names(tmp_path / "deep" / "out") == ["report.html", "result.nc"]
-    result = xr.load_dataset(tmp_path / "deep" / "out" / "result.nc", engine="h5netcdf")
-    page = (tmp_path / "deep" / "out" / "report.html").read_text()
-    assert f"<dt>Seeds</dt><dd>{result.attrs['seeds']}</dd>" in page and page.endswith("</html>\n")
-
-
-def test_sets_of_files_that_are_written_at_once_do_not_mix(tmp_path):
-    code = """if True:
-        import sys
-        from pathlib import Path
-        from nailoptics.io import folder_lock, write_text
-        folder = Path("out")
-        for i in range(50):
-            with folder_lock(folder):
-                for name in "abc":
-                    write_text(folder / name, f"{sys.argv[1]} {i}")
-            with folder_lock(folder):
-                assert len({(folder / name).read_text() for name in "abc"}) == 1
-    """
-    many = [
-        subprocess.Popen([sys.executable, "-c", code, n], cwd=tmp_path, env=here(), stderr=subprocess.PIPE)
-        for n in "1234"
-    ]
-    assert [one.communicate()[1] for one in many] == [b""] * 4 and names(tmp_path / "out") == ["a", "b", "c"]
 
 
 def test_asking_whether_files_can_be_written_makes_nothing(tmp_path):

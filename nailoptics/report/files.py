@@ -7,7 +7,7 @@ from typing import Any
 
 import xarray as xr
 
-from ..io import folder_lock, write_bytes, write_dataset, write_text
+from ..io import make_folder, write_bytes, write_dataset, write_text
 from ..scene import Scene, to_toml
 from . import style
 
@@ -54,26 +54,26 @@ class Report:
 
 
 def write_files(folder: Path, contents: Mapping[str, Any]) -> dict[str, Path]:
-    """Write files, each whole, and none of another result between them; returns the main paths by their role.
+    """Write files, each whole; returns the main paths by their role.
 
     contents : by name: a text, bytes, a dataset or a figure, or a function that makes it or writes it at a path, so
         that the fault of a page does not cost the data before it; None is left out.
     """
     written: dict[str, Path] = {}
-    with folder_lock(folder):
-        for name, content in contents.items():
-            path = folder / name
-            made = content(path) if callable(content) else content
-            if isinstance(made, xr.Dataset):
-                write_dataset(made, path)
-            elif isinstance(made, str):
-                write_text(path, made)
-            elif isinstance(made, bytes):
-                write_bytes(path, made)
-            elif hasattr(made, "savefig"):
-                style.write_figure(made, path)
-            if content is not None:
-                written.setdefault(ROLES.get(path.suffix, ""), path)
+    make_folder(folder)
+    for name, content in contents.items():
+        path = folder / name
+        made = content(path) if callable(content) else content
+        if isinstance(made, xr.Dataset):
+            write_dataset(made, path)
+        elif isinstance(made, str):
+            write_text(path, made)
+        elif isinstance(made, bytes):
+            write_bytes(path, made)
+        elif hasattr(made, "savefig"):
+            style.write_figure(made, path)
+        if content is not None:
+            written.setdefault(ROLES.get(path.suffix, ""), path)
     return {role: written[role] for role in ROLES.values() if role in written}
 
 
